@@ -1,0 +1,37 @@
+"""Codes that arrays carry: how a stick ended, and whether a trajectory reached its horizon."""
+
+from enum import IntEnum
+
+
+class Ending(IntEnum):
+    """Why a stick ended."""
+
+    RELEASED = 0
+    """The spring force reached the friction limit: the mass slides off."""
+    BASE_SWITCHED = 1
+    """The base velocity jumped; the mass cannot follow a jump."""
+    HORIZON = 2
+    """The simulation ended first: the duration is censored, the true one is longer."""
+
+
+class Status(IntEnum):
+    """What became of one trajectory (one lane of a batch)."""
+
+    FINISHED = 0
+    """The trajectory reached ``t1``."""
+    BASE_TOO_SHORT = 1
+    """The base motion ran out of intervals before ``t1``: nothing after that instant was simulated."""
+    NOT_FINITE = 2
+    """The state became NaN or infinite."""
+
+    @property
+    def meaning(self) -> str:
+        """One plain sentence, for tables and messages."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Status.FINISHED: "reached t1",
+    Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1",
+    Status.NOT_FINITE: "the state became NaN or infinite",
+}

@@ -1,0 +1,16 @@
+"""Array aliases used in annotations: the shape is in the annotation, the unit in the docstring."""
+
+from typing import TypeAlias
+
+from jaxtyping import Array, Bool, Float, Int, Real, UInt32
+
+Scalar: TypeAlias = Real[Array, ""] | float
+"""A single real number: a Python float or a zero-dimensional array (traced or not)."""
+
+FloatArray: TypeAlias = Float[Array, "..."]
+BoolArray: TypeAlias = Bool[Array, "..."]
+IntArray: TypeAlias = Int[Array, "..."]
+KeyWords: TypeAlias = UInt32[Array, "2"]
+"""The two 32-bit words of a threefry key."""
+
+__all__ = ["Array", "Bool", "BoolArray", "Float", "FloatArray", "Int", "IntArray", "KeyWords", "Scalar"]

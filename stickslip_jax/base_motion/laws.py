@@ -1,0 +1,295 @@
+"""Laws of piecewise-constant base velocity: how realisations are drawn.
+
+A law gives the intervals of a realisation block by block (`intervals`), each computed from the key and the
+interval's number. So a realisation has no length of its own: sampling it with more room only continues it, and an
+ensemble can draw intervals while it simulates, until the last trajectory has ended.
+"""
+
+import abc
+import math
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .. import _checks
+from .._types import Array, FloatArray, Scalar
+from ..numerics.random_bits import exponential, key_words, random_words, uniform
+from .piecewise import VelocitySteps, merge_equal_neighbours
+
+Intervals = tuple[FloatArray, FloatArray, Any]
+_FIRST_VELOCITY = np.uint32(0xFFFFFFFF)  # this counter's words settle how a realisation begins
+
+
+class BangBangLaw(eqx.Module):
+    """What every law of piecewise-constant base velocity offers. Subclass it to add one."""
+
+    is_random: ClassVar[bool]
+
+    @abc.abstractmethod
+    def begin(self, words: Array | None, dtype) -> Any:
+        """What the first block needs to know (for example the first velocity), drawn from the key's words."""
+
+    @abc.abstractmethod
+    def intervals(self, words: Array | None, memory: Any, first: Array, number: int, dtype) -> Intervals:
+        """Durations (s) and velocities (m/s) of intervals ``first .. first + number - 1``, and the next memory.
+
+        Neighbouring velocities must differ; spare slots have duration 0.
+        """
+
+    @abc.abstractmethod
+    def capacity(self, t1: float) -> int:
+        """How many intervals hold nearly every realisation on ``[0, t1]``."""
+
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> VelocitySteps:
+        """One realisation that covers ``[0, t1]``.
+
+        - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness.
+        - `t1`: duration to cover, s.
+        - `capacity`: number of intervals to keep room for. By default enough for nearly every realisation (a random
+          one can outgrow it, about once in 10^9; `simulate` then reports ``Status.BASE_TOO_SHORT``). Needed under
+          ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
+
+        Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a capacity below 1.
+        """
+        _checks.positive("t1", t1, "s")
+        if capacity is None:
+            capacity = self._capacity_or_explain(t1)
+        capacity = _checks.whole_number("capacity", capacity)
+        words = self.words(key)
+        dtype = jnp.result_type(float)
+        durations, velocities, _ = self.intervals(words, self.begin(words, dtype), jnp.uint32(0), capacity, dtype)
+        return VelocitySteps(durations, velocities)
+
+    def words(self, key: Array | None) -> Array | None:
+        """The key's words; None for a law without randomness, whatever the key."""
+        if not self.is_random:
+            return None
+        if key is None:
+            raise ValueError(
+                f"Argument key must be a key such as jax.random.key(0) for the random law "
+                f"{type(self).__name__}, but None was given."
+            )
+        return key_words(key)
+
+    def _capacity_or_explain(self, t1: Scalar) -> int:
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((self, t1))):
+            raise ValueError(
+                "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
+                f"(their values are not known then); find one with {type(self).__name__}(...).capacity(t1)."
+            )
+        return self.capacity(t1)
+
+
+class Constant(BangBangLaw):
+    """A base that moves with one velocity for ever.
+
+    `speed` in m/s, signed; zero is a base at rest. Raises ValueError if it is not finite.
+    """
+
+    speed: Scalar
+    is_random = False
+
+    def __check_init__(self):
+        _checks.numeric("speed", self.speed)
+
+    def begin(self, words, dtype):
+        return ()
+
+    def intervals(self, words, memory, first, number, dtype) -> Intervals:
+        index = first + jnp.arange(number, dtype=jnp.uint32)
+        durations = jnp.where(index == 0, jnp.inf, 0.0).astype(dtype)
+        return durations, jnp.full(number, self.speed, dtype), ()
+
+    def capacity(self, t1: float) -> int:
+        return 1
+
+
+class SquareWave(BangBangLaw):
+    """``-speed`` on the first half of each period, ``+speed`` on the second (Lima and Sampaio conference paper, eq. 4).
+
+    `speed` in m/s and `period` in s, both positive. The papers' ratio ``r`` gives
+    ``period = 2 pi / (r * omega)``. Raises ValueError if a number is not positive and finite.
+    """
+
+    speed: Scalar
+    period: Scalar
+    is_random = False
+
+    def __check_init__(self):
+        _checks.positive("speed", self.speed, "m/s")
+        _checks.positive("period", self.period, "s")
+
+    def begin(self, words, dtype):
+        return ()
+
+    def intervals(self, words, memory, first, number, dtype) -> Intervals:
+        sign = _alternating(first, number, dtype)
+        return jnp.full(number, self.period / 2, dtype), -self.speed * sign, ()
+
+    def capacity(self, t1: float) -> int:
+        return math.ceil(2 * t1 / float(self.period)) + 1
+
+
+class PoissonSwitching(BangBangLaw):
+    """``+speed`` or ``-speed``, the sign flipping at the points of a Poisson process (Lima and Sampaio 2017).
+
+    - `speed` in m/s; `rate`, the mean number of flips per second, in 1/s: both positive.
+    - `first_sign`: "random" (a fair coin, the default), "positive" or "negative".
+
+    Gaps are independent exponential variables of mean ``1 / rate``; for a fixed key they scale as ``1 / rate``.
+    Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
+    """
+
+    speed: Scalar
+    rate: Scalar
+    first_sign: str = eqx.field(static=True, default="random")
+    is_random = True
+
+    def __check_init__(self):
+        _checks.positive("speed", self.speed, "m/s")
+        _checks.positive("rate", self.rate, "1/s")
+        if self.first_sign not in ("random", "positive", "negative"):
+            raise ValueError(
+                f"Argument first_sign must be 'random', 'positive' or 'negative', but {self.first_sign!r} was given."
+            )
+
+    def begin(self, words, dtype):
+        if self.first_sign != "random":
+            return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
+        high, _ = random_words(words, jnp.asarray(_FIRST_VELOCITY))
+        return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
+
+    def intervals(self, words, memory, first, number, dtype) -> Intervals:
+        counter = first + jnp.arange(number, dtype=jnp.uint32)
+        gaps = exponential(*random_words(words, counter), dtype) / self.rate
+        return gaps, memory * self.speed * _alternating(first, number, dtype), memory
+
+    def capacity(self, t1: float) -> int:
+        # Six standard deviations above the Poisson mean; the last term covers the skewness of small means.
+        mean = float(self.rate) * float(t1)
+        return math.ceil(mean + 6 * math.sqrt(mean) + 12)
+
+
+class RandomSteps(BangBangLaw):
+    """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, section 4).
+
+    - `speed` in m/s, `interval` in s (the papers' ``1 / f_b``): positive.
+    - `levels`: at least two different numbers; the velocities are ``speed * levels``. Default -1 and +1.
+    - `probabilities` of the levels, positive, summing to 1. Default: equal odds.
+
+    Equal velocities in a row are drawn at once as one long interval: its number of steps is geometric, and the next
+    level follows the odds of the others. Raises ValueError for numbers outside these bounds.
+    """
+
+    speed: Scalar
+    interval: Scalar
+    levels: tuple[float, ...] = eqx.field(static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v))
+    probabilities: tuple[float, ...] | None = eqx.field(
+        static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v)
+    )
+    is_random = True
+
+    def __check_init__(self):
+        _checks.positive("speed", self.speed, "m/s")
+        _checks.positive("interval", self.interval, "s")
+        if len(self.levels) < 2 or len(set(self.levels)) < len(self.levels):
+            raise ValueError(f"Argument levels must hold two or more different numbers, but {self.levels} was given.")
+        odds = self.odds
+        if len(odds) != len(self.levels) or min(odds) <= 0 or abs(sum(odds) - 1) > 1e-9:
+            raise ValueError(
+                f"Argument probabilities must hold one positive number for each of the {len(self.levels)} levels, "
+                f"summing to 1, but {self.probabilities} was given."
+            )
+
+    @property
+    def odds(self) -> tuple[float, ...]:
+        """The probability of each level."""
+        return self.probabilities or (1 / len(self.levels),) * len(self.levels)
+
+    def begin(self, words, dtype):
+        high, _ = random_words(words, jnp.asarray(_FIRST_VELOCITY))
+        return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.odds, dtype)))
+
+    def intervals(self, words, memory, first, number, dtype) -> Intervals:
+        high, low = random_words(words, first + jnp.arange(number, dtype=jnp.uint32))
+        odds = jnp.asarray(self.odds, dtype)
+        # Row i: the cumulative odds of the next level when the present one, i, is excluded.
+        others = jnp.where(jnp.eye(len(self.levels), dtype=bool), 0, odds[None, :] / (1 - odds[:, None]))
+
+        def visit(level, draw):
+            return _choose(draw, jnp.cumsum(others, axis=1)[level]), level
+
+        memory, visited = lax.scan(visit, memory, uniform(low, dtype))
+        steps = jnp.floor(jnp.log(uniform(high, dtype)) / jnp.log(odds)[visited]) + 1
+        velocities = self.speed * jnp.asarray(self.levels, dtype)[visited]
+        return lax.stop_gradient(steps) * self.interval, velocities, memory
+
+    def capacity(self, t1: float) -> int:
+        return math.ceil(float(t1) / float(self.interval)) + 1
+
+
+class PiecewiseConstant(BangBangLaw):
+    """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one lasts for ever.
+
+    `times` in s, increasing, the first one 0; `velocities` in m/s, as many. Neighbouring equal velocities are merged.
+    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    """
+
+    times: Array
+    velocities: Array
+    is_random = False
+
+    def __check_init__(self):
+        _checks.numeric("times", self.times, ndim=1)
+        _checks.numeric("velocities", self.velocities, ndim=1)
+        if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
+            raise ValueError(
+                "Arguments times and velocities must have the same length of at least 1, but they have shapes "
+                f"{np.shape(self.times)} and {np.shape(self.velocities)}."
+            )
+        if _checks.is_traced(self.times):
+            return
+        times = np.asarray(self.times)
+        if times[0] != 0:
+            raise ValueError(f"Argument times must begin with 0, but its first entry is {times[0]}.")
+        if np.any(np.diff(times) <= 0):
+            at = int(np.argmax(np.diff(times) <= 0)) + 1
+            raise ValueError(
+                f"Argument times must increase, but times[{at}] = {times[at]} follows times[{at - 1}] = {times[at - 1]}."
+            )
+
+    def begin(self, words, dtype):
+        return ()
+
+    def intervals(self, words, memory, first, number, dtype) -> Intervals:
+        times = jnp.asarray(self.times, dtype)
+        durations, velocities = merge_equal_neighbours(
+            jnp.concatenate([jnp.diff(times), jnp.full(1, jnp.inf, dtype)]), jnp.asarray(self.velocities, dtype)
+        )
+        index = first.astype(jnp.int32) + jnp.arange(number)
+        inside = index < durations.shape[0]
+        index = jnp.minimum(index, durations.shape[0] - 1)
+        return jnp.where(inside, durations[index], 0), velocities[index], ()
+
+    def capacity(self, t1: float) -> int:
+        return len(self.times)
+
+
+def _alternating(first: Array, number: int, dtype) -> FloatArray:
+    """+1, -1, +1, ... for interval numbers ``first ..``."""
+    odd = (first + jnp.arange(number, dtype=jnp.uint32)) & np.uint32(1)
+    return (1 - 2 * odd.astype(jnp.int32)).astype(dtype)
+
+
+def _choose(draw: Array, cumulative: Array) -> Array:
+    """Index of the cell of ``cumulative`` odds that holds the uniform ``draw``."""
+    return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
+
+
+def _floats(name: str, values: Any) -> tuple[float, ...]:
+    _checks.numeric(name, values, ndim=1)
+    return tuple(float(value) for value in values)

@@ -1,0 +1,105 @@
+"""What is recorded of a trajectory: its sticks, and the slips between them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ._status import Ending
+from ._types import Scalar
+
+
+class Sticks(eqx.Module):
+    """Sticks in order of time, in slots of which `mask` marks the filled ones.
+
+    Arrays have the shape (slots,) for one trajectory and (samples, slots) for an ensemble; sticks fill the first slots.
+    Slots outside `mask` hold NaN (ending: -1), are for display only, and enter no statistic.
+
+    - `start`, `end`: s. `position`: of the mass when the stick starts, m.
+    - `ending`: an `Ending` code: 0 RELEASED, 1 BASE_SWITCHED, 2 HORIZON (censored by the end of the simulation).
+    """
+
+    start: Float[Array, "*batch slots"]
+    end: Float[Array, "*batch slots"]
+    position: Float[Array, "*batch slots"]
+    ending: Int[Array, "*batch slots"]
+    mask: Bool[Array, "*batch slots"]
+
+    @property
+    def duration(self) -> Float[Array, "*batch slots"]:
+        """How long each stick lasts, s (NaN outside `mask`)."""
+        return self.end - self.start
+
+    @property
+    def count(self) -> Int[Array, "*batch"]:
+        """Number of sticks."""
+        return self.mask.sum(axis=-1)
+
+    def __repr__(self) -> str:
+        shown = type(self).__name__
+        if isinstance(self.mask, np.ndarray) or hasattr(self.mask, "addressable_shards"):
+            return f"{shown}({int(np.sum(np.asarray(self.mask)))} in slots of shape {self.mask.shape})"
+        return f"{shown}(slots of shape {self.mask.shape})"
+
+
+class Slips(eqx.Module):
+    """Slips in order of time: what is left of [0, t1] outside the sticks. Slots outside `mask` hold NaN.
+
+    - `start`, `end`: s. `censored`: cut by the horizon.
+    """
+
+    start: Float[Array, "*batch slots"]
+    end: Float[Array, "*batch slots"]
+    censored: Bool[Array, "*batch slots"]
+    mask: Bool[Array, "*batch slots"]
+
+    @property
+    def duration(self) -> Float[Array, "*batch slots"]:
+        """How long each slip lasts, s (NaN outside `mask`)."""
+        return self.end - self.start
+
+    @property
+    def count(self) -> Int[Array, "*batch"]:
+        """Number of slips."""
+        return self.mask.sum(axis=-1)
+
+
+def sticks_in_order(start, end, position, ending, stuck) -> Sticks:
+    """Sort one trajectory's records, one an interval, so that the sticks come first; differentiable, fixed size."""
+    order = jnp.argsort(~stuck, stable=True)
+    mask = stuck[order]
+
+    def fill(values, padding):
+        return jnp.where(mask, values[order], padding)
+
+    return Sticks(fill(start, jnp.nan), fill(end, jnp.nan), fill(position, jnp.nan), fill(ending, -1), mask)
+
+
+def slips_between(sticks: Sticks, t1: Scalar) -> Slips:
+    """The slips of one trajectory or of many: before the first stick, between sticks, after the last.
+
+    `sticks` hold (..., slots), the result one slot more. A slip of no length (a stick from t = 0, or to the horizon)
+    is no slip.
+    """
+    batch = sticks.mask.shape[:-1]
+    dtype = sticks.start.dtype
+    edge = jnp.ones((*batch, 1), bool)
+    # Slip i runs from the end of stick i - 1 to the start of stick i; the last one to the horizon.
+    start = jnp.concatenate([jnp.zeros((*batch, 1), dtype), sticks.end], axis=-1)
+    end = jnp.concatenate([sticks.start, jnp.full((*batch, 1), jnp.nan, dtype)], axis=-1)
+    exists = jnp.concatenate([edge, sticks.mask], axis=-1)
+    is_last = exists & ~jnp.concatenate([sticks.mask, ~edge], axis=-1)
+    end = jnp.where(is_last, jnp.asarray(t1, dtype), end)
+    mask = exists & (jnp.where(exists, end, 0) > jnp.where(exists, start, 0))
+    # Slots of no length are closed up, so that slips fill the first slots.
+    order = jnp.argsort(~mask, axis=-1, stable=True)
+    mask = jnp.take_along_axis(mask, order, axis=-1)
+
+    def fill(values):
+        return jnp.where(mask, jnp.take_along_axis(values, order, axis=-1), jnp.nan)
+
+    censored = jnp.take_along_axis(is_last, order, axis=-1) & mask
+    return Slips(fill(start), fill(end), censored, mask)
+
+
+__all__ = ["Ending", "Slips", "Sticks", "slips_between", "sticks_in_order"]

@@ -1,0 +1,1 @@
+"""High-precision reference computations that the tests judge the package by."""
