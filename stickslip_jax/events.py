@@ -64,8 +64,12 @@ class Slips(eqx.Module):
         return self.mask.sum(axis=-1)
 
 
-def sticks_in_order(start, end, position, ending, stuck) -> Sticks:
-    """Sort one trajectory's records, one an interval, so that the sticks come first; differentiable, fixed size."""
+def sticks_in_order(start, end, position, ending) -> Sticks:
+    """Sort one trajectory's records, one an interval, so that the sticks come first; differentiable, fixed size.
+
+    Arrays of shape (intervals,); `ending` is negative where there is no stick.
+    """
+    stuck = ending >= 0
     order = jnp.argsort(~stuck, stable=True)
     mask = stuck[order]
 

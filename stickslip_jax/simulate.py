@@ -75,7 +75,7 @@ class Simulation(eqx.Module):
 
         def at(time, i):
             began = jax.tree.map(lambda values: values[i], self._beginnings)
-            motion, _, _ = cross_interval(scales, began, time - began.t, self.base.velocities[i])
+            motion, _, _ = cross_interval(scales, began, self.totals, time - began.t, self.base.velocities[i])
             inside = (time >= 0) & (time <= scales.t1)
             return jnp.where(inside, motion.x, jnp.nan), jnp.where(inside, motion.p * scales.omega, jnp.nan)
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from .._types import BoolArray, FloatArray
@@ -42,17 +41,6 @@ class Passage(NamedTuple):
     released: BoolArray
 
 
-class _Arc(NamedTuple):
-    """The arc that is under way after all crossings: where it began (`offset` from its centre, `p`), its arrival."""
-
-    side: FloatArray
-    offset: FloatArray
-    p: FloatArray
-    began: FloatArray
-    h: FloatArray
-    arrived: BoolArray
-
-
 def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, span: FloatArray) -> Passage:
     """Carry the state ``(x, p)`` across an interval of base velocity ``v`` (over omega) and length `span` (an angle).
 
@@ -60,33 +48,41 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     """
     mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
     q = jnp.abs(v)
-    first, entered = _first_arrival(mirror * x, mirror * p, q, a, span)
-    arc, entered = _follow_crossings(first, entered, q, a, span)
+    first_side, first_offset, first_p, h, angle, arrived_first = _first_arc(mirror * x, mirror * p, q, a, span)
+    side, h, entered, arrived = _follow_crossings(first_side, h, angle, arrived_first, q, a, span)
 
     # Stick from `entered` at x = side (a - h) until the spring reaches the friction limit at x = +a.
-    position = arc.side * (a - arc.h)
-    way = a - position
+    position = side * (a - h)
     moving = q > 0
-    release = jnp.where(moving, entered + way / jnp.where(moving, q, 1), jnp.inf)
-    released = arc.arrived & (release <= span)
+    release = jnp.where(moving, entered + (a - position) / jnp.where(moving, q, 1), jnp.inf)
+    released = arrived & (release <= span)
     left = jnp.where(released, release, span)
-    stuck = arc.arrived & (left > entered)
+    stuck = arrived & (left > entered)
 
-    # One rotation ends the interval: about +a from the release point, or about the last arc's centre from its start.
+    # One rotation ends the interval: about +a from the release point, or about the centre of the arc under way from
+    # where that arc began: the interval's first state, or (after a crossing) distance h beyond the centre at p = q.
     # A mass still stuck at the end is a rotation by angle 0 of its last point.
-    still_stuck = arc.arrived & ~released
-    offset = jnp.where(arc.arrived, jnp.where(released, 0, position + q * (span - entered) - a), arc.offset)
-    centre = jnp.where(arc.arrived, a, arc.side * a)
-    p_start = jnp.where(arc.arrived, q, arc.p)
-    angle = jnp.where(arc.arrived, jnp.where(still_stuck, 0, span - left), span - arc.began)
+    crossed = arrived_first & ~arrived
+    offset = jnp.where(crossed, side * h, first_offset)
+    offset = jnp.where(arrived, jnp.where(released, 0, position + q * (span - entered) - a), offset)
+    centre = jnp.where(arrived, a, side * a)
+    p_start = jnp.where(arrived_first, q, first_p)
+    angle = jnp.where(arrived, span - left, span - jnp.where(crossed, entered, 0))
     sine, cosine = sincos(angle)
     x_end = centre + offset * cosine + p_start * sine
     p_end = p_start * cosine - offset * sine
     return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
 
 
-def _first_arrival(x, p, q, a, span) -> tuple[_Arc, FloatArray]:
-    """The arc from the interval's first state, and the angle at which it meets the base velocity."""
+def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> BoolArray:
+    """Whether a mass in the state ``(x, p)`` is in a stick from the first instant on a base of velocity ``v``."""
+    forward = jnp.where(v < 0, -x, x)
+    return (p == v) & (forward >= -a) & ((forward < a) | ((v == 0) & (forward <= a)))
+
+
+def _first_arc(x, p, q, a, span):
+    """The arc from the interval's first state: side, offset from its centre, p; where and when it meets the base
+    velocity: distance h and angle; whether that happens within the span."""
     above = (p > q) | ((p == q) & (x < -a))
     side = jnp.where(above, -1, 1).astype(x.dtype)
     D = side * x - a
@@ -97,92 +93,49 @@ def _first_arrival(x, p, q, a, span) -> tuple[_Arc, FloatArray]:
     # Half the clockwise angle from (D, p) to (-h, q) on the same circle. Each form is free of cancellation where it is
     # used, never negative, and 0 when the state is already on the base velocity inside the band.
     before = D <= 0
-    half_angle = angle_of(
-        jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q))
-    )
-    angle = 2 * half_angle
-    arrived = reaches & (angle < span)
-    arc = _Arc(side, side * D, p, jnp.zeros_like(x), h, arrived)
-    return arc, jnp.where(arrived, angle, 0)
-
-
-def _follow_crossings(arc: _Arc, entered, q, a, span) -> tuple[_Arc, FloatArray]:
-    """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval."""
-    crossing = arc.arrived & (arc.h > 2 * a)
-    room = jnp.where(crossing, span - entered, 0)
-    h, elapsed, crossings, arrivals = _crossings(arc.h, q, a, arc.side, room)
-    side = jnp.where(crossings % 2 == 1, -arc.side, arc.side)
-    on_its_way = crossing & (arrivals < crossings)
-    entered = entered + elapsed
-    # An arc that began with a crossing starts at distance h beyond its own centre, on the base velocity.
-    follow = _Arc(
-        side=side,
-        offset=jnp.where(on_its_way, side * h, arc.offset),
-        p=jnp.where(on_its_way, q, arc.p),
-        began=jnp.where(on_its_way, entered, 0),
-        h=h,
-        arrived=arc.arrived & ~on_its_way,
-    )
-    return follow, entered
+    angle = 2 * angle_of(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
+    return side, side * D, p, h, angle, reaches & (angle < span)
 
 
 @jax.custom_jvp
-def _crossings(h, q, a, side, room):
-    """Count crossings one after the other; nothing is done (and nearly nothing spent) where ``room`` is 0.
+def _follow_crossings(side, h, entered, arrived, q, a, span):
+    """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval.
 
-    `h` is the distance at which the first arc met the base velocity. Returns the distance of the last arc, the angle
-    spent on the arcs that arrived, the number of crossings and of arrivals. All but `room` is differentiable: the
-    derivative is that of the sum over the arcs, whose number does not change. Reverse mode works, too.
+    Takes and returns: the side of the arc under way, the distance h at which it meets the base velocity, the angle at
+    which the last arc that arrived did so, and whether the one under way arrives within the span. Nothing is done (and
+    nearly nothing spent) where the first arc does not cross. Differentiable in both modes: the number of crossings
+    does not change, and the derivative of the sum over them is summed beside it.
     """
-    outcome, _ = _count_crossings(h, q, a, side, room)
-    return outcome
+    state = (arrived & (h > 2 * a), side, h, entered, arrived)
+    return lax.while_loop(lambda s: s[0], lambda s: _cross(s, q, a, span), state)[1:]
 
 
-@_crossings.defjvp
-def _crossings_jvp(primals, tangents):
-    h, q, a, side, room = primals
-    dh, dq, da, _, _ = tangents
-    (h_last, elapsed, crossings, arrivals), (by_h, by_q, by_a) = _count_crossings(h, q, a, side, room)
-    count = crossings.astype(h.dtype)
-    tangent_out = (
-        dh - 2 * count * da,
-        by_h * dh + by_q * dq + by_a * da,
-        np.zeros(crossings.shape, jax.dtypes.float0),
-        np.zeros(arrivals.shape, jax.dtypes.float0),
-    )
-    return (h_last, elapsed, crossings, arrivals), tangent_out
+@_follow_crossings.defjvp
+def _follow_crossings_jvp(primals, tangents):
+    side, h, entered, arrived, q, a, span = primals
+    d_side, dh, d_entered, d_arrived, dq, da, _ = tangents
 
-
-def _count_crossings(h, q, a, side, room):
-    """The loop behind `_crossings`, with the partial derivatives of the elapsed angle."""
-    zero = jnp.zeros_like(h)
-
-    def more(state):
-        return state[0]
-
-    def cross(state):
-        _, side, elapsed, crossings, arrivals, by_h, by_q, by_a = state
-        side = -side
+    def cross(carry):
+        state, (crossings, by_h, by_q, by_a) = carry
+        state = _cross(state, q, a, span)
+        _, now, distance, _, arrived = state
         crossings = crossings + 1
-        j = crossings.astype(h.dtype)
-        distance = h - 2 * j * a
-        # The arc runs from (h, q) to (-h, q): clockwise pi + 2 atan(q/h) below and pi - 2 atan(q/h) above.
-        angle = 2 * angle_of(distance, -side * q)
-        arrived = elapsed + angle < room
         squared = distance * distance + q * q
-        slope = jnp.where(arrived, 2 * side / jnp.where(squared > 0, squared, 1), 0)
-        return (
-            arrived & (distance > 2 * a),
-            side,
-            jnp.where(arrived, elapsed + angle, elapsed),
-            crossings,
-            arrivals + arrived,
-            by_h - slope * q,
-            by_q + slope * distance,
-            by_a + slope * q * 2 * j,
-        )
+        slope = jnp.where(arrived, 2 * now / jnp.where(squared > 0, squared, 1), 0)
+        return state, (crossings, by_h - slope * q, by_q + slope * distance, by_a + slope * q * 2 * crossings)
 
-    none = jnp.zeros(jnp.shape(h), jnp.int32)
-    start = ((room > 0) & (h > 2 * a), side, zero, none, none, zero, zero, zero)
-    _, _, elapsed, crossings, arrivals, *partials = lax.while_loop(more, cross, start)
-    return (h - 2 * crossings.astype(h.dtype) * a, elapsed, crossings, arrivals), partials
+    zero = jnp.zeros_like(h)
+    state = (arrived & (h > 2 * a), side, h, entered, arrived)
+    state, (crossings, by_h, by_q, by_a) = lax.while_loop(lambda c: c[0][0], cross, (state, (zero, zero, zero, zero)))
+    d_out = (d_side, dh - 2 * crossings * da, d_entered + by_h * dh + by_q * dq + by_a * da, d_arrived)
+    return state[1:], d_out
+
+
+def _cross(state, q, a, span):
+    """Cross to the other side and follow the arc there, from (h, q) to (-h, q) as seen from its centre."""
+    _, side, h, entered, _ = state
+    side = -side
+    h = h - 2 * a
+    arrival = entered + 2 * angle_of(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
+    arrived = arrival < span
+    return arrived & (h > 2 * a), side, h, jnp.where(arrived, arrival, entered), arrived

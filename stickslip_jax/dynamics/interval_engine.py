@@ -12,7 +12,7 @@ from jax import lax
 from .._status import Ending, Status
 from .._types import Array, BoolArray, FloatArray, IntArray, Scalar
 from ..systems.mass_spring import MassSpring
-from .arcs import carry_across
+from .arcs import carry_across, sticks_from_start
 
 
 class Motion(NamedTuple):
@@ -27,84 +27,96 @@ class Scales(NamedTuple):
     """What the closed forms need to know of the system, and the horizon."""
 
     omega: FloatArray
+    per_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
     half_width: FloatArray
     t1: FloatArray
 
 
 class StickRecord(NamedTuple):
-    """The stick of one interval, if ``stuck``; times in s, position in m."""
+    """The stick of one interval, if any; times in s, position in m."""
 
     start: FloatArray
     end: FloatArray
     position: FloatArray
-    ending: IntArray
-    stuck: BoolArray
+    ending: IntArray  # an `Ending` code, or -1 where there is no stick
 
 
 class Totals(NamedTuple):
-    """Sums over the sticks of one trajectory."""
+    """Sums over the sticks of one trajectory. Two counters and a sum, because each costs a pass over the lanes."""
 
     sticks: IntArray
-    released: IntArray
-    slips_before: IntArray  # sticks that follow a slip: all but one that lasts from t = 0
-    sticking_at_end: BoolArray
+    endings: IntArray  # number of sticks that ended by release, plus `_CENSORED` if one was cut by the horizon
     stick_time: FloatArray
+
+    @property
+    def released(self) -> IntArray:
+        """Number of sticks that ended by release."""
+        return self.endings % _CENSORED
+
+    @property
+    def censored(self) -> IntArray:
+        """Number of sticks cut by the horizon: 0 or 1."""
+        return self.endings // _CENSORED
+
+
+_CENSORED = 1 << 30
 
 
 def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
     """The system's scales as arrays of `dtype`."""
     omega = jnp.sqrt(jnp.asarray(system.stiffness, dtype) / jnp.asarray(system.mass, dtype))
-    return Scales(omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
+    return Scales(omega, 1 / omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
 
 
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
     """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
     dtype = scales.omega.dtype
-    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) / scales.omega)
+    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega)
 
 
 def start_totals(dtype) -> Totals:
     """Nothing counted yet."""
     none = jnp.zeros((), jnp.int32)
-    return Totals(none, none, none, jnp.zeros((), bool), jnp.zeros((), dtype))
+    return Totals(none, none, jnp.zeros((), dtype))
+
+
+def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
+    """Whether the trajectory begins with a stick, given the first base velocity: then no slip comes before it."""
+    return sticks_from_start(motion.x, motion.p, velocity * scales.per_omega, scales.half_width)
+
+
+def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
+    """Number of slips: one between any two sticks, one before and one after them where no stick reaches."""
+    return totals.sticks + 1 - at_start.astype(jnp.int32) - totals.censored
 
 
 def cross_interval(
-    scales: Scales, motion: Motion, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, StickRecord, FloatArray]:
-    """Cross one interval, cut at the horizon: the next state, the stick in it, and that stick's duration in s.
-
-    The duration is not taken as ``end - start``, whose error grows with the time of day.
-    """
-    omega, a, t1 = scales
-    before_horizon = motion.t + duration < t1
-    span = jnp.where(before_horizon, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.p, velocity / omega, a, omega * span)
-    t_end = jnp.where(before_horizon, motion.t + duration, t1)
+    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[Motion, Totals, StickRecord]:
+    """Cross one interval, cut at the horizon: the next state, the totals with this interval's stick, its record."""
+    omega, per_omega, a, t1 = scales
+    uncut = motion.t + duration < t1
+    span = jnp.where(uncut, duration, t1 - motion.t)
+    passage = carry_across(motion.x, motion.p, velocity * per_omega, a, omega * span)
+    t_end = jnp.where(uncut, motion.t + duration, t1)
     live = motion.t < t1
     following = Motion(t_end, jnp.where(live, passage.x, motion.x), jnp.where(live, passage.p, motion.p))
-    ending = jnp.where(
-        passage.released, Ending.RELEASED, jnp.where(before_horizon, Ending.BASE_SWITCHED, Ending.HORIZON)
-    )
+
+    stuck, released = passage.stuck, passage.released
+    ending = jnp.where(released, Ending.RELEASED, jnp.where(uncut, Ending.BASE_SWITCHED, Ending.HORIZON))
     record = StickRecord(
-        start=motion.t + passage.entered / omega,
-        end=jnp.where(passage.released, motion.t + passage.left / omega, t_end),
+        start=motion.t + passage.entered * per_omega,
+        end=jnp.where(released, motion.t + passage.left * per_omega, t_end),
         position=passage.position,
-        ending=ending.astype(jnp.int8),
-        stuck=passage.stuck,
+        ending=jnp.where(stuck, ending, -1).astype(jnp.int8),
     )
-    return following, record, jnp.where(passage.stuck, (passage.left - passage.entered) / omega, 0)
-
-
-def add_stick(totals: Totals, record: StickRecord, duration: FloatArray) -> Totals:
-    """Count one interval's stick."""
-    return Totals(
-        sticks=totals.sticks + record.stuck,
-        released=totals.released + (record.stuck & (record.ending == Ending.RELEASED)),
-        slips_before=totals.slips_before + (record.stuck & (record.start > 0)),
-        sticking_at_end=totals.sticking_at_end | (record.stuck & (record.ending == Ending.HORIZON)),
-        stick_time=totals.stick_time + duration,
+    totals = Totals(
+        sticks=totals.sticks + stuck,
+        endings=totals.endings + jnp.where(stuck, jnp.where(released, 1, jnp.where(uncut, 0, _CENSORED)), 0),
+        # Not end - start, whose error grows with the time of day.
+        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * per_omega,
     )
+    return following, totals, record
 
 
 def run_intervals(
@@ -116,9 +128,8 @@ def run_intervals(
     """
 
     def step(carry, interval):
-        motion, totals = carry
-        following, record, duration = cross_interval(scales, motion, *interval)
-        return (following, add_stick(totals, record, duration)), (record, motion)
+        following, totals, record = cross_interval(scales, *carry, *interval)
+        return (following, totals), (record, carry[0])
 
     start = (motion, start_totals(motion.x.dtype))
     (motion, totals), (records, beginnings) = lax.scan(step, start, (durations, velocities))

@@ -28,9 +28,7 @@ def key_words(key: Array) -> KeyWords:
             return jax.random.key_data(key)
     elif dtype == np.uint32 and key.shape[-1:] == (2,):
         return jnp.asarray(key)
-    raise ValueError(
-        f"Argument key must be a threefry key made by jax.random.key(seed), but {key!r} was given."
-    )
+    raise ValueError(f"Argument key must be a threefry key made by jax.random.key(seed), but {key!r} was given.")
 
 
 def random_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:

@@ -1,0 +1,41 @@
+"""Ensembles as labelled arrays."""
+
+from typing import TYPE_CHECKING
+
+from ._status import Ending, Status
+
+if TYPE_CHECKING:
+    import xarray
+
+    from .ensemble_result import Ensemble
+
+
+def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
+    """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names."""
+    try:
+        import xarray as xr
+    except ImportError:
+        raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
+    sticks, totals = ensemble.require_sticks(), ensemble.totals
+    assert totals is not None
+
+    def along(dimension, values, long_name, unit="1", **attributes):
+        return (dimension, values, {"long_name": long_name, "units": unit, **attributes})
+
+    return xr.Dataset(
+        {
+            "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
+            "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
+            "stick_position": along("stick", sticks.position, "position of the mass when the stick starts", "m"),
+            "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
+            "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
+            "slip_count": along("sample", totals.slips, "number of slips"),
+            "stick_time": along("sample", totals.stick_time, "total stick time", "s"),
+            "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
+        },
+        attrs={"Conventions": "CF-1.11", "featureType": "timeSeries"},
+    )
+
+
+def _flags(codes) -> dict[str, object]:
+    return {"flag_values": [int(code) for code in codes], "flag_meanings": " ".join(code.name for code in codes)}

@@ -1,0 +1,259 @@
+"""Simulate many samples of a random base motion: keys, chunks, threads, streaming."""
+
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import _checks
+from ._fast_cpu import fast_cpu_enabled
+from ._status import Status
+from ._types import Array, Scalar
+from .base_motion.laws import BangBangLaw
+from .dynamics.chunks import LaneResults, record_chunk, summarise_chunk
+from .dynamics.lanes import BLOCK
+from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals
+from .numerics.moments import Moments
+from .simulate import working_dtype
+from .systems.mass_spring import MassSpring
+
+_LARGEST_COUNTER = 2**31  # intervals of one realisation and samples of one ensemble are numbered in 32 bits
+_MOST_SLOTS = 2**22
+
+
+def simulate_ensemble(
+    system: MassSpring,
+    law: BangBangLaw,
+    *,
+    t1: float,
+    samples: int,
+    key: Array | None = None,
+    y0: tuple[float, float] = (0.0, 0.0),
+    keep: str = "statistics",
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+) -> Ensemble:
+    """Simulate `samples` independent realisations of the base motion `law`, exactly.
+
+    Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``: it depends on the key and i
+    only, not on the number of samples, the chunk size or the threads.
+
+    - `system`: what moves; `law`: what drives it; `t1`: duration, s; `y0`: initial position (m) and velocity (m/s).
+    - `key`: from ``jax.random.key(seed)``; may be None for a law without randomness.
+    - `keep`: "statistics" keeps sums only (memory does not grow with `samples`); "sticks" keeps every stick.
+    - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
+    - `progress`: True shows a progress bar, False none; default: only on a terminal.
+
+    Returns an `Ensemble`. Trajectories that did not reach ``t1`` are counted in its ``status_counts`` and enter no
+    statistic. Raises ValueError for arguments outside these bounds.
+    """
+    run = _Run.checked(system, law, t1, samples, key, y0, keep)
+    threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
+    plan = _Plan.of(samples, threads, chunk, keep)
+    started = time.perf_counter()
+    simulate = _streamer(run, plan) if keep == "statistics" else _recorder(run, plan)
+    simulate(0, 0)  # compiles, so that the threads need not race for it
+    compiled = time.perf_counter()
+
+    moments, counts, kept = Moments.of(np.zeros((0, len(FEATURES)))), np.zeros(len(Status), int), []
+    with _progress_bar(progress, samples) as advance:
+        for number, part in _in_order(simulate, plan, samples):
+            counts += np.bincount(part.results.status, minlength=len(Status))
+            moments = moments.merge(Moments.of(_features(part.results)))
+            if keep == "sticks":
+                kept.append(part)
+            advance(number)
+    return Ensemble(
+        system=system,
+        law=law,
+        t1=float(t1),
+        y0=(float(y0[0]), float(y0[1])),
+        samples=samples,
+        key_words=None if run.words is None else tuple(int(word) for word in np.asarray(run.words)),
+        dtype=str(np.dtype(run.dtype)),
+        moments=moments,
+        status_counts={status: int(counts[status]) for status in Status},
+        totals=_join_totals(kept) if keep == "sticks" else None,
+        flat_sticks=_join_sticks(kept) if keep == "sticks" else None,
+        threads=plan.threads,
+        compile_seconds=compiled - started,
+        run_seconds=time.perf_counter() - compiled,
+    )
+
+
+class _Part(NamedTuple):
+    """A simulated piece of the ensemble: results of consecutive samples, and their sticks one after the other."""
+
+    results: LaneResults
+    sticks: FlatSticks | None = None
+
+
+class _Run(NamedTuple):
+    """What is the same for every chunk."""
+
+    system: MassSpring
+    law: BangBangLaw
+    words: Array | None
+    t1: Scalar
+    y0: tuple[Scalar, Scalar]
+    dtype: Any
+
+    @classmethod
+    def checked(cls, system, law, t1, samples, key, y0, keep) -> "_Run":
+        if not isinstance(system, MassSpring):
+            raise ValueError(f"Argument system must be a MassSpring, but {system!r} was given.")
+        if not isinstance(law, BangBangLaw):
+            raise ValueError(
+                f"Argument law must be a law such as PoissonSwitching(speed, rate), but {law!r} was given."
+            )
+        _checks.positive("t1", t1, "s")
+        if _checks.whole_number("samples", samples) > _LARGEST_COUNTER:
+            raise ValueError(f"Argument samples must be at most {_LARGEST_COUNTER}, but {samples} was given.")
+        if keep not in ("statistics", "sticks"):
+            raise ValueError(f"Argument keep must be 'statistics' or 'sticks', but {keep!r} was given.")
+        y0 = _checks.pair("y0", y0)
+        if law.capacity(t1) > _LARGEST_COUNTER:
+            raise ValueError(
+                f"Argument t1 must be shorter: {t1} s hold more than {_LARGEST_COUNTER} intervals of {law!r}."
+            )
+        return cls(system, law, law.words(key), t1, y0, working_dtype())
+
+
+class _Plan(NamedTuple):
+    """How the samples are cut: `tasks` of `samples_per_task`, simulated `lanes` at a time."""
+
+    lanes: int
+    blocks: int
+    samples_per_task: int
+    threads: int
+
+    @classmethod
+    def of(cls, samples: int, threads: int, chunk: int | None, keep: str) -> "_Plan":
+        # Compiled into one native function, a block's arrays should stay in the cache; launched operation by
+        # operation, they should be large enough to hide the launches (benchmarks/README.md).
+        lanes = 256 if fast_cpu_enabled() else 4096
+        blocks = max(1, 4096 // lanes) if keep == "statistics" else 1
+        if chunk is not None:
+            chunk = _checks.whole_number("chunk", chunk)
+            lanes = min(lanes, 1 << (chunk - 1).bit_length())
+            blocks = -(-chunk // lanes) if keep == "statistics" else 1
+            return cls(lanes, blocks, min(chunk, lanes * blocks), threads)
+        # Small runs are cut finer, so that every thread gets its share.
+        fair = -(-samples // (4 * threads * lanes)) * lanes
+        return cls(lanes, blocks, min(fair, lanes * blocks), threads)
+
+
+def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
+    """A function that simulates samples ``first .. first + number - 1`` and keeps their totals."""
+
+    def simulate(first: int, number: int) -> _Part:
+        used = -(-number // plan.lanes)
+        results = summarise_chunk(
+            run.system, run.law, run.words, run.t1, run.y0, np.uint32(first), np.int32(used),
+            lanes=plan.lanes, blocks=plan.blocks, dtype=run.dtype,
+        )  # fmt: skip
+        return _Part(LaneResults(*(np.asarray(leaf)[:number] for leaf in results)))
+
+    return simulate
+
+
+def _recorder(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
+    """The same, keeping every stick. Samples that outgrow their slots are simulated again with more."""
+    usual_slots = _slots_for(run.law.capacity(float(run.t1)))
+
+    def record(index: np.ndarray, slots: int, t1) -> tuple[LaneResults, FlatSticks]:
+        filled = np.zeros(plan.lanes, np.uint32)
+        filled[: len(index)] = index
+        results, records = record_chunk(
+            run.system, run.law, run.words, t1, run.y0, filled,
+            lanes=plan.lanes, slots=slots, dtype=run.dtype,
+        )  # fmt: skip
+        results = LaneResults(*(np.array(leaf)[: len(index)] for leaf in results))
+        return results, FlatSticks.of_records(*(np.asarray(leaf) for leaf in records), len(index))
+
+    def simulate(first: int, number: int) -> _Part:
+        index = first + np.arange(number, dtype=np.uint32)
+        results, sticks = record(index, usual_slots, run.t1 if number else 0.0)
+        slots, short = usual_slots, np.flatnonzero(results.status == Status.BASE_TOO_SHORT)
+        while len(short) and slots < _MOST_SLOTS:
+            slots *= 2
+            again, longer = record(index[short], slots, run.t1)
+            exhausted = np.all(again.t == results.t[short])  # the law itself ends before t1: more room is no help
+            for old, new in zip(results, again, strict=True):
+                old[short] = new
+            sticks = sticks.replace(short, longer)
+            short = short[:0] if exhausted else short[again.status == Status.BASE_TOO_SHORT]
+        return _Part(results, sticks)
+
+    return simulate
+
+
+def _slots_for(capacity: int) -> int:
+    """Room for `capacity` intervals: few different sizes, so that few are compiled."""
+    slots = BLOCK
+    while slots < capacity:
+        slots *= 2
+    return 3 * slots // 4 if 3 * slots // 4 >= capacity and slots >= 4 * BLOCK else slots
+
+
+def _in_order(simulate: Callable[[int, int], _Part], plan: _Plan, samples: int) -> Iterator[tuple[int, _Part]]:
+    """Simulate all tasks in threads, a few at a time, and hand the parts back in order of the samples."""
+    tasks = deque(
+        (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)
+    )
+    waiting: deque[tuple[int, Future]] = deque()
+    with ThreadPoolExecutor(plan.threads) as pool:
+        try:
+            while tasks or waiting:
+                while tasks and len(waiting) < 2 * plan.threads:
+                    first, number = tasks.popleft()
+                    waiting.append((number, pool.submit(simulate, first, number)))
+                number, future = waiting.popleft()
+                yield number, future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _features(results: LaneResults) -> np.ndarray:
+    """The vectors that `Moments` sums, one row for each finished sample; columns as in `FEATURES`."""
+    finished = results.status == Status.FINISHED
+    columns = (results.stick_time, results.sticks, results.slips, results.released)
+    return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
+
+
+def _join_totals(parts: list[_Part]) -> SampleTotals:
+    columns = [np.concatenate(column) for column in zip(*(part.results for part in parts), strict=True)]
+    by_name = dict(zip(LaneResults._fields, columns, strict=True))
+    return SampleTotals(**{name: by_name[name] for name in SampleTotals._fields})
+
+
+def _join_sticks(parts: list[_Part]) -> FlatSticks:
+    return FlatSticks(*(np.concatenate(column) for column in zip(*(part.sticks for part in parts), strict=True)))
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
+    """A function to call with the number of samples done; shows a bar when asked for, or on a terminal."""
+    if progress is False or (progress is None and not sys.stderr.isatty()):
+        yield lambda number: None
+        return
+    try:
+        from tqdm.auto import tqdm
+    except ImportError:
+        if progress is None:
+            yield lambda number: None
+            return
+        raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
+    with tqdm(total=samples, unit="sample", unit_scale=True) as bar:
+        yield bar.update

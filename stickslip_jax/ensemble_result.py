@@ -1,0 +1,138 @@
+"""What an ensemble hands back: sums for the statistics and, if kept, every stick of every sample."""
+
+import dataclasses
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ._status import Status
+from .base_motion.laws import BangBangLaw
+from .events import Sticks
+from .numerics.moments import Moments
+from .systems.mass_spring import MassSpring
+
+FEATURES = ("stick_time", "stick_count", "slip_count", "released_count")
+"""What `Moments` holds of each finished sample."""
+
+
+class SampleTotals(NamedTuple):
+    """Totals of each sample; arrays (samples,). Times in s."""
+
+    sticks: np.ndarray
+    slips: np.ndarray
+    stick_time: np.ndarray
+    status: np.ndarray
+
+
+class FlatSticks(NamedTuple):
+    """The sticks of many samples one after the other (the "contiguous ragged" form of CF conventions)."""
+
+    count: np.ndarray  # (samples,)
+    start: np.ndarray  # (all sticks,), as the following
+    end: np.ndarray
+    position: np.ndarray
+    ending: np.ndarray
+
+    @classmethod
+    def of_records(cls, start, end, position, ending, samples: int) -> "FlatSticks":
+        """Collect from records (slots, lanes) in order of sample, then time; the first `samples` lanes count."""
+        lanes = ending.shape[1]
+        found = np.flatnonzero(ending >= 0)
+        lane = (found % lanes).astype(np.uint16 if lanes <= 1 << 16 else np.int64)
+        order = np.argsort(lane, kind="stable")
+        count = np.bincount(lane, minlength=lanes)[:samples]
+        found = found[order][: count.sum()]
+        return cls(count, *(values.ravel()[found] for values in (start, end, position, ending)))
+
+    def replace(self, samples: np.ndarray, other: "FlatSticks") -> "FlatSticks":
+        """Put `other`'s sticks, one sample after the other, in the place of those of `samples`."""
+        owner = np.repeat(np.arange(len(self.count)), self.count)
+        kept = ~np.isin(owner, samples)
+        order = np.argsort(np.concatenate([owner[kept], np.repeat(samples, other.count)]), kind="stable")
+        count = self.count.copy()
+        count[samples] = other.count
+        columns = zip(self[1:], other[1:], strict=True)
+        return FlatSticks(count, *(np.concatenate([mine[kept], theirs])[order] for mine, theirs in columns))
+
+    def padded(self) -> Sticks:
+        """As `Sticks` with arrays (samples, slots), slots being the largest count (at least 1)."""
+        slots = max(1, int(self.count.max(initial=0)))
+        mask = np.arange(slots) < self.count[:, None]
+
+        def fill(values, padding):
+            padded = np.full(mask.shape, padding, values.dtype)
+            padded[mask] = values
+            return padded
+
+        return Sticks(fill(self.start, np.nan), fill(self.end, np.nan), fill(self.position, np.nan),
+                      fill(self.ending, -1), mask)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Ensemble:
+    """Many simulated samples of one law.
+
+    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_words`: what was simulated.
+    - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
+    - `status_counts`: how many samples ended with each `Status`; all that are not FINISHED enter no statistic.
+    - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
+    - `flat_sticks`: the same sticks one after the other, without padding.
+    - `compile_seconds`, `run_seconds`: where the time went.
+    """
+
+    system: MassSpring
+    law: BangBangLaw
+    t1: float
+    y0: tuple[float, float]
+    samples: int
+    key_words: tuple[int, ...] | None
+    dtype: str
+    moments: Moments
+    status_counts: dict[Status, int]
+    totals: SampleTotals | None
+    flat_sticks: FlatSticks | None
+    threads: int
+    compile_seconds: float
+    run_seconds: float
+
+    @cached_property
+    def sticks(self) -> Sticks:
+        """Every stick of every sample, arrays (samples, slots). Raises ValueError unless ``keep="sticks"``."""
+        return self.require_sticks().padded()
+
+    def require_sticks(self) -> FlatSticks:
+        """`flat_sticks`, or a ValueError that says how to keep them."""
+        if self.flat_sticks is None:
+            raise ValueError(
+                'This ensemble kept no sticks, only statistics; call simulate_ensemble(..., keep="sticks") to keep them.'
+            )
+        return self.flat_sticks
+
+    @property
+    def finished(self) -> int:
+        """Number of samples that reached ``t1``."""
+        return self.status_counts[Status.FINISHED]
+
+    def to_xarray(self) -> Any:
+        """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.
+
+        Sticks come as CF contiguous ragged arrays along ``stick``; ``stick_count`` tells how many belong to each
+        sample. Needs ``keep="sticks"`` (else ValueError) and the extra ``study`` (else ImportError).
+        """
+        from ._xarray import dataset_of
+
+        return dataset_of(self)
+
+    def __repr__(self) -> str:
+        sticks = self.moments.mean[FEATURES.index("stick_count")] * self.moments.number
+        lines = [
+            f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
+            f"  system    {self.system}",
+            f"  law       {self.law}",
+            f"  sticks    {round(sticks)} found" + ("" if self.flat_sticks is None else ", all kept"),
+            f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile",
+        ]
+        failed = {status: count for status, count in self.status_counts.items() if status and count}
+        lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
+        return "\n".join(lines if failed else [*lines, "  finished  all samples"])
