@@ -7,13 +7,13 @@ and what they cause shows in the per-lane status.
 import numbers
 from typing import Any
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 
 def is_traced(value: Any) -> bool:
     """True while a JAX transformation traces ``value``, so that its number is not known yet."""
-    return isinstance(value, jax.core.Tracer)
+    return isinstance(value, Tracer)
 
 
 def numeric(name: str, value: Any, ndim: int | None = 0) -> None:

@@ -2,10 +2,14 @@
 
 from typing import TypeAlias
 
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Real, UInt32
 
 Scalar: TypeAlias = Real[Array, ""] | float
 """A single real number: a Python float or a zero-dimensional array (traced or not)."""
+
+AnyArray: TypeAlias = Array | np.ndarray
+"""An array of JAX or, in results that have left JAX, of NumPy."""
 
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
@@ -13,4 +17,4 @@ IntArray: TypeAlias = Int[Array, "..."]
 KeyWords: TypeAlias = UInt32[Array, "2"]
 """The two 32-bit words of a threefry key."""
 
-__all__ = ["Array", "Bool", "BoolArray", "Float", "FloatArray", "Int", "IntArray", "KeyWords", "Scalar"]
+__all__ = ["AnyArray", "Array", "Bool", "BoolArray", "Float", "FloatArray", "Int", "IntArray", "KeyWords", "Scalar"]

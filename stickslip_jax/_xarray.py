@@ -1,6 +1,6 @@
 """Ensembles as labelled arrays."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._status import Ending, Status
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names."""
     try:
-        import xarray as xr
+        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
     sticks, totals = ensemble.require_sticks(), ensemble.totals
@@ -37,5 +37,5 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
     )
 
 
-def _flags(codes) -> dict[str, object]:
+def _flags(codes) -> dict[str, Any]:
     return {"flag_values": [int(code) for code in codes], "flag_meanings": " ".join(code.name for code in codes)}

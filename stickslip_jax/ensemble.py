@@ -16,8 +16,8 @@ from ._fast_cpu import fast_cpu_enabled
 from ._status import Status
 from ._types import Array, Scalar
 from .base_motion.laws import BangBangLaw
-from .dynamics.chunks import LaneResults, record_chunk, summarise_chunk
-from .dynamics.lanes import BLOCK
+from .dynamics.chunks import record_chunk, summarise_chunk
+from .dynamics.lanes import BLOCK, LaneResults
 from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals
 from .numerics.moments import Moments
 from .simulate import working_dtype
@@ -76,7 +76,7 @@ def simulate_ensemble(
         t1=float(t1),
         y0=(float(y0[0]), float(y0[1])),
         samples=samples,
-        key_words=None if run.words is None else tuple(int(word) for word in np.asarray(run.words)),
+        key_words=tuple(int(word) for word in np.asarray(run.words)) if law.is_random else None,
         dtype=str(np.dtype(run.dtype)),
         moments=moments,
         status_counts={status: int(counts[status]) for status in Status},
@@ -100,7 +100,7 @@ class _Run(NamedTuple):
 
     system: MassSpring
     law: BangBangLaw
-    words: Array | None
+    words: Array
     t1: Scalar
     y0: tuple[Scalar, Scalar]
     dtype: Any
@@ -127,39 +127,39 @@ class _Run(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """How the samples are cut: `tasks` of `samples_per_task`, simulated `lanes` at a time."""
+    """How the samples are cut: tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
 
     lanes: int
-    blocks: int
+    rows: int
     samples_per_task: int
     threads: int
 
     @classmethod
     def of(cls, samples: int, threads: int, chunk: int | None, keep: str) -> "_Plan":
-        # Compiled into one native function, a block's arrays should stay in the cache; launched operation by
-        # operation, they should be large enough to hide the launches (benchmarks/README.md).
+        # Compiled into one native function, the lanes' arrays should stay in the cache; launched operation by
+        # operation, they should be long enough to hide the launches (benchmarks/README.md).
         lanes = 256 if fast_cpu_enabled() else 4096
-        blocks = max(1, 4096 // lanes) if keep == "statistics" else 1
+        rows = max(1, 4096 // lanes) if keep == "statistics" else 1
         if chunk is not None:
             chunk = _checks.whole_number("chunk", chunk)
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
-            blocks = -(-chunk // lanes) if keep == "statistics" else 1
-            return cls(lanes, blocks, min(chunk, lanes * blocks), threads)
+            rows = -(-chunk // lanes) if keep == "statistics" else 1
+            return cls(lanes, rows, min(chunk, lanes * rows), threads)
         # Small runs are cut finer, so that every thread gets its share.
         fair = -(-samples // (4 * threads * lanes)) * lanes
-        return cls(lanes, blocks, min(fair, lanes * blocks), threads)
+        return cls(lanes, rows, min(fair, lanes * rows), threads)
 
 
 def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
     """A function that simulates samples ``first .. first + number - 1`` and keeps their totals."""
 
     def simulate(first: int, number: int) -> _Part:
-        used = -(-number // plan.lanes)
+        used_rows = -(-number // plan.lanes)
         results = summarise_chunk(
-            run.system, run.law, run.words, run.t1, run.y0, np.uint32(first), np.int32(used),
-            lanes=plan.lanes, blocks=plan.blocks, dtype=run.dtype,
+            run.system, run.law, run.words, run.t1, run.y0, np.uint32(first), np.int32(used_rows),
+            lanes=plan.lanes, rows=plan.rows, dtype=run.dtype,
         )  # fmt: skip
-        return _Part(LaneResults(*(np.asarray(leaf)[:number] for leaf in results)))
+        return _Part(LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results)))
 
     return simulate
 
@@ -172,9 +172,8 @@ def _recorder(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
         filled = np.zeros(plan.lanes, np.uint32)
         filled[: len(index)] = index
         results, records = record_chunk(
-            run.system, run.law, run.words, t1, run.y0, filled,
-            lanes=plan.lanes, slots=slots, dtype=run.dtype,
-        )  # fmt: skip
+            run.system, run.law, run.words, t1, run.y0, filled, slots=slots, dtype=run.dtype
+        )
         results = LaneResults(*(np.array(leaf)[: len(index)] for leaf in results))
         return results, FlatSticks.of_records(*(np.asarray(leaf) for leaf in records), len(index))
 
@@ -235,7 +234,9 @@ def _join_totals(parts: list[_Part]) -> SampleTotals:
 
 
 def _join_sticks(parts: list[_Part]) -> FlatSticks:
-    return FlatSticks(*(np.concatenate(column) for column in zip(*(part.sticks for part in parts), strict=True)))
+    pieces = [part.sticks for part in parts if part.sticks is not None]
+    columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in FlatSticks._fields}
+    return FlatSticks(**columns)
 
 
 def _cores() -> int:
@@ -249,7 +250,7 @@ def _progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int
         yield lambda number: None
         return
     try:
-        from tqdm.auto import tqdm
+        from tqdm.auto import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         if progress is None:
             yield lambda number: None

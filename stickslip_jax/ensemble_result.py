@@ -105,7 +105,7 @@ class Ensemble:
         """`flat_sticks`, or a ValueError that says how to keep them."""
         if self.flat_sticks is None:
             raise ValueError(
-                'This ensemble kept no sticks, only statistics; call simulate_ensemble(..., keep="sticks") to keep them.'
+                'This ensemble kept only statistics, no sticks; call simulate_ensemble(..., keep="sticks").'
             )
         return self.flat_sticks
 
@@ -120,7 +120,7 @@ class Ensemble:
         Sticks come as CF contiguous ragged arrays along ``stick``; ``stick_count`` tells how many belong to each
         sample. Needs ``keep="sticks"`` (else ValueError) and the extra ``study`` (else ImportError).
         """
-        from ._xarray import dataset_of
+        from ._xarray import dataset_of  # noqa: PLC0415 - needs an extra
 
         return dataset_of(self)
 

@@ -3,10 +3,10 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ._status import Ending
-from ._types import Scalar
+from ._types import AnyArray, Scalar
 
 
 class Sticks(eqx.Module):
@@ -19,19 +19,19 @@ class Sticks(eqx.Module):
     - `ending`: an `Ending` code: 0 RELEASED, 1 BASE_SWITCHED, 2 HORIZON (censored by the end of the simulation).
     """
 
-    start: Float[Array, "*batch slots"]
-    end: Float[Array, "*batch slots"]
-    position: Float[Array, "*batch slots"]
-    ending: Int[Array, "*batch slots"]
-    mask: Bool[Array, "*batch slots"]
+    start: Float[AnyArray, "*batch slots"]
+    end: Float[AnyArray, "*batch slots"]
+    position: Float[AnyArray, "*batch slots"]
+    ending: Int[AnyArray, "*batch slots"]
+    mask: Bool[AnyArray, "*batch slots"]
 
     @property
-    def duration(self) -> Float[Array, "*batch slots"]:
+    def duration(self) -> Float[AnyArray, "*batch slots"]:
         """How long each stick lasts, s (NaN outside `mask`)."""
         return self.end - self.start
 
     @property
-    def count(self) -> Int[Array, "*batch"]:
+    def count(self) -> Int[AnyArray, "*batch"]:
         """Number of sticks."""
         return self.mask.sum(axis=-1)
 
@@ -48,18 +48,18 @@ class Slips(eqx.Module):
     - `start`, `end`: s. `censored`: cut by the horizon.
     """
 
-    start: Float[Array, "*batch slots"]
-    end: Float[Array, "*batch slots"]
-    censored: Bool[Array, "*batch slots"]
-    mask: Bool[Array, "*batch slots"]
+    start: Float[AnyArray, "*batch slots"]
+    end: Float[AnyArray, "*batch slots"]
+    censored: Bool[AnyArray, "*batch slots"]
+    mask: Bool[AnyArray, "*batch slots"]
 
     @property
-    def duration(self) -> Float[Array, "*batch slots"]:
+    def duration(self) -> Float[AnyArray, "*batch slots"]:
         """How long each slip lasts, s (NaN outside `mask`)."""
         return self.end - self.start
 
     @property
-    def count(self) -> Int[Array, "*batch"]:
+    def count(self) -> Int[AnyArray, "*batch"]:
         """Number of slips."""
         return self.mask.sum(axis=-1)
 

@@ -131,7 +131,7 @@ def simulate(
 def working_dtype(*arrays: Array):
     """The floating dtype of a simulation; says once how to get float64 when JAX runs in float32."""
     dtype = jnp.result_type(float, *arrays)
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         warnings.warn(
             "stickslip_jax runs in float32: event times are good to about 1e-5 of t1. For float64 call "
             'jax.config.update("jax_enable_x64", True) before anything else.',

@@ -1,8 +1,8 @@
 """Laws of piecewise-constant base velocity: how realisations are drawn.
 
-A law gives the intervals of a realisation block by block (`intervals`), each computed from the key and the
-interval's number. So a realisation has no length of its own: sampling it with more room only continues it, and an
-ensemble can draw intervals while it simulates, until the last trajectory has ended.
+A law tells the intervals of a realisation one after the other: what is random about number i (`draw`, computed from
+the key and i alone), and what that makes of it (`next_interval`). So a realisation has no length of its own: sampling it
+with more room only continues it, and an ensemble can draw intervals while it simulates.
 """
 
 import abc
@@ -20,8 +20,8 @@ from .._types import Array, FloatArray, Scalar
 from ..numerics.random_bits import exponential, key_words, random_words, uniform
 from .piecewise import VelocitySteps, merge_equal_neighbours
 
-Intervals = tuple[FloatArray, FloatArray, Any]
-_FIRST_VELOCITY = np.uint32(0xFFFFFFFF)  # this counter's words settle how a realisation begins
+Interval = tuple[FloatArray, FloatArray, Any]
+_BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
 
 
 class BangBangLaw(eqx.Module):
@@ -30,14 +30,18 @@ class BangBangLaw(eqx.Module):
     is_random: ClassVar[bool]
 
     @abc.abstractmethod
-    def begin(self, words: Array | None, dtype) -> Any:
-        """What the first block needs to know (for example the first velocity), drawn from the key's words."""
+    def begin(self, words: Array, dtype) -> Any:
+        """What is known before the first interval (for example the first sign), drawn from the key's words."""
 
     @abc.abstractmethod
-    def intervals(self, words: Array | None, memory: Any, first: Array, number: int, dtype) -> Intervals:
-        """Durations (s) and velocities (m/s) of intervals ``first .. first + number - 1``, and the next memory.
+    def draw(self, words: Array, number: Array, dtype) -> Any:
+        """What is random (or looked up) about interval `number`, from the key's words and that number alone."""
 
-        Neighbouring velocities must differ; spare slots have duration 0.
+    @abc.abstractmethod
+    def next_interval(self, memory: Any, drawn: Any, dtype) -> Interval:
+        """Duration (s) and velocity (m/s) of an interval, and what to remember for the next.
+
+        Neighbouring velocities must differ, except that a duration of 0 marks a spare slot.
         """
 
     @abc.abstractmethod
@@ -61,13 +65,20 @@ class BangBangLaw(eqx.Module):
         capacity = _checks.whole_number("capacity", capacity)
         words = self.words(key)
         dtype = jnp.result_type(float)
-        durations, velocities, _ = self.intervals(words, self.begin(words, dtype), jnp.uint32(0), capacity, dtype)
+        numbers = jnp.arange(capacity, dtype=jnp.uint32)
+        drawn = jax.vmap(lambda number: self.draw(words, number, dtype))(numbers)
+
+        def step(memory, drawn_here):
+            duration, velocity, memory = self.next_interval(memory, drawn_here, dtype)
+            return memory, (duration, velocity)
+
+        _, (durations, velocities) = lax.scan(step, self.begin(words, dtype), drawn, length=capacity)
         return VelocitySteps(durations, velocities)
 
-    def words(self, key: Array | None) -> Array | None:
-        """The key's words; None for a law without randomness, whatever the key."""
+    def words(self, key: Array | None) -> Array:
+        """The key's two 32-bit words; zeros for a law without randomness, whatever the key."""
         if not self.is_random:
-            return None
+            return jnp.zeros(2, jnp.uint32)
         if key is None:
             raise ValueError(
                 f"Argument key must be a key such as jax.random.key(0) for the random law "
@@ -81,7 +92,7 @@ class BangBangLaw(eqx.Module):
                 "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
                 f"(their values are not known then); find one with {type(self).__name__}(...).capacity(t1)."
             )
-        return self.capacity(t1)
+        return self.capacity(float(t1))
 
 
 class Constant(BangBangLaw):
@@ -99,17 +110,18 @@ class Constant(BangBangLaw):
     def begin(self, words, dtype):
         return ()
 
-    def intervals(self, words, memory, first, number, dtype) -> Intervals:
-        index = first + jnp.arange(number, dtype=jnp.uint32)
-        durations = jnp.where(index == 0, jnp.inf, 0.0).astype(dtype)
-        return durations, jnp.full(number, self.speed, dtype), ()
+    def draw(self, words, number, dtype):
+        return number == 0
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return jnp.where(drawn, jnp.inf, 0.0).astype(dtype), jnp.asarray(self.speed, dtype), ()
 
     def capacity(self, t1: float) -> int:
         return 1
 
 
 class SquareWave(BangBangLaw):
-    """``-speed`` on the first half of each period, ``+speed`` on the second (Lima and Sampaio conference paper, eq. 4).
+    """``-speed`` on the first half of each period, ``+speed`` on the second (Lima and Sampaio, conference, eq. 4).
 
     `speed` in m/s and `period` in s, both positive. The papers' ratio ``r`` gives
     ``period = 2 pi / (r * omega)``. Raises ValueError if a number is not positive and finite.
@@ -124,11 +136,13 @@ class SquareWave(BangBangLaw):
         _checks.positive("period", self.period, "s")
 
     def begin(self, words, dtype):
+        return -jnp.ones((), dtype)
+
+    def draw(self, words, number, dtype):
         return ()
 
-    def intervals(self, words, memory, first, number, dtype) -> Intervals:
-        sign = _alternating(first, number, dtype)
-        return jnp.full(number, self.period / 2, dtype), -self.speed * sign, ()
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return jnp.asarray(self.period / 2, dtype), memory * self.speed, -memory
 
     def capacity(self, t1: float) -> int:
         return math.ceil(2 * t1 / float(self.period)) + 1
@@ -160,13 +174,14 @@ class PoissonSwitching(BangBangLaw):
     def begin(self, words, dtype):
         if self.first_sign != "random":
             return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        high, _ = random_words(words, jnp.asarray(_FIRST_VELOCITY))
+        high, _ = random_words(words, jnp.asarray(_BEGINNING))
         return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
 
-    def intervals(self, words, memory, first, number, dtype) -> Intervals:
-        counter = first + jnp.arange(number, dtype=jnp.uint32)
-        gaps = exponential(*random_words(words, counter), dtype) / self.rate
-        return gaps, memory * self.speed * _alternating(first, number, dtype), memory
+    def draw(self, words, number, dtype):
+        return exponential(*random_words(words, number), dtype)
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return drawn * (1 / self.rate), memory * self.speed, -memory
 
     def capacity(self, t1: float) -> int:
         # Six standard deviations above the Poisson mean; the last term covers the skewness of small means.
@@ -175,7 +190,7 @@ class PoissonSwitching(BangBangLaw):
 
 
 class RandomSteps(BangBangLaw):
-    """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, section 4).
+    """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
 
     - `speed` in m/s, `interval` in s (the papers' ``1 / f_b``): positive.
     - `levels`: at least two different numbers; the velocities are ``speed * levels``. Default -1 and +1.
@@ -211,22 +226,21 @@ class RandomSteps(BangBangLaw):
         return self.probabilities or (1 / len(self.levels),) * len(self.levels)
 
     def begin(self, words, dtype):
-        high, _ = random_words(words, jnp.asarray(_FIRST_VELOCITY))
+        high, _ = random_words(words, jnp.asarray(_BEGINNING))
         return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.odds, dtype)))
 
-    def intervals(self, words, memory, first, number, dtype) -> Intervals:
-        high, low = random_words(words, first + jnp.arange(number, dtype=jnp.uint32))
+    def draw(self, words, number, dtype):
+        high, low = random_words(words, number)
+        return uniform(high, dtype), uniform(low, dtype)
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
         odds = jnp.asarray(self.odds, dtype)
-        # Row i: the cumulative odds of the next level when the present one, i, is excluded.
+        # Row i: the odds of the next level when the present one, i, is excluded.
         others = jnp.where(jnp.eye(len(self.levels), dtype=bool), 0, odds[None, :] / (1 - odds[:, None]))
-
-        def visit(level, draw):
-            return _choose(draw, jnp.cumsum(others, axis=1)[level]), level
-
-        memory, visited = lax.scan(visit, memory, uniform(low, dtype))
-        steps = jnp.floor(jnp.log(uniform(high, dtype)) / jnp.log(odds)[visited]) + 1
-        velocities = self.speed * jnp.asarray(self.levels, dtype)[visited]
-        return lax.stop_gradient(steps) * self.interval, velocities, memory
+        for_length, for_next = drawn
+        steps = jnp.floor(jnp.log(for_length) / jnp.log(odds)[memory]) + 1
+        velocity = self.speed * jnp.asarray(self.levels, dtype)[memory]
+        return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
 
     def capacity(self, t1: float) -> int:
         return math.ceil(float(t1) / float(self.interval)) + 1
@@ -258,31 +272,24 @@ class PiecewiseConstant(BangBangLaw):
             raise ValueError(f"Argument times must begin with 0, but its first entry is {times[0]}.")
         if np.any(np.diff(times) <= 0):
             at = int(np.argmax(np.diff(times) <= 0)) + 1
-            raise ValueError(
-                f"Argument times must increase, but times[{at}] = {times[at]} follows times[{at - 1}] = {times[at - 1]}."
-            )
+            raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
 
     def begin(self, words, dtype):
         return ()
 
-    def intervals(self, words, memory, first, number, dtype) -> Intervals:
+    def draw(self, words, number, dtype):
         times = jnp.asarray(self.times, dtype)
         durations, velocities = merge_equal_neighbours(
             jnp.concatenate([jnp.diff(times), jnp.full(1, jnp.inf, dtype)]), jnp.asarray(self.velocities, dtype)
         )
-        index = first.astype(jnp.int32) + jnp.arange(number)
-        inside = index < durations.shape[0]
-        index = jnp.minimum(index, durations.shape[0] - 1)
-        return jnp.where(inside, durations[index], 0), velocities[index], ()
+        here = jnp.minimum(number.astype(jnp.int32), len(times) - 1)
+        return jnp.where(number < len(times), durations[here], 0), velocities[here]
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return *drawn, ()
 
     def capacity(self, t1: float) -> int:
         return len(self.times)
-
-
-def _alternating(first: Array, number: int, dtype) -> FloatArray:
-    """+1, -1, +1, ... for interval numbers ``first ..``."""
-    odd = (first + jnp.arange(number, dtype=jnp.uint32)) & np.uint32(1)
-    return (1 - 2 * odd.astype(jnp.int32)).astype(dtype)
 
 
 def _choose(draw: Array, cumulative: Array) -> Array:

@@ -81,8 +81,11 @@ def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray
 
 
 def _first_arc(x, p, q, a, span):
-    """The arc from the interval's first state: side, offset from its centre, p; where and when it meets the base
-    velocity: distance h and angle; whether that happens within the span."""
+    """The arc from the interval's first state.
+
+    Returns its side, offset from its centre and p; the distance h and the angle at which it meets the base velocity;
+    and whether that happens within the span.
+    """
     above = (p > q) | ((p == q) & (x < -a))
     side = jnp.where(above, -1, 1).astype(x.dtype)
     D = side * x - a

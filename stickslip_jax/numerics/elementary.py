@@ -2,8 +2,9 @@
 
 XLA's CPU back end calls scalar library code for ``sin``, ``cos``, ``atan2`` and ``log``; the polynomials below
 compile to vector instructions and cost a fifth (``benchmarks/README.md``). The coefficients are those of
-FreeBSD's msun (fdlibm) kernels except the logarithm's, accurate to about one unit in the last place in float64; float32 uses the same
-polynomials with its own range reduction. Derivatives are the exact ones, not those of the polynomials.
+FreeBSD's msun (fdlibm) kernels except the logarithm's, accurate to about one unit in the last place in float64;
+float32 uses the same polynomials with its own range reduction. Derivatives are the exact ones, not those of the
+polynomials.
 """
 
 import jax
@@ -27,7 +28,8 @@ _ATAN = (3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.428571427250
 _LOG = (0.33333333333333337, -0.2499999999999993, 0.19999999999993223, -0.16666666666697305, 0.1428571428759174,
         -0.12499999997109267, 0.11111110909841072, -0.0999999999631727, 0.09090919875998202, -0.08333345056413204,
         0.0769198812013375, -0.0714223204915847, 0.06671985555271291, -0.06265031869518063, 0.05837018351464999,
-        -0.05368280388050548, 0.0537187789066478, -0.06129561980727906, 0.0566642324205218, -0.025061228095282464)  # fmt: skip
+        -0.05368280388050548, 0.0537187789066478, -0.06129561980727906, 0.0566642324205218,
+        -0.025061228095282464)  # fmt: skip
 
 # pi/2 in three parts whose products with a whole number below 2^20 (float64) or 2^13 (float32) are exact.
 _HALF_PI_PARTS = {

@@ -3,7 +3,8 @@
 So a stream can be cut into blocks anywhere and continued without end, and a longer sample of the same key begins
 with the shorter one. The generator is JAX's own threefry-2x32; ``random_words`` returns the bits that
 ``jax.random.bits(key, (n,), "uint64")`` holds at those positions. It is written out here because JAX's CPU version
-runs its 20 rounds as a rolled loop, four times slower (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3").
+runs its 20 rounds as a rolled loop, four times slower (Salmon et al. 2011, "Parallel random
+numbers: as easy as 1, 2, 3").
 """
 
 import jax

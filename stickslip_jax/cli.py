@@ -1,0 +1,92 @@
+"""The ``stickslip`` command: ``stickslip study [CONFIG]``.
+
+Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted by Ctrl-C.
+"""
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+
+from ._fast_cpu import enable_fast_cpu
+
+
+def main(tokens: Sequence[str] | None = None) -> int:
+    """Run the command given by `tokens` (default: those of the process) and return its exit code."""
+    try:
+        from .study.errors import StudyError  # noqa: PLC0415 - needs the extra
+    except ImportError as error:
+        return _fail(error, 1)
+    try:
+        with _stopped_cleanly():
+            return _run(sys.argv[1:] if tokens is None else tokens)
+    except StudyError as error:
+        return _fail(error, 2)
+    except KeyboardInterrupt:
+        return _fail("Interrupted; no result was written.", 130)
+    except OSError as error:
+        return _fail(error, 1)
+
+
+def _run(tokens: Sequence[str]) -> int:
+    # Imported only here: help and errors in the arguments come without loading what a simulation needs.
+    from .study.options import parse  # noqa: PLC0415
+    from .study.reading import OPTIONS, read_config  # noqa: PLC0415
+
+    command = parse(tokens)
+    if command is None:
+        return 0
+    options = command.options
+    config = read_config(command.config, {name: getattr(options, name) for name in OPTIONS})
+    if options.print_config:
+        print(config.to_toml(), end="")
+        return 0
+    _prepare_jax(config.run.dtype)
+
+    from .study.report import as_json, table  # noqa: PLC0415
+    from .study.run import run_study  # noqa: PLC0415
+
+    study = run_study(config, force=options.force, progress=False if options.quiet else options.progress)
+    if not options.quiet:
+        print(table(study), file=sys.stderr if options.json else sys.stdout)
+    if options.json:
+        print(as_json(study))
+    return 0
+
+
+def _prepare_jax(dtype: str) -> None:
+    """Choose the precision, and what makes CPUs fast, before JAX starts."""
+    jax.config.update("jax_enable_x64", dtype == "float64")
+    # Refused where JAX has started already or computes on another device: slower, and just as right.
+    with contextlib.suppress(RuntimeError):
+        enable_fast_cpu()
+
+
+def _fail(reason: Any, code: int) -> int:
+    print(f"stickslip: {reason}", file=sys.stderr)
+    return code
+
+
+@contextlib.contextmanager
+def _stopped_cleanly() -> Iterator[None]:
+    """Let a request to terminate (from a batch system, say) clean up as Ctrl-C does; exit code 143."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number, frame):
+        raise SystemExit(128 + number)
+
+    usual = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, usual)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

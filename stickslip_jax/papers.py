@@ -1,0 +1,78 @@
+"""The papers' set-ups by name, to run and to compare with.
+
+Source: Lima and Sampaio, "Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach"
+(the conference paper). Its frequency ratio is ``r = f_b / (omega / 2 pi)``, both in Hz.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from . import _checks
+from ._types import Array, Float, Scalar
+from .base_motion.laws import BangBangLaw, RandomSteps, SquareWave
+from .simulate import simulate
+from .systems.friction import Coulomb
+from .systems.mass_spring import MassSpring
+
+BELT_SPEED = 1.0
+"""Modulus of the belt velocity, m/s (conference paper, section 3)."""
+
+
+class SetUp(NamedTuple):
+    """What to hand to `simulate` or `simulate_ensemble`; `t1` in s, `y0` in m and m/s."""
+
+    system: MassSpring
+    law: BangBangLaw
+    t1: float
+    y0: tuple[float, float]
+
+
+def belt_oscillator() -> MassSpring:
+    """The mass on the belt: 1 kg, 4 N/m, 1 N, mu = 1 (conference paper, section 3)."""
+    return MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=Coulomb(mu=1.0))
+
+
+def square_wave_belt(ratio: Scalar) -> SetUp:
+    """The belt that runs backward and forward in turn (conference paper, eq. 4, figures 3 to 6).
+
+    `ratio` is ``r``, positive. Raises ValueError otherwise.
+    """
+    return SetUp(belt_oscillator(), SquareWave(BELT_SPEED, _belt_period(ratio)), 200.0, (0.0, 1.0))
+
+
+def random_belt(ratio: Scalar, y0: tuple[float, float] = (0.0, 0.0)) -> SetUp:
+    """The belt whose direction is drawn by a fair coin every ``1 / f_b`` (conference paper, section 4, figure 7).
+
+    - `ratio` is ``r``, positive.
+    - `y0`: the paper states zero initial conditions in its conclusions, and ``(0.0, 1.0)`` in section 3.
+
+    Raises ValueError if `ratio` is not positive.
+    """
+    return SetUp(belt_oscillator(), RandomSteps(BELT_SPEED, _belt_period(ratio)), 200.0, y0)
+
+
+def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]:
+    """Share of a steady period of the square wave that the mass sticks, a fraction (conference paper, figure 6).
+
+    It is the share of the last of `periods` periods, exact for that period; after 400 periods the share no longer
+    changes from period to period for the ratios of the figure. Use ``jax.vmap`` for many ratios.
+
+    - `ratio` is ``r``, positive. `periods`: a whole number of at least 1.
+
+    Raises ValueError for arguments outside these bounds.
+    """
+    periods = _checks.whole_number("periods", periods)
+    setup = square_wave_belt(ratio)
+    period = jnp.asarray(_belt_period(ratio))
+    t1 = periods * period
+    base = setup.law.sample(None, t1, capacity=2 * periods + 1)
+    sticks = simulate(setup.system, base, t1=t1, y0=setup.y0).sticks
+    start, end = (jnp.where(sticks.mask, times, 0) for times in (sticks.start, sticks.end))
+    return jnp.sum(jnp.maximum(end - jnp.maximum(start, t1 - period), 0)) / period
+
+
+def _belt_period(ratio: Scalar) -> Scalar:
+    """The belt's ``1 / f_b``, s."""
+    _checks.positive("ratio", ratio)
+    return 2 * jnp.pi / (ratio * belt_oscillator().angular_frequency)

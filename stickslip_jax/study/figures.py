@@ -1,0 +1,63 @@
+"""The figures of a study, drawn by `stickslip_jax.plot` without a display."""
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from .._status import Status
+from ..ensemble_result import Ensemble
+from ..simulate import Simulation, simulate
+from .config import StudyConfig
+from .folder import PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
+
+_PERIODS_SHOWN = 16  # of the free oscillation: more would run into each other
+_LARGEST_CAPACITY = 2**22
+
+
+def draw_figures(config: StudyConfig, ensemble: Ensemble, folder: Path) -> None:
+    """Draw the beginning of sample 0, and the durations of all sticks if they were kept, as PNG files in `folder`."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
+
+    from .. import plot  # noqa: PLC0415 - likewise
+
+    one = _beginning_of_sample_0(config)
+    if int(one.status) == Status.FINISHED:
+        title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
+        figure = Figure((8.0, 5.0), layout="constrained")
+        upper, _ = plot.time_history(one, figure.subplots(2, 1, sharex=True))
+        upper.label_outer()
+        _save(figure, title, folder / TIME_HISTORY)
+        figure = Figure((5.6, 5.6), layout="constrained")
+        plot.phase_portrait(one, figure.subplots())
+        _save(figure, title, folder / PHASE_PORTRAIT)
+    if ensemble.flat_sticks is not None:
+        figure = Figure((5.6, 4.0), layout="constrained")
+        plot.stick_durations(ensemble, figure.subplots())
+        _save(figure, f"Stick durations in {ensemble.samples} samples", folder / STICK_DURATIONS)
+
+
+def _beginning_of_sample_0(config: StudyConfig) -> Simulation:
+    """Sample 0 of the ensemble with all its events, up to an instant that a figure can show."""
+    run, system, law = config.run, config.system.build(), config.base.build()
+    t1 = min(run.t1, _PERIODS_SHOWN * 2 * math.pi / float(system.angular_frequency))
+    y0 = (run.initial_position, run.initial_velocity)
+    key = jax.random.fold_in(jax.random.key(run.seed), 0)
+    capacity = law.capacity(t1)
+
+    @partial(jax.jit, static_argnames="capacity")
+    def sample_0(capacity: int) -> Simulation:
+        return simulate(system, law.sample(key, t1, capacity=capacity), t1=t1, y0=y0)
+
+    while True:
+        one = sample_0(capacity=capacity)
+        if int(one.status) != Status.BASE_TOO_SHORT or capacity > _LARGEST_CAPACITY:
+            return one
+        capacity *= 2
+
+
+def _save(figure: Any, title: str, path: Path) -> None:
+    figure.suptitle(title)
+    figure.savefig(path, dpi=150)
