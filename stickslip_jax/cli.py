@@ -1,14 +1,15 @@
 """The ``stickslip`` command: ``stickslip study [CONFIG]``.
 
-Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted by Ctrl-C.
+Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted (Ctrl-C), 143 terminated.
 """
 
 import contextlib
+import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
 
@@ -16,18 +17,38 @@ from ._fast_cpu import enable_fast_cpu
 
 
 def main(tokens: Sequence[str] | None = None) -> int:
-    """Run the command given by `tokens` (default: those of the process) and return its exit code."""
+    """Run the command given by `tokens` (default: those of the process, as the console script does).
+
+    Returns the exit code, except that an interrupted process ends here.
+    """
+    code = _answer(sys.argv[1:] if tokens is None else tokens)
+    if tokens is None and code > 128:
+        # JAX may still compile in other threads, and crashes when the interpreter is taken down under them.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+class _Terminated(BaseException):
+    """The system asked the process to end."""
+
+
+def _answer(tokens: Sequence[str]) -> int:
+    """Run the command; every failure that is no bug becomes one sentence and an exit code."""
     try:
         from .study.errors import StudyError  # noqa: PLC0415 - needs the extra
     except ImportError as error:
         return _fail(error, 1)
     try:
-        with _stopped_cleanly():
-            return _run(sys.argv[1:] if tokens is None else tokens)
+        with _termination_raised():
+            return _run(tokens)
     except StudyError as error:
         return _fail(error, 2)
     except KeyboardInterrupt:
         return _fail("Interrupted; no result was written.", 130)
+    except _Terminated:
+        return _fail("Terminated; no result was written.", 143)
     except OSError as error:
         return _fail(error, 1)
 
@@ -72,14 +93,14 @@ def _fail(reason: Any, code: int) -> int:
 
 
 @contextlib.contextmanager
-def _stopped_cleanly() -> Iterator[None]:
-    """Let a request to terminate (from a batch system, say) clean up as Ctrl-C does; exit code 143."""
+def _termination_raised() -> Iterator[None]:
+    """Let a request to terminate (from a batch system, say) clean up as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def stop(number, frame):
-        raise SystemExit(128 + number)
+    def stop(number: int, frame: Any) -> NoReturn:
+        raise _Terminated
 
     usual = signal.signal(signal.SIGTERM, stop)
     try:

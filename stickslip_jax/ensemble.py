@@ -16,15 +16,15 @@ from ._fast_cpu import fast_cpu_enabled
 from ._status import Status
 from ._types import Array, Scalar
 from .base_motion.laws import BangBangLaw
-from .dynamics.chunks import record_chunk, summarise_chunk
-from .dynamics.lanes import BLOCK, LaneResults
-from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals
+from .dynamics.chunks import open_chunk, record_chunk, summarise_chunk
+from .dynamics.lanes import BLOCK, Job, LaneResults, Records
+from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals, sticks_of
 from .numerics.moments import Moments
 from .simulate import working_dtype
 from .systems.mass_spring import MassSpring
 
 _LARGEST_COUNTER = 2**31  # intervals of one realisation and samples of one ensemble are numbered in 32 bits
-_MOST_SLOTS = 2**22
+_RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: their records should stay in the cache
 
 
 def simulate_ensemble(
@@ -56,7 +56,7 @@ def simulate_ensemble(
     """
     run = _Run.checked(system, law, t1, samples, key, y0, keep)
     threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
-    plan = _Plan.of(samples, threads, chunk, keep)
+    plan = _Plan.of(samples, threads, chunk)
     started = time.perf_counter()
     simulate = _streamer(run, plan) if keep == "statistics" else _recorder(run, plan)
     simulate(0, 0)  # compiles, so that the threads need not race for it
@@ -125,6 +125,10 @@ class _Run(NamedTuple):
             )
         return cls(system, law, law.words(key), t1, y0, working_dtype())
 
+    def job(self, first: int, used_rows: int) -> Job:
+        """Samples ``first ..`` in so many rows of lanes."""
+        return Job(*self[:5], np.uint32(first), np.int32(used_rows))
+
 
 class _Plan(NamedTuple):
     """How the samples are cut: tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
@@ -135,15 +139,15 @@ class _Plan(NamedTuple):
     threads: int
 
     @classmethod
-    def of(cls, samples: int, threads: int, chunk: int | None, keep: str) -> "_Plan":
+    def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
         # Compiled into one native function, the lanes' arrays should stay in the cache; launched operation by
         # operation, they should be long enough to hide the launches (benchmarks/README.md).
         lanes = 256 if fast_cpu_enabled() else 4096
-        rows = max(1, 4096 // lanes) if keep == "statistics" else 1
+        rows = max(1, 4096 // lanes)
         if chunk is not None:
             chunk = _checks.whole_number("chunk", chunk)
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
-            rows = -(-chunk // lanes) if keep == "statistics" else 1
+            rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
         # Small runs are cut finer, so that every thread gets its share.
         fair = -(-samples // (4 * threads * lanes)) * lanes
@@ -154,52 +158,36 @@ def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
     """A function that simulates samples ``first .. first + number - 1`` and keeps their totals."""
 
     def simulate(first: int, number: int) -> _Part:
-        used_rows = -(-number // plan.lanes)
-        results = summarise_chunk(
-            run.system, run.law, run.words, run.t1, run.y0, np.uint32(first), np.int32(used_rows),
-            lanes=plan.lanes, rows=plan.rows, dtype=run.dtype,
-        )  # fmt: skip
-        return _Part(LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results)))
+        job = run.job(first, -(-number // plan.lanes))
+        results = summarise_chunk(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        return _Part(_first_samples(results, number))
 
     return simulate
 
 
 def _recorder(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
-    """The same, keeping every stick. Samples that outgrow their slots are simulated again with more."""
-    usual_slots = _slots_for(run.law.capacity(float(run.t1)))
-
-    def record(index: np.ndarray, slots: int, t1) -> tuple[LaneResults, FlatSticks]:
-        filled = np.zeros(plan.lanes, np.uint32)
-        filled[: len(index)] = index
-        results, records = record_chunk(
-            run.system, run.law, run.words, t1, run.y0, filled, slots=slots, dtype=run.dtype
-        )
-        results = LaneResults(*(np.array(leaf)[: len(index)] for leaf in results))
-        return results, FlatSticks.of_records(*(np.asarray(leaf) for leaf in records), len(index))
+    """The same, keeping every stick."""
+    blocks = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes))
 
     def simulate(first: int, number: int) -> _Part:
-        index = first + np.arange(number, dtype=np.uint32)
-        results, sticks = record(index, usual_slots, run.t1 if number else 0.0)
-        slots, short = usual_slots, np.flatnonzero(results.status == Status.BASE_TOO_SHORT)
-        while len(short) and slots < _MOST_SLOTS:
-            slots *= 2
-            again, longer = record(index[short], slots, run.t1)
-            exhausted = np.all(again.t == results.t[short])  # the law itself ends before t1: more room is no help
-            for old, new in zip(results, again, strict=True):
-                old[short] = new
-            sticks = sticks.replace(short, longer)
-            short = short[:0] if exhausted else short[again.status == Status.BASE_TOO_SHORT]
-        return _Part(results, sticks)
+        job = run.job(first, -(-number // plan.lanes))
+        stream = open_chunk(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        room = Records.empty(blocks * BLOCK, plan.lanes, run.dtype)
+        pieces, unfinished = [], True
+        while unfinished:
+            stream, room, rows = record_chunk(job, stream, room, dtype=run.dtype)
+            sample = np.asarray(rows) * plan.lanes + np.arange(plan.lanes)
+            pieces.append(sticks_of(np.asarray(room.values), np.asarray(room.ending), sample))
+            unfinished = np.any(np.asarray(stream.row) < job.used_rows)
+        results = _first_samples(stream.results, number)
+        return _Part(results, FlatSticks.collect(pieces, results.status == Status.FINISHED))
 
     return simulate
 
 
-def _slots_for(capacity: int) -> int:
-    """Room for `capacity` intervals: few different sizes, so that few are compiled."""
-    slots = BLOCK
-    while slots < capacity:
-        slots *= 2
-    return 3 * slots // 4 if 3 * slots // 4 >= capacity and slots >= 4 * BLOCK else slots
+def _first_samples(results: LaneResults, number: int) -> LaneResults:
+    """Results (rows, lanes) as NumPy arrays in order of the samples, without those that nobody asked for."""
+    return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
 
 
 def _in_order(simulate: Callable[[int, int], _Part], plan: _Plan, samples: int) -> Iterator[tuple[int, _Part]]:

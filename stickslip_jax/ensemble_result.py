@@ -35,25 +35,15 @@ class FlatSticks(NamedTuple):
     ending: np.ndarray
 
     @classmethod
-    def of_records(cls, start, end, position, ending, samples: int) -> "FlatSticks":
-        """Collect from records (slots, lanes) in order of sample, then time; the first `samples` lanes count."""
-        lanes = ending.shape[1]
-        found = np.flatnonzero(ending >= 0)
-        lane = (found % lanes).astype(np.uint16 if lanes <= 1 << 16 else np.int64)
-        order = np.argsort(lane, kind="stable")
-        count = np.bincount(lane, minlength=lanes)[:samples]
-        found = found[order][: count.sum()]
-        return cls(count, *(values.ravel()[found] for values in (start, end, position, ending)))
-
-    def replace(self, samples: np.ndarray, other: "FlatSticks") -> "FlatSticks":
-        """Put `other`'s sticks, one sample after the other, in the place of those of `samples`."""
-        owner = np.repeat(np.arange(len(self.count)), self.count)
-        kept = ~np.isin(owner, samples)
-        order = np.argsort(np.concatenate([owner[kept], np.repeat(samples, other.count)]), kind="stable")
-        count = self.count.copy()
-        count[samples] = other.count
-        columns = zip(self[1:], other[1:], strict=True)
-        return FlatSticks(count, *(np.concatenate([mine[kept], theirs])[order] for mine, theirs in columns))
+    def collect(cls, pieces: "list[tuple[np.ndarray, ...]]", finished: np.ndarray) -> "FlatSticks":
+        """Put pieces of `sticks_of` in order of sample, then time. Samples not `finished` have no sticks."""
+        sample, start, end, position, ending = (np.concatenate(column) for column in zip(*pieces, strict=True))
+        # NumPy sorts 16-bit numbers by radix, five times faster.
+        sample = sample.astype(np.uint16 if len(finished) <= 1 << 16 else np.int64)
+        order = np.argsort(sample, kind="stable")
+        order = order[np.append(finished, np.zeros(sample.max(initial=0) + 1, bool))[sample[order]]]
+        count = np.bincount(sample[order], minlength=len(finished))
+        return cls(count, *(values[order] for values in (start, end, position, ending)))
 
     def padded(self) -> Sticks:
         """As `Sticks` with arrays (samples, slots), slots being the largest count (at least 1)."""
@@ -67,6 +57,21 @@ class FlatSticks(NamedTuple):
 
         return Sticks(fill(self.start, np.nan), fill(self.end, np.nan), fill(self.position, np.nan),
                       fill(self.ending, -1), mask)  # fmt: skip
+
+
+def sticks_of(values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The sticks among records: sample, start, end, position and ending of each, in order of time for each sample.
+
+    `values` (slots, 3, lanes) holds start, end and position, `ending` (slots, lanes) is negative where there is no
+    stick, and `sample` (blocks, lanes) tells whose records the lanes of each block of slots hold.
+    """
+    lanes, block = ending.shape[1], len(ending) // len(sample)
+    found = np.flatnonzero(ending >= 0)
+    slot, lane = np.divmod(found.astype(np.uint32), np.uint32(lanes))
+    at = slot.astype(np.int64) * (3 * lanes) + lane
+    flat = values.reshape(-1)
+    owner = sample.reshape(-1)[(slot // np.uint32(block)) * np.uint32(lanes) + lane]
+    return owner, flat[at], flat[at + lanes], flat[at + 2 * lanes], ending.reshape(-1)[found]
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

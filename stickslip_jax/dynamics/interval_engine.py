@@ -7,6 +7,7 @@ instants are exact sums of durations; inside an interval the closed forms measur
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from .._status import Ending, Status
@@ -103,12 +104,13 @@ def cross_interval(
     following = Motion(t_end, jnp.where(live, passage.x, motion.x), jnp.where(live, passage.p, motion.p))
 
     stuck, released = passage.stuck, passage.released
-    ending = jnp.where(released, Ending.RELEASED, jnp.where(uncut, Ending.BASE_SWITCHED, Ending.HORIZON))
+    released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))
+    ending = jnp.where(stuck, jnp.where(released, released_, jnp.where(uncut, switched, cut)), none)
     record = StickRecord(
         start=motion.t + passage.entered * per_omega,
         end=jnp.where(released, motion.t + passage.left * per_omega, t_end),
         position=passage.position,
-        ending=jnp.where(stuck, ending, -1).astype(jnp.int8),
+        ending=ending,
     )
     totals = Totals(
         sticks=totals.sticks + stuck,

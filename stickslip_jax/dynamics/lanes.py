@@ -1,8 +1,7 @@
 """Many trajectories in lock step: draw a block of base intervals for every lane, cross it, go on.
 
-Intervals are drawn while simulating, so no realisation is ever too short and none is stored. `stream_lanes` gives a
-lane its next sample as soon as one has ended, and keeps totals; `record_lanes` runs one sample a lane and keeps
-every stick.
+A lane starts its next sample as soon as one has ended. Intervals are drawn while simulating, so no realisation is ever
+too short and none is stored. `summarise` keeps totals; `record` hands out every stick, a few blocks at a time.
 """
 
 from typing import Any, NamedTuple
@@ -12,14 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._types import AnyArray, Array, BoolArray, Scalar
+from .._types import AnyArray, Array, BoolArray, IntArray, Scalar
 from ..base_motion.laws import BangBangLaw
 from ..numerics.random_bits import random_words
 from ..systems.mass_spring import MassSpring
 from .interval_engine import (
     Motion,
     Scales,
-    StickRecord,
     Totals,
     count_slips,
     cross_interval,
@@ -56,124 +54,141 @@ class _Lanes(NamedTuple):
     stalled: BoolArray  # whether the last block did not move it: the law has no more intervals
 
 
-def stream_lanes(
-    system: MassSpring,
-    law: BangBangLaw,
-    words: Array,
-    t1: Scalar,
-    y0: tuple[Scalar, Scalar],
-    first_sample: Array,
-    used_rows: Array,
-    *,
-    lanes: int,
-    rows: int,
-    dtype,
-) -> LaneResults:
-    """Simulate samples ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `words`.
+class Stream(NamedTuple):
+    """Lanes at work on rows of samples: which row each lane is in, its state, and the results so far (rows, lanes)."""
 
-    Results are arrays (rows, lanes): lane i simulates samples ``first_sample + i + lanes * row``, one after the other,
-    which wastes less than waiting for the slowest lane after each. `used_rows` is no part of the compiled shape.
-    Forward-mode differentiable; the loop has no fixed length, so reverse mode needs `simulate` under ``vmap``.
+    row: IntArray
+    state: _Lanes
+    results: LaneResults
+
+
+class Records(NamedTuple):
+    """Room for the sticks of some blocks, one slot an interval.
+
+    Times and positions share one array: XLA updates a single large array of a shape in place, but copies several.
     """
-    scales = scales_of(system, t1, dtype)
-    lane = jnp.arange(lanes, dtype=jnp.uint32)
-    row_numbers = jnp.arange(rows)[:, None]
 
-    def start(row):
-        sample = first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes)
-        return _start_lanes(scales, law, random_words(words, sample), y0, dtype)
+    values: Array  # (slots, 3, lanes): start, end (s), position (m)
+    ending: Array  # (slots, lanes): an `Ending` code, or -1 where there is no stick
 
-    def unfinished(carry):
-        return jnp.any(carry[0] < used_rows)
+    @classmethod
+    def empty(cls, slots: int, lanes: int, dtype) -> "Records":
+        """Room without sticks."""
+        return cls(jnp.zeros((slots, 3, lanes), dtype), jnp.full((slots, lanes), -1, jnp.int8))
 
-    def advance(carry):
-        row, state, results = carry
-        state, _ = _advance_block(scales, law, state, dtype)
-        ended = (_ended(scales, state)) & (row < used_rows)
-        here = ended & (row_numbers == row)
-        results = jax.tree.map(lambda kept, new: jnp.where(here, new, kept), results, _results(scales, state))
-        row = row + ended
-        return row, _where_lanes(ended, start(row), state), results
 
+class Job(NamedTuple):
+    """What to simulate: samples ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `words`.
+
+    Lane i simulates samples ``first_sample + i + lanes * row``, one after the other, which wastes less than waiting for
+    the slowest lane after each.
+    """
+
+    system: MassSpring
+    law: BangBangLaw
+    words: Array
+    t1: Scalar
+    y0: tuple[Scalar, Scalar]
+    first_sample: Array
+    used_rows: Array
+
+
+def open_stream(job: Job, *, lanes: int, rows: int, dtype) -> Stream:
+    """Every lane at the beginning of its first sample. `job.used_rows` may be anything up to `rows`."""
     row = jnp.zeros(lanes, jnp.int32)
-    state = start(row)
+    state = _start_row(job, row, dtype)
+    scales = scales_of(job.system, job.t1, dtype)
     shapes = jax.eval_shape(lambda s: _results(scales, s), state)
     results = jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)
-    return lax.while_loop(unfinished, advance, (row, state, results))[2]
+    return Stream(row, state, results)
 
 
-def record_lanes(
-    system: MassSpring,
-    law: BangBangLaw,
-    words: Array,
-    t1: Scalar,
-    y0: tuple[Scalar, Scalar],
-    samples: Array,
-    *,
-    slots: int,
-    dtype,
-) -> tuple[LaneResults, StickRecord]:
-    """Simulate the samples numbered `samples` (lanes,) of the key `words` and keep each interval's stick record.
+def summarise(job: Job, *, lanes: int, rows: int, dtype) -> LaneResults:
+    """Simulate the whole job and keep totals; arrays (rows, lanes).
 
-    Records are arrays (slots, lanes), `slots` a multiple of `BLOCK`; a lane that needs more intervals than that ends
-    with ``Status.BASE_TOO_SHORT``.
+    Forward-mode differentiable; the loop has no fixed length, so reverse mode needs `simulate` under ``vmap``.
     """
-    scales = scales_of(system, t1, dtype)
-    values, endings = jnp.zeros((slots, *samples.shape), dtype), jnp.full((slots, *samples.shape), -1, jnp.int8)
-    state = _start_lanes(scales, law, random_words(words, samples), y0, dtype)
 
-    def unfinished(carry):
-        slot, state, _ = carry
-        return (slot < slots) & ~jnp.all(_ended(scales, state))
+    def advance(stream):
+        return _advance_stream(job, stream, dtype)[0]
 
-    def advance(carry):
-        slot, state, records = carry
-        state, block = _advance_block(scales, law, state, dtype)
-        records = jax.tree.map(lambda kept, new: lax.dynamic_update_slice_in_dim(kept, new, slot, 0), records, block)
-        return slot + BLOCK, state, records
-
-    records = StickRecord(values, values, values, endings)
-    _, state, records = lax.while_loop(unfinished, advance, (jnp.zeros((), int), state, records))
-    return _results(scales, state), records
+    stream = open_stream(job, lanes=lanes, rows=rows, dtype=dtype)
+    return lax.while_loop(lambda stream: jnp.any(stream.row < job.used_rows), advance, stream).results
 
 
-def _start_lanes(scales: Scales, law: BangBangLaw, words: tuple[Array, Array], y0, dtype) -> _Lanes:
-    """Every lane at t = 0 of the sample that its key words belong to."""
-    start = start_motion(scales, y0)
-    start_and_zero = (start, start_totals(dtype))
-    stacked = jnp.stack(words)
+def record(job: Job, stream: Stream, room: Records, *, dtype) -> tuple[Stream, Records, IntArray]:
+    """Go on with `stream` for as many blocks as `room` holds, and keep each interval's stick.
+
+    Returns the stream to go on with (the job is done when no row is below `job.used_rows`), the records, and the row
+    that each block of records belongs to, (blocks, lanes).
+    """
+
+    def advance(carry, block):
+        stream, room = carry
+        following, room = _advance_stream(job, stream, dtype, room, block * BLOCK)
+        return (following, room), stream.row
+
+    (stream, room), rows = lax.scan(advance, (stream, room), jnp.arange(len(room.ending) // BLOCK))
+    return stream, room, rows
+
+
+def _advance_stream(job: Job, stream: Stream, dtype, room: Records | None = None, slot: Array | int = 0):
+    """Cross one block of intervals; lanes whose sample has ended note its results and start their next."""
+    scales = scales_of(job.system, job.t1, dtype)
+    state, room = _advance_block(scales, job.law, stream.state, dtype, room, slot)
+    ended = _ended(scales, state) & (stream.row < job.used_rows)
+    here = ended & (jnp.arange(stream.results.status.shape[0])[:, None] == stream.row)
+    results = jax.tree.map(lambda kept, new: jnp.where(here, new, kept), stream.results, _results(scales, state))
+    row = stream.row + ended
+    return Stream(row, _where_lanes(ended, _start_row(job, row, dtype), state), results), room
+
+
+def _start_row(job: Job, row: IntArray, dtype) -> _Lanes:
+    """Every lane at t = 0 of its sample in row `row` (lanes,)."""
+    lanes = len(row)
+    lane = jnp.arange(lanes, dtype=jnp.uint32)
+    words = jnp.stack(random_words(job.words, job.first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes)))
+    scales = scales_of(job.system, job.t1, dtype)
+    start = start_motion(scales, job.y0)
 
     def begin(words):
-        memory = law.begin(words, dtype)
-        _, velocity, _ = law.next_interval(memory, law.draw(words, jnp.uint32(0), dtype), dtype)
+        memory = job.law.begin(words, dtype)
+        _, velocity, _ = job.law.next_interval(memory, job.law.draw(words, jnp.uint32(0), dtype), dtype)
         return memory, sticks_at_start(scales, start, velocity)
 
-    lanes = stacked.shape[1]
-    memory, at_start = jax.vmap(begin, in_axes=1)(stacked)
-    motion, totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (lanes,)), start_and_zero)
-    return _Lanes(stacked, jnp.zeros(lanes, jnp.uint32), memory, motion, totals, at_start, jnp.zeros(lanes, bool))
+    memory, at_start = jax.vmap(begin, in_axes=1)(words)
+    motion, totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (lanes,)), (start, start_totals(dtype)))
+    return _Lanes(words, jnp.zeros(lanes, jnp.uint32), memory, motion, totals, at_start, jnp.zeros(lanes, bool))
 
 
-def _advance_block(scales: Scales, law: BangBangLaw, state: _Lanes, dtype) -> tuple[_Lanes, StickRecord]:
-    """Cross the next `BLOCK` intervals of every lane."""
-
+def _advance_block(scales: Scales, law: BangBangLaw, state: _Lanes, dtype, room: Records | None, slot):
+    """Cross the next `BLOCK` intervals of every lane; keep their sticks in `room` from `slot` on, if there is room."""
     # All draws of the block at once, laid out (BLOCK, lanes) as the scan reads them.
     draw = jax.vmap(lambda words, number: law.draw(words, number, dtype), in_axes=(1, 0))
     numbers = state.first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
     drawn = jax.vmap(draw, in_axes=(None, 0))(state.words, numbers)
 
-    def step(carry, drawn):
-        memory, motion, totals = carry
+    def step_one(lane, drawn):
+        memory, motion, totals = lane
         duration, velocity, memory = law.next_interval(memory, drawn, dtype)
         duration = jnp.where(duration < scales.t1, duration, scales.t1)  # no infinity enters the arithmetic
-        motion, totals, record = cross_interval(scales, motion, totals, duration, velocity)
-        return (memory, motion, totals), record
+        motion, totals, stick = cross_interval(scales, motion, totals, duration, velocity)
+        return (memory, motion, totals), Records(jnp.stack(stick[:3]), stick.ending)
 
-    carry = (state.memory, state.motion, state.totals)
-    (memory, motion, totals), records = lax.scan(jax.vmap(step), carry, drawn, length=BLOCK)
+    def step(carry, drawn):
+        lanes, room, slot = carry
+        lanes, sticks = jax.vmap(step_one, out_axes=(0, Records(1, 0)))(lanes, drawn)
+        if room is not None:
+            room = jax.tree.map(
+                lambda kept, new: lax.dynamic_update_slice_in_dim(kept, new[None], slot, 0), room, sticks
+            )
+        return (lanes, room, slot + 1), None
+
+    carry = ((state.memory, state.motion, state.totals), room, slot)
+    ((memory, motion, totals), room, _), _ = lax.scan(step, carry, drawn, length=BLOCK)
     stalled = motion.t <= state.motion.t
     following = _Lanes(state.words, state.first + np.uint32(BLOCK), memory, motion, totals, state.at_start, stalled)
-    return following, records
+    return following, room
 
 
 def _ended(scales: Scales, state: _Lanes) -> BoolArray:
