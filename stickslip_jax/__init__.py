@@ -1,5 +1,7 @@
 """Stick-slip (dry-friction) oscillators under random motion: exact, vectorised, differentiable."""
 
+from importlib import import_module
+
 from ._fast_cpu import enable_fast_cpu
 from ._status import Ending, Status
 from .base_motion.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
@@ -20,6 +22,14 @@ from .systems.friction import Coulomb
 from .systems.mass_spring import MassSpring
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str):
+    # Loaded when asked for: matplotlib takes longer to import than all the rest.
+    if name in ("papers", "plot"):
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __all__ = [
     "BangBangLaw",

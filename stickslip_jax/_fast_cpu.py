@@ -24,13 +24,14 @@ def enable_fast_cpu() -> None:
     """Make simulations in this process faster on the CPU; call it before any JAX computation.
 
     It changes how XLA compiles every loop of the process, which can slow scans over large matrix products.
-    Raises RuntimeError if JAX has started already, and leaves everything as it was.
+    It does nothing where JAX runs on something else than the CPU. Raises RuntimeError if JAX has started already, and
+    leaves everything as it was.
     """
     before = os.environ.get("XLA_FLAGS")
     if before is None or _NAME not in before:
         os.environ["XLA_FLAGS"] = FLAG if not before else f"{before} {FLAG}"
     fast_cpu_enabled.cache_clear()
-    if fast_cpu_enabled():
+    if fast_cpu_enabled() or jax.default_backend() != "cpu":
         return
     if before is None:
         del os.environ["XLA_FLAGS"]

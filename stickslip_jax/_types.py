@@ -11,10 +11,25 @@ Scalar: TypeAlias = Real[Array, ""] | float
 AnyArray: TypeAlias = Array | np.ndarray
 """An array of JAX or, in results that have left JAX, of NumPy."""
 
+AnyInteger: TypeAlias = Array | np.integer
+"""A whole number of fixed size, traced or not."""
+
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
 IntArray: TypeAlias = Int[Array, "..."]
 KeyWords: TypeAlias = UInt32[Array, "2"]
 """The two 32-bit words of a threefry key."""
 
-__all__ = ["AnyArray", "Array", "Bool", "BoolArray", "Float", "FloatArray", "Int", "IntArray", "KeyWords", "Scalar"]
+__all__ = [
+    "AnyArray",
+    "AnyInteger",
+    "Array",
+    "Bool",
+    "BoolArray",
+    "Float",
+    "FloatArray",
+    "Int",
+    "IntArray",
+    "KeyWords",
+    "Scalar",
+]

@@ -24,6 +24,7 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
 
     return xr.Dataset(
         {
+            "sample": along("sample", range(len(sticks.count)), "number of the sample", cf_role="timeseries_id"),
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
             "stick_position": along("stick", sticks.position, "position of the mass when the stick starts", "m"),

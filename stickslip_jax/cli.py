@@ -88,7 +88,7 @@ def _prepare_jax(dtype: str) -> None:
 
 
 def _fail(reason: Any, code: int) -> int:
-    print(f"stickslip: {reason}", file=sys.stderr)
+    print("stickslip:", *str(reason).splitlines(), file=sys.stderr)
     return code
 
 

@@ -119,11 +119,15 @@ class _Run(NamedTuple):
         if keep not in ("statistics", "sticks"):
             raise ValueError(f"Argument keep must be 'statistics' or 'sticks', but {keep!r} was given.")
         y0 = _checks.pair("y0", y0)
-        if law.capacity(t1) > _LARGEST_COUNTER:
+        try:
+            too_long = law.capacity(t1) > _LARGEST_COUNTER
+        except OverflowError:
+            too_long = True
+        if too_long:
             raise ValueError(
                 f"Argument t1 must be shorter: {t1} s hold more than {_LARGEST_COUNTER} intervals of {law!r}."
             )
-        return cls(system, law, law.words(key), t1, y0, working_dtype())
+        return cls(system, law, law.words(key), t1, y0, working_dtype(stacklevel=4))
 
     def job(self, first: int, used_rows: int) -> Job:
         """Samples ``first ..`` in so many rows of lanes."""
@@ -180,7 +184,7 @@ def _recorder(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
             pieces.append(sticks_of(np.asarray(room.values), np.asarray(room.ending), sample))
             unfinished = np.any(np.asarray(stream.row) < job.used_rows)
         results = _first_samples(stream.results, number)
-        return _Part(results, FlatSticks.collect(pieces, results.status == Status.FINISHED))
+        return _Part(results, FlatSticks.collect(pieces, np.equal(results.status, Status.FINISHED)))
 
     return simulate
 

@@ -4,6 +4,7 @@ Source: Lima and Sampaio, "Analysis of the stick-mode duration of dry-friction o
 (the conference paper). Its frequency ratio is ``r = f_b / (omega / 2 pi)``, both in Hz.
 """
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -75,4 +76,5 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
 def _belt_period(ratio: Scalar) -> Scalar:
     """The belt's ``1 / f_b``, s."""
     _checks.positive("ratio", ratio)
-    return 2 * jnp.pi / (ratio * belt_oscillator().angular_frequency)
+    system = belt_oscillator()
+    return 2 * math.pi / (ratio * math.sqrt(system.stiffness / system.mass))

@@ -1,6 +1,7 @@
 """Simulate one realisation: `simulate(system, base, t1=..., y0=...)`."""
 
 import warnings
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -10,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from . import _checks
 from ._status import Status
-from ._types import Scalar
+from ._types import FloatArray, Scalar
 from .base_motion.laws import BangBangLaw
 from .base_motion.piecewise import VelocitySteps
 from .dynamics.interval_engine import (
@@ -33,7 +34,8 @@ class Simulation(eqx.Module):
     - `stick_time`, `slip_time`: total, s. `stick_fraction`: share of ``[0, t1]``.
     - `final_state`: (position m, velocity m/s) at ``t1``.
     - `status`: a `Status` code; 0 is FINISHED. Anything else: do not use the numbers.
-    - `evaluate(times)`: the state at any instants. `system`, `base`, `t1`: what was simulated.
+    - `evaluate(times)`: the state at any instants. `switching_times`: when the base's intervals begin, s.
+    - `system`, `base`, `t1`: what was simulated.
     """
 
     system: MassSpring
@@ -63,27 +65,18 @@ class Simulation(eqx.Module):
 
     @property
     def final_state(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        return self._final.x, self._final.p * self._scales.omega
+        return self._final.x, self._final.p * scales_of(self.system, self.t1, self._final.x.dtype).omega
+
+    @property
+    def switching_times(self) -> Float[Array, " intervals"]:
+        """The instants at which the base's intervals begin, s, as the simulation added them up; spare slots hold t1."""
+        return self._beginnings.t
 
     def evaluate(self, times: Float[Array, " times"]) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
         """Position (m) and velocity (m/s) of the mass at the given times (s), exact; NaN outside ``[0, t1]``."""
         _checks.numeric("times", times, ndim=1)
-        times = jnp.asarray(times, self._final.x.dtype)
-        scales = self._scales
-        # Among intervals that begin together (spare slots of no length), the last: it is the one that lasts.
-        index = jnp.clip(jnp.searchsorted(self._beginnings.t, times, side="right") - 1, 0)
-
-        def at(time, i):
-            began = jax.tree.map(lambda values: values[i], self._beginnings)
-            motion, _, _ = cross_interval(scales, began, self.totals, time - began.t, self.base.velocities[i])
-            inside = (time >= 0) & (time <= scales.t1)
-            return jnp.where(inside, motion.x, jnp.nan), jnp.where(inside, motion.p * scales.omega, jnp.nan)
-
-        return jax.vmap(at)(times, index)
-
-    @property
-    def _scales(self):
-        return scales_of(self.system, self.t1, self._final.x.dtype)
+        dtype = self._final.x.dtype
+        return _states(self, jnp.asarray(times, dtype), dtype)
 
     def __repr__(self) -> str:
         if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)) or np.ndim(self.status) > 0:
@@ -117,25 +110,44 @@ def simulate(
     _checks.positive("t1", t1, "s")
     y0 = _checks.pair("y0", y0)
     base = _realised(base, t1)
-    dtype = working_dtype(base.durations, base.velocities)
+    return Simulation(system, base, t1, *_run(system, base, t1, y0, working_dtype(base.durations, base.velocities)))
+
+
+@partial(jax.jit, static_argnames="dtype")
+def _run(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Scalar, Scalar], dtype):
+    """All that a `Simulation` holds beside its arguments."""
     scales = scales_of(system, t1, dtype)
     # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
     durations = jnp.where(base.durations < t1, base.durations, t1).astype(dtype)
     motion = start_motion(scales, y0)
     final, totals, records, beginnings = run_intervals(scales, motion, durations, base.velocities.astype(dtype))
-    return Simulation(
-        system, base, t1, sticks_in_order(*records), totals, status_of(final, scales.t1), beginnings, final
-    )
+    return sticks_in_order(*records), totals, status_of(final, scales.t1), beginnings, final
 
 
-def working_dtype(*arrays: Array):
+@partial(jax.jit, static_argnames="dtype")
+def _states(one: "Simulation", times: FloatArray, dtype) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity at `times` (times,), each from the beginning of the interval that holds it."""
+    scales = scales_of(one.system, one.t1, dtype)
+    # Among intervals that begin together (spare slots of no length), the last: it is the one that lasts.
+    index = jnp.clip(jnp.searchsorted(one.switching_times, times, side="right") - 1, 0)
+
+    def at(time, i):
+        began = jax.tree.map(lambda values: values[i], one._beginnings)
+        motion, _, _ = cross_interval(scales, began, one.totals, time - began.t, one.base.velocities[i])
+        inside = (time >= 0) & (time <= scales.t1)
+        return jnp.where(inside, motion.x, jnp.nan), jnp.where(inside, motion.p * scales.omega, jnp.nan)
+
+    return jax.vmap(at)(times, index)
+
+
+def working_dtype(*arrays: Array, stacklevel: int = 3):
     """The floating dtype of a simulation; says once how to get float64 when JAX runs in float32."""
     dtype = jnp.result_type(float, *arrays)
     if not jax.config.read("jax_enable_x64"):
         warnings.warn(
             "stickslip_jax runs in float32: event times are good to about 1e-5 of t1. For float64 call "
             'jax.config.update("jax_enable_x64", True) before anything else.',
-            stacklevel=3,
+            stacklevel=stacklevel,
         )
     return dtype
 

@@ -1,12 +1,13 @@
 """Laws of piecewise-constant base velocity: how realisations are drawn.
 
 A law tells the intervals of a realisation one after the other: what is random about number i (`draw`, computed from
-the key and i alone), and what that makes of it (`next_interval`). So a realisation has no length of its own: sampling it
-with more room only continues it, and an ensemble can draw intervals while it simulates.
+the key and i alone), and what that makes of it (`next_interval`). So a realisation has no length of its own: sampling
+it with more room only continues it, and an ensemble can draw intervals while it simulates.
 """
 
 import abc
 import math
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from .. import _checks
-from .._types import Array, FloatArray, Scalar
+from .._types import AnyArray, Array, FloatArray, Scalar
 from ..numerics.random_bits import exponential, key_words, random_words, uniform
 from .piecewise import VelocitySteps, merge_equal_neighbours
 
@@ -64,16 +65,7 @@ class BangBangLaw(eqx.Module):
             capacity = self._capacity_or_explain(t1)
         capacity = _checks.whole_number("capacity", capacity)
         words = self.words(key)
-        dtype = jnp.result_type(float)
-        numbers = jnp.arange(capacity, dtype=jnp.uint32)
-        drawn = jax.vmap(lambda number: self.draw(words, number, dtype))(numbers)
-
-        def step(memory, drawn_here):
-            duration, velocity, memory = self.next_interval(memory, drawn_here, dtype)
-            return memory, (duration, velocity)
-
-        _, (durations, velocities) = lax.scan(step, self.begin(words, dtype), drawn, length=capacity)
-        return VelocitySteps(durations, velocities)
+        return VelocitySteps(*_sample(self, words, capacity, jnp.result_type(float)))
 
     def words(self, key: Array | None) -> Array:
         """The key's two 32-bit words; zeros for a law without randomness, whatever the key."""
@@ -253,13 +245,11 @@ class PiecewiseConstant(BangBangLaw):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Array
-    velocities: Array
+    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
+    velocities: AnyArray = eqx.field(converter=lambda v: _array("velocities", v))
     is_random = False
 
     def __check_init__(self):
-        _checks.numeric("times", self.times, ndim=1)
-        _checks.numeric("velocities", self.velocities, ndim=1)
         if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
             raise ValueError(
                 "Arguments times and velocities must have the same length of at least 1, but they have shapes "
@@ -292,6 +282,19 @@ class PiecewiseConstant(BangBangLaw):
         return len(self.times)
 
 
+@partial(jax.jit, static_argnames=("capacity", "dtype"))
+def _sample(law: BangBangLaw, words: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
+    """Durations and velocities of the first `capacity` intervals."""
+    drawn = jax.vmap(lambda number: law.draw(words, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
+
+    def step(memory, drawn_here):
+        duration, velocity, memory = law.next_interval(memory, drawn_here, dtype)
+        return memory, (duration, velocity)
+
+    _, intervals = lax.scan(step, law.begin(words, dtype), drawn, length=capacity)
+    return intervals
+
+
 def _choose(draw: Array, cumulative: Array) -> Array:
     """Index of the cell of ``cumulative`` odds that holds the uniform ``draw``."""
     return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
@@ -300,3 +303,8 @@ def _choose(draw: Array, cumulative: Array) -> Array:
 def _floats(name: str, values: Any) -> tuple[float, ...]:
     _checks.numeric(name, values, ndim=1)
     return tuple(float(value) for value in values)
+
+
+def _array(name: str, values: Any) -> AnyArray:
+    _checks.numeric(name, values, ndim=1)
+    return values if isinstance(values, jax.Array) else np.asarray(values, float)

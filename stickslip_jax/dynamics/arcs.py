@@ -48,7 +48,7 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     """
     mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
     q = jnp.abs(v)
-    first_side, first_offset, first_p, h, angle, arrived_first = _first_arc(mirror * x, mirror * p, q, a, span)
+    first_side, first_offset, first_p, excess, h, angle, arrived_first = _first_arc(mirror * x, mirror * p, q, a, span)
     side, h, entered, arrived = _follow_crossings(first_side, h, angle, arrived_first, q, a, span)
 
     # Stick from `entered` at x = side (a - h) until the spring reaches the friction limit at x = +a.
@@ -69,7 +69,8 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     p_start = jnp.where(arrived_first, q, first_p)
     angle = jnp.where(arrived, span - left, span - jnp.where(crossed, entered, 0))
     sine, cosine = sincos(angle)
-    x_end = centre + offset * cosine + p_start * sine
+    # A radius whose square overflows would miss its arrivals: infinity times zero makes it NaN, which is reported.
+    x_end = centre + offset * cosine + p_start * sine + 0 * excess
     p_end = p_start * cosine - offset * sine
     return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
 
@@ -83,21 +84,28 @@ def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray
 def _first_arc(x, p, q, a, span):
     """The arc from the interval's first state.
 
-    Returns its side, offset from its centre and p; the distance h and the angle at which it meets the base velocity;
-    and whether that happens within the span.
+    Returns its side, offset from its centre and p; ``R^2 - q^2``, whose root is the distance h at which it meets the
+    base velocity; the angle at which it does; and whether that happens within the span.
     """
+    tolerance = _GRAZING_ULPS * jnp.finfo(x.dtype).eps
+    # A mass at rest at the very edge of the band, on a base at rest, stays: a circle of radius 0 is no motion.
+    edge = tolerance * (jnp.abs(x) + a)
+    at_rest = (q == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
+    x, p = jnp.where(at_rest, jnp.clip(x, -a, a), x), jnp.where(at_rest, 0, p)
+
     above = (p > q) | ((p == q) & (x < -a))
     side = jnp.where(above, -1, 1).astype(x.dtype)
     D = side * x - a
     excess = D * D + (p - q) * (p + q)  # R^2 - q^2, free of cancellation near p = q
-    roundoff = _GRAZING_ULPS * jnp.finfo(x.dtype).eps * (D * D + q * q + a * jnp.abs(D))
-    reaches = excess > jnp.where(p < q, roundoff, 0)
-    h = jnp.sqrt(jnp.where(reaches, excess, 1))
+    roundoff = tolerance * (D * D + q * q + a * jnp.abs(D))
+    reaches = at_rest | (excess > jnp.where(p < q, roundoff, 0))
+    positive = excess > 0
+    h = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
     # Half the clockwise angle from (D, p) to (-h, q) on the same circle. Each form is free of cancellation where it is
     # used, never negative, and 0 when the state is already on the base velocity inside the band.
     before = D <= 0
     angle = 2 * angle_of(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
-    return side, side * D, p, h, angle, reaches & (angle < span)
+    return side, side * D, p, excess, h, angle, reaches & (angle < span)
 
 
 @jax.custom_jvp

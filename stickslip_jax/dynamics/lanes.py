@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._types import AnyArray, Array, BoolArray, IntArray, Scalar
+from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray, Scalar
 from ..base_motion.laws import BangBangLaw
 from ..numerics.random_bits import random_words
 from ..systems.mass_spring import MassSpring
@@ -89,8 +89,8 @@ class Job(NamedTuple):
     words: Array
     t1: Scalar
     y0: tuple[Scalar, Scalar]
-    first_sample: Array
-    used_rows: Array
+    first_sample: AnyInteger
+    used_rows: AnyInteger
 
 
 def open_stream(job: Job, *, lanes: int, rows: int, dtype) -> Stream:
@@ -132,7 +132,7 @@ def record(job: Job, stream: Stream, room: Records, *, dtype) -> tuple[Stream, R
     return stream, room, rows
 
 
-def _advance_stream(job: Job, stream: Stream, dtype, room: Records | None = None, slot: Array | int = 0):
+def _advance_stream(job: Job, stream: Stream, dtype, room: Any = None, slot: Array | int = 0) -> tuple[Stream, Any]:
     """Cross one block of intervals; lanes whose sample has ended note its results and start their next."""
     scales = scales_of(job.system, job.t1, dtype)
     state, room = _advance_block(scales, job.law, stream.state, dtype, room, slot)
@@ -161,7 +161,7 @@ def _start_row(job: Job, row: IntArray, dtype) -> _Lanes:
     return _Lanes(words, jnp.zeros(lanes, jnp.uint32), memory, motion, totals, at_start, jnp.zeros(lanes, bool))
 
 
-def _advance_block(scales: Scales, law: BangBangLaw, state: _Lanes, dtype, room: Records | None, slot):
+def _advance_block(scales: Scales, law: BangBangLaw, state: _Lanes, dtype, room: Records | None, slot: Array | int):
     """Cross the next `BLOCK` intervals of every lane; keep their sticks in `room` from `slot` on, if there is room."""
     # All draws of the block at once, laid out (BLOCK, lanes) as the scan reads them.
     draw = jax.vmap(lambda words, number: law.draw(words, number, dtype), in_axes=(1, 0))
@@ -173,14 +173,14 @@ def _advance_block(scales: Scales, law: BangBangLaw, state: _Lanes, dtype, room:
         duration, velocity, memory = law.next_interval(memory, drawn, dtype)
         duration = jnp.where(duration < scales.t1, duration, scales.t1)  # no infinity enters the arithmetic
         motion, totals, stick = cross_interval(scales, motion, totals, duration, velocity)
-        return (memory, motion, totals), Records(jnp.stack(stick[:3]), stick.ending)
+        return (memory, motion, totals), (jnp.stack(stick[:3]), stick.ending)
 
     def step(carry, drawn):
         lanes, room, slot = carry
-        lanes, sticks = jax.vmap(step_one, out_axes=(0, Records(1, 0)))(lanes, drawn)
+        lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, drawn)
         if room is not None:
             room = jax.tree.map(
-                lambda kept, new: lax.dynamic_update_slice_in_dim(kept, new[None], slot, 0), room, sticks
+                lambda kept, new: lax.dynamic_update_slice_in_dim(kept, new[None], slot, 0), room, Records(*sticks)
             )
         return (lanes, room, slot + 1), None
 

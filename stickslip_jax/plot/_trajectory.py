@@ -68,7 +68,7 @@ def pieces_of(one: Simulation, window: tuple[float, float]) -> list[Piece]:
     mask = np.asarray(one.sticks.mask)
     starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
     # As the simulation counted time: a jump that ends a stick is the same instant as its end, to the last bit.
-    switches = np.asarray(one._beginnings.t)
+    switches = np.asarray(one.switching_times)
     cuts = _cuts(window, np.concatenate([starts, ends, switches]))
     middles = (cuts[:-1] + cuts[1:]) / 2
     sticks = np.searchsorted(starts, middles, side="right") > np.searchsorted(ends, middles, side="right")

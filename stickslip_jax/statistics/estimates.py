@@ -25,7 +25,8 @@ class Estimate:
     def __str__(self) -> str:
         if math.isnan(self.value):
             return f"{self.name}: not defined (no such event in {self.samples} samples)"
-        return f"{self.name}: {format_with_error(self.value, self.standard_error)} {self.unit}".rstrip()
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name}: {format_with_error(self.value, self.standard_error)}{unit}"
 
 
 def format_with_error(value: float, error: float) -> str:

@@ -1,4 +1,4 @@
-"""The figures of a study, drawn by `stickslip_jax.plot` without a display."""
+"""The figures of a study, drawn by `stickslip_jax.plot`."""
 
 import math
 from functools import partial
@@ -19,27 +19,19 @@ _LARGEST_CAPACITY = 2**22
 
 def draw_figures(config: StudyConfig, ensemble: Ensemble, folder: Path) -> None:
     """Draw the beginning of sample 0, and the durations of all sticks if they were kept, as PNG files in `folder`."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
+    from .. import plot  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
 
-    from .. import plot  # noqa: PLC0415 - likewise
-
-    one = _beginning_of_sample_0(config)
+    one = beginning_of_sample_0(config)
     if int(one.status) == Status.FINISHED:
         title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
-        figure = Figure((8.0, 5.0), layout="constrained")
-        upper, _ = plot.time_history(one, figure.subplots(2, 1, sharex=True))
-        upper.label_outer()
-        _save(figure, title, folder / TIME_HISTORY)
-        figure = Figure((5.6, 5.6), layout="constrained")
-        plot.phase_portrait(one, figure.subplots())
-        _save(figure, title, folder / PHASE_PORTRAIT)
+        _save(plot.time_history(one)[0], title, folder / TIME_HISTORY)
+        _save(plot.phase_portrait(one), title, folder / PHASE_PORTRAIT)
     if ensemble.flat_sticks is not None:
-        figure = Figure((5.6, 4.0), layout="constrained")
-        plot.stick_durations(ensemble, figure.subplots())
-        _save(figure, f"Stick durations in {ensemble.samples} samples", folder / STICK_DURATIONS)
+        title = f"Stick durations in {ensemble.samples} samples"
+        _save(plot.stick_durations(ensemble), title, folder / STICK_DURATIONS)
 
 
-def _beginning_of_sample_0(config: StudyConfig) -> Simulation:
+def beginning_of_sample_0(config: StudyConfig) -> Simulation:
     """Sample 0 of the ensemble with all its events, up to an instant that a figure can show."""
     run, system, law = config.run, config.system.build(), config.base.build()
     t1 = min(run.t1, _PERIODS_SHOWN * 2 * math.pi / float(system.angular_frequency))
@@ -58,6 +50,6 @@ def _beginning_of_sample_0(config: StudyConfig) -> Simulation:
         capacity *= 2
 
 
-def _save(figure: Any, title: str, path: Path) -> None:
-    figure.suptitle(title)
-    figure.savefig(path, dpi=150)
+def _save(axes: Any, title: str, path: Path) -> None:
+    axes.figure.suptitle(title)
+    axes.figure.savefig(path, dpi=150)

@@ -72,8 +72,9 @@ def _staging_in(directory: Path, made: list[Path]) -> Path:
         return Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
     except NotADirectoryError:
         raise StudyError(f"{directory} cannot hold a result, because it is, or lies below, a file.") from None
-    except OSError as error:
-        raise StudyError(f"{directory} cannot be written ({error.strerror}); choose another folder.") from None
+    except (OSError, ValueError) as error:  # ValueError: not even a path, because it holds a null character
+        reason = getattr(error, "strerror", None) or error
+        raise StudyError(f"{directory} cannot be written ({reason}); choose another folder.") from None
 
 
 def _publish(staging: Path, directory: Path) -> None:

@@ -92,7 +92,7 @@ def parse(tokens: Sequence[str]) -> Command | None:
     try:
         command, bound, _ = app.parse_args(list(tokens), exit_on_error=False, print_error=False)
     except UnusedCliTokensError as error:
-        unused = " ".join(error.unused_tokens)
+        unused = " ".join(error.unused_tokens or [])
         raise StudyError(f"One configuration file is allowed, but {unused} was given as well.") from None
     except CycloptsError as error:
         raise StudyError(" ".join(str(error).split())) from None
@@ -101,6 +101,8 @@ def parse(tokens: Sequence[str]) -> Command | None:
 
 def _study(config: Path | None = None, /, *, options: Annotated[Options, Parameter(name="*")] = Options()) -> Command:
     """Simulate one ensemble, print its statistics, and store events, statistics and figures.
+
+    The options replace what the configuration says. An existing result is never overwritten without --force.
 
     Parameters
     ----------

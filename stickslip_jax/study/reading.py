@@ -64,9 +64,10 @@ def _validated(table: dict[str, Any], source: str, options: Mapping[tuple[str, s
 
 def _sentence(problem: Any, options: Mapping[tuple[str, str], str]) -> str:
     """One sentence for the first problem that pydantic found."""
-    section, *keys = [part for part in problem["loc"] if part not in _LAWS]
+    section, *keys = problem["loc"]
+    law = keys.pop(0) if section == "base" and keys else None
     if problem["type"] == "extra_forbidden":
-        return _unknown_key(keys[-1], section, problem["loc"]) if keys else _unknown_section(section, problem["input"])
+        return _unknown_key(keys[-1], section, law) if keys else _unknown_section(section, problem["input"])
     if problem["type"] in ("model_type", "model_attributes_type") and not keys:
         return f"{section} must be a section [{section}] of keys, but {_show(problem['input'])} was given."
     if problem["type"] == "union_tag_invalid":
@@ -98,10 +99,9 @@ def _demand(problem: Any) -> str:
     return plain.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
 
 
-def _unknown_key(key: str, section: str, place: tuple[Any, ...]) -> str:
-    law = _LAWS.get(place[1])
-    kind = law or type(getattr(StudyConfig(), section))
-    owner = f"[{section}]" if law is None else f"[{section}] of the law {place[1]}"
+def _unknown_key(key: str, section: str, law: str | None) -> str:
+    kind = type(getattr(StudyConfig(), section)) if law is None else _LAWS[law]
+    owner = f"[{section}]" if law is None else f"[{section}] of the law {law}"
     hint = _nearest(key, kind.model_fields) or _owner_of(key) or f"its keys are {', '.join(kind.model_fields)}."
     return f"unknown key {key} in {owner}; {hint}"
 

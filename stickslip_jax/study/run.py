@@ -1,10 +1,12 @@
 """Run a study: simulate its ensemble, estimate its statistics, and store both with figures."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 from ..ensemble import simulate_ensemble
 from ..ensemble_result import Ensemble
@@ -54,7 +56,8 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
     """
     _check_dtype(config.run)
     directory = Path(config.output.directory).expanduser()
-    with result_folder(directory, force=force) as folder:
+    with result_folder(directory, force=force) as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # as the configuration asks
         ensemble = simulate(config, progress)
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
         write_netcdf(folder / DATA, config, ensemble, statistics)
@@ -81,12 +84,14 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
             chunk=run.chunk,
             progress=progress,
         )
-    except (ValueError, OverflowError) as error:
-        raise StudyError(str(error)) from error
+    except OverflowError:
+        raise StudyError(f"t1 in [run] must be shorter: {run.t1:g} s hold too many base intervals to count.") from None
+    except ValueError as error:
+        raise StudyError(str(error).removeprefix("Argument ")) from error
 
 
 def _check_dtype(run: RunConfig) -> None:
-    if jax.config.jax_enable_x64 != (run.dtype == "float64"):
+    if str(jnp.result_type(float)) != run.dtype:
         wanted = run.dtype == "float64"
         raise StudyError(
             f"dtype {run.dtype} in [run] needs jax.config.update('jax_enable_x64', {wanted}) before anything else."

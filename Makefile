@@ -1,0 +1,45 @@
+# Two commands for a newcomer: `make study` and `make test`. Each target makes its own environment in .venv when it is
+# missing or older than what it is made from.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+OUT ?= results/study
+BENCH := benchmarks/.build/latest.json
+
+.PHONY: study test check-slow lint format bench clean
+
+study: $(READY)
+	$(BIN)/stickslip study --out $(OUT) --force
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+check-slow: $(READY)
+	$(BIN)/python -m pytest -m slow
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(READY)
+	mkdir -p benchmarks/.build
+	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-json=$(BENCH) $(BENCHFLAGS)
+	$(BIN)/python -m benchmarks.table $(BENCH)
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON=/path/to/python")'
+	$(PYTHON) -m venv --clear $(VENV)
+	# Where a pinned version has no build for this Python, the lower bounds of pyproject.toml decide.
+	$(PIP) -c constraints.txt -e '.[dev]' || $(PIP) -e '.[dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) results build dist benchmarks/.build .pytest_cache .ruff_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,17 @@
+"""Yardsticks: other ways to compute the motion of a mass and spring on a base of velocity `+w` or `-w`.
+
+All are dimensionless (`z`, `u`, `omega t`; `rate` is `lambda / omega`) and keyword-only except for `program`.
+
+- `c_yardstick`: vectorised C, `program` is `"events"` or `"intervals"`.
+  `simulate(program, *, w, rate, t1, samples, y0=(0.0, 0.0), seed=0, initial_sign=0, threads=1, chain=0)`
+  `-> Totals`
+  `given_gaps(program, *, w, t1, gaps, y0=(0.0, 0.0), initial_sign=1) -> GivenResult`
+- `numba_scalar`: a plain scalar loop.
+  `simulate(*, w, rate, t1, samples, y0=(0.0, 0.0), seed=0, initial_sign=0, threads=1) -> Totals`
+  `given_gaps(*, w, t1, gaps, y0=(0.0, 0.0), initial_sign=1) -> GivenResult`
+- `scipy_events` and `diffrax_events`: a general ODE solver with event location, one trajectory.
+  `simulate(*, gaps, velocities, t1, y0=(0.0, 0.0), tolerance=1e-8) -> Trajectory`
+- `event_driver.switching_velocities(w, gaps, initial_sign=1)`: the `velocities` that go with given gaps.
+
+Result types: `_common`. The submodules are imported one by one, so that none needs the libraries of another.
+"""

@@ -1,0 +1,114 @@
+"""Time per base interval of the engine and of the yardsticks; w = 2, rate/omega = 0.5, omega t1 = 400.
+
+Each round times the event-stepping C program first and the case after it, so the ratio of the two is taken under the
+same load; the medians over the rounds go into `extra_info`.
+"""
+
+import time
+
+import numpy as np
+import pytest
+
+from .baselines import c_yardstick, diffrax_events, numba_scalar, scipy_events
+
+CASE = {"w": 2.0, "rate": 0.5, "t1": 400.0, "y0": (0.0, 1.0)}
+ROUNDS = 15
+
+
+def _c(program: str, chain: int, threads: int = 1, samples: int = 20_000):
+    def run(number: int) -> int:
+        return c_yardstick.simulate(program, **CASE, samples=samples, seed=number, chain=chain, threads=threads).intervals
+
+    return run
+
+
+def _numba(number: int) -> int:
+    return numba_scalar.simulate(**CASE, samples=1_000, seed=number).intervals
+
+
+def _one_trajectory(simulate, t1: float):
+    """The general-purpose solvers do one short trajectory."""
+
+    def run(number: int) -> int:
+        gaps = np.random.default_rng(number).exponential(1 / CASE["rate"], 200)
+        velocities = CASE["w"] * np.where(np.arange(200) % 2, -1.0, 1.0)
+        return simulate(gaps=gaps, velocities=velocities, t1=t1, y0=CASE["y0"]).intervals
+
+    return run
+
+
+YARDSTICK = _c("events", 1)
+YARDSTICKS = {
+    "C, a step per event": YARDSTICK,
+    "C, a step per interval, lock step": _c("intervals", 1),
+    "C, a step per interval, lanes refilled": _c("intervals", 0),
+    "C, a step per interval, lanes refilled, 2 threads": _c("intervals", 0, 2),
+    "numba, scalar": _numba,
+    "scipy solve_ivp, restarted at events": _one_trajectory(scipy_events.simulate, 40.0),
+    "diffrax, restarted at events": _one_trajectory(diffrax_events.simulate, 40.0),
+}
+ENGINE = [
+    ("statistics, 1 thread", ()),
+    ("statistics, 2 threads", ()),
+    ("every stick, handed on", ()),
+    ("every stick, all kept", ()),
+    ("value alone", ()),
+    ("value and derivative", ()),
+    ("statistics, 1 thread", ("--float32",)),
+    ("statistics, 1 thread", ("--plain",)),
+    ("statistics, 2 threads", ("--plain",)),
+]
+
+
+def _compare(benchmark, label: str, timed) -> None:
+    """Benchmark `timed(round) -> (seconds, intervals)`, the yardstick before each round."""
+    mine, yardstick = [], []
+
+    def prepare():
+        started = time.perf_counter()
+        intervals = YARDSTICK(len(yardstick))
+        yardstick.append((time.perf_counter() - started) / intervals)
+
+    def run():
+        seconds, intervals = timed(len(mine))
+        mine.append(seconds / intervals)
+
+    benchmark.pedantic(run, setup=prepare, rounds=ROUNDS, warmup_rounds=0)
+    benchmark.extra_info |= {
+        "label": label,
+        "ns_per_interval": 1e9 * float(np.median(mine)),
+        "yardstick_ns": 1e9 * float(np.median(yardstick)),
+        "ratio": float(np.median(np.array(mine) / np.array(yardstick))),
+    }
+
+
+@pytest.mark.parametrize("label", YARDSTICKS)
+def test_yardstick(benchmark, label):
+    """The other programs."""
+    if label.startswith("diffrax"):
+        import jax  # noqa: PLC0415 - only here: the other yardsticks do without
+
+        jax.config.update("jax_enable_x64", True)
+    YARDSTICKS[label](0)
+
+    def timed(number):
+        started = time.perf_counter()
+        intervals = YARDSTICKS[label](number)
+        return time.perf_counter() - started, intervals
+
+    _compare(benchmark, label, timed)
+
+
+@pytest.mark.parametrize(("case", "options"), ENGINE, ids=lambda value: "".join(value))
+def test_engine(benchmark, workers, case, options):
+    """The engine, in processes of its own."""
+    worker = workers(*options)
+    compile_seconds = worker.ask(case, 0)["compile_seconds"]
+
+    def timed(number):
+        return worker.ask(case, 1)["timed"][0]
+
+    label = f"stickslip_jax, {case}"
+    label += {(): "", ("--float32",): ", float32", ("--plain",): ", no flags set"}[options]
+    _compare(benchmark, label, timed)
+    benchmark.extra_info["compile_seconds"] = compile_seconds

@@ -1,0 +1,123 @@
+"""A process that times JAX cases on request, because XLA's flags and float64 are settled once per process.
+
+It reads one line ``case rounds`` at a time and answers with one JSON line: compile seconds, and for each round the
+seconds and the number of base intervals.
+"""
+
+import argparse
+import json
+import sys
+import time
+
+import jax
+import numpy as np
+
+import stickslip_jax as ss
+from stickslip_jax import ensemble
+from stickslip_jax.dynamics import lanes
+
+OMEGA, SPEED, T1, RATE = 2.0, 1.0, 200.0, 1.0  # w = 2, rate/omega = 0.5, omega t1 = 400
+INTERVALS = RATE * T1 + 1  # per sample, on average
+LAW = ss.PoissonSwitching(speed=SPEED, rate=RATE)
+ENGINE_SAMPLES = 20_000
+START = (0.0, 1.0)
+
+
+def system(mu=1.0):
+    """The oscillator of the study: omega = 2, stick half-width 0.5 m at mu = 1."""
+    return ss.MassSpring(mass=1.0, stiffness=OMEGA**2, normal_force=SPEED * OMEGA / 2, friction=ss.Coulomb(mu))
+
+
+def _ensemble(keep: str, threads: int):
+    def run(round_number: int) -> float:
+        many = ss.simulate_ensemble(
+            system(), LAW, t1=T1, samples=ENGINE_SAMPLES, key=jax.random.key(round_number), y0=START,
+            keep=keep, threads=threads, progress=False,
+        )  # fmt: skip
+        assert many.finished == ENGINE_SAMPLES
+        return ENGINE_SAMPLES * INTERVALS
+
+    return run
+
+
+def _recording_handed_on():
+    """Every stick recorded chunk by chunk, each chunk dropped after use: memory does not grow."""
+
+    def run(round_number: int) -> float:
+        job = ensemble._Run.checked(system(), LAW, T1, ENGINE_SAMPLES, jax.random.key(round_number), START, "sticks")
+        plan = ensemble._Plan.of(ENGINE_SAMPLES, 1, None)
+        simulate = ensemble._recorder(job, plan)
+        for first in range(0, ENGINE_SAMPLES, plan.samples_per_task):
+            part = simulate(first, min(plan.samples_per_task, ENGINE_SAMPLES - first))
+            assert np.all(part.results.status == 0)
+        return ENGINE_SAMPLES * INTERVALS
+
+    return run
+
+
+def _kernel(differentiate: bool):
+    """The compiled chunk alone, total stick time of each sample, with and without its derivative by mu."""
+    width, rows = 256, 16
+
+    def stick_time(mu, words):
+        job = lanes.Job(system(mu), LAW, words, T1, START, np.uint32(0), np.int32(rows))
+        return lanes.summarise(job, lanes=width, rows=rows, dtype=jax.numpy.result_type(float)).stick_time
+
+    def with_derivative(mu, words):
+        return jax.jvp(lambda m: stick_time(m, words), (mu,), (1.0,))
+
+    compiled = jax.jit(
+        with_derivative if differentiate else stick_time, compiler_options={"xla_cpu_prefer_vector_width": 512}
+    )
+
+    def run(round_number: int) -> float:
+        for part in range(4):
+            words = jax.random.key_data(jax.random.fold_in(jax.random.key(round_number), part))
+            jax.block_until_ready(compiled(1.0, words))
+        return 4 * width * rows * INTERVALS
+
+    return run
+
+
+CASES = {
+    "statistics, 1 thread": lambda: _ensemble("statistics", 1),
+    "statistics, 2 threads": lambda: _ensemble("statistics", 2),
+    "every stick, handed on": _recording_handed_on,
+    "every stick, all kept": lambda: _ensemble("sticks", 1),
+    "value alone": lambda: _kernel(False),
+    "value and derivative": lambda: _kernel(True),
+}
+
+
+def main() -> None:
+    """Answer requests until the input ends."""
+    options = argparse.ArgumentParser()
+    options.add_argument("--plain", action="store_true", help="leave XLA's flags alone")
+    options.add_argument("--float32", action="store_true")
+    chosen = options.parse_args()
+    if not chosen.plain:
+        ss.enable_fast_cpu()
+    jax.config.update("jax_enable_x64", not chosen.float32)
+    ready, answers = {}, sys.stdout
+    sys.stdout = sys.stderr
+    for line in sys.stdin:
+        name, rounds = line.rsplit(maxsplit=1)
+        compile_seconds = 0.0
+        if name not in ready:
+            ready[name] = CASES[name]()
+            started = time.perf_counter()
+            ready[name](0)
+            first = time.perf_counter() - started
+            started = time.perf_counter()
+            ready[name](0)
+            compile_seconds = first - (time.perf_counter() - started)
+        timed = []
+        for number in range(int(rounds)):
+            started = time.perf_counter()
+            intervals = ready[name](number + 1)
+            timed.append((time.perf_counter() - started, intervals))
+        print(json.dumps({"compile_seconds": compile_seconds, "timed": timed}), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""Settings of the whole test session: float64, annotations checked at run time, repeatable property tests."""
+
+import sys
+
+import jax
+import jaxtyping
+import pytest
+from hypothesis import HealthCheck, settings
+
+jax.config.update("jax_enable_x64", True)
+
+# Shapes and types in annotations are checked while the tests run, never for users. The hook must be in place before
+# the package is first imported.
+if "stickslip_jax" in sys.modules:
+    raise RuntimeError("stickslip_jax was imported before tests/conftest.py could switch its annotation checks on")
+jaxtyping.install_import_hook("stickslip_jax", "beartype.beartype")
+
+# Comparisons in the shared helpers explain themselves as those in the test files do.
+pytest.register_assert_rewrite("support")
+
+settings.register_profile(
+    "repeatable", deadline=None, derandomize=True, max_examples=100, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("repeatable")
+
+
+@pytest.fixture
+def annotations_unchecked():
+    """Switch the annotation checks off, so that the package's own argument checks answer, as they do for users."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
