@@ -19,39 +19,37 @@ def is_traced(value: Any) -> bool:
 def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
     """Check that ``value`` is a finite real number, or array of ``ndim`` dimensions (None: any)."""
     if isinstance(value, (bool, str, bytes)) or value is None:
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {value!r} was given.")
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {show(value)} was given.")
     if ndim is not None and np.ndim(value) != ndim:
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given.")
     if is_traced(value):
         return
-    try:
-        array = np.asarray(value)
-        array = array if np.issubdtype(array.dtype, np.floating) else array.astype(float)
-    except (TypeError, ValueError):
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {value!r} was given.") from None
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {show(value)} was given.")
     if not np.all(np.isfinite(array)):
-        raise ValueError(f"Argument {name} must be finite, but {_show(value)} was given.")
+        raise ValueError(f"Argument {name} must be finite, but {show(value)} was given.")
 
 
 def positive(name: str, value: Any, unit: str = "") -> None:
     """Check that ``value`` is a finite number greater than zero."""
     numeric(name, value)
     if not is_traced(value) and not value > 0:
-        raise ValueError(f"Argument {name} must be positive{_unit(unit)}, but {_show(value)} was given.")
+        raise ValueError(f"Argument {name} must be positive{_unit(unit)}, but {show(value)} was given.")
 
 
 def non_negative(name: str, value: Any, unit: str = "") -> None:
     """Check that ``value`` is a finite number, zero or greater."""
     numeric(name, value)
     if not is_traced(value) and not value >= 0:
-        raise ValueError(f"Argument {name} must be zero or positive{_unit(unit)}, but {_show(value)} was given.")
+        raise ValueError(f"Argument {name} must be zero or positive{_unit(unit)}, but {show(value)} was given.")
 
 
 def whole_number(name: str, value: Any, minimum: int = 1) -> int:
     """Check that ``value`` is a whole number of at least ``minimum`` and return it as an int."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
-        raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {value!r} was given.")
+        raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {show(value)} was given.")
     return int(value)
 
 
@@ -61,7 +59,7 @@ def pair(name: str, value: Any) -> tuple[Any, Any]:
         first, second = value
     except (TypeError, ValueError):
         raise ValueError(
-            f"Argument {name} must be two numbers (position in m, velocity in m/s), but {value!r} was given."
+            f"Argument {name} must be two numbers (position in m, velocity in m/s), but {show(value)} was given."
         ) from None
     numeric(f"{name}[0]", first)
     numeric(f"{name}[1]", second)
@@ -77,6 +75,7 @@ def _unit(unit: str) -> str:
     return f" (in {unit})" if unit else ""
 
 
-def _show(value: Any) -> str:
-    text = repr(value)
+def show(value: Any) -> str:
+    """`value` on one line, cut where it is long."""
+    text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:77] + "..."

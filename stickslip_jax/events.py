@@ -3,10 +3,10 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Real
 
 from ._status import Ending
-from ._types import AnyArray, Scalar
+from ._types import AnyArray
 
 
 class Sticks(eqx.Module):
@@ -79,7 +79,7 @@ def sticks_in_order(start, end, position, ending) -> Sticks:
     return Sticks(fill(start, jnp.nan), fill(end, jnp.nan), fill(position, jnp.nan), fill(ending, -1), mask)
 
 
-def slips_between(sticks: Sticks, t1: Scalar) -> Slips:
+def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips:
     """The slips of one trajectory or of many: before the first stick, between sticks, after the last.
 
     `sticks` hold (..., slots), the result one slot more. A slip of no length (a stick from t = 0, or to the horizon)
@@ -93,7 +93,7 @@ def slips_between(sticks: Sticks, t1: Scalar) -> Slips:
     end = jnp.concatenate([sticks.start, jnp.full((*batch, 1), jnp.nan, dtype)], axis=-1)
     exists = jnp.concatenate([edge, sticks.mask], axis=-1)
     is_last = exists & ~jnp.concatenate([sticks.mask, ~edge], axis=-1)
-    end = jnp.where(is_last, jnp.asarray(t1, dtype), end)
+    end = jnp.where(is_last, jnp.asarray(t1, dtype)[..., None], end)
     mask = exists & (jnp.where(exists, end, 0) > jnp.where(exists, start, 0))
     # Slots of no length are closed up, so that slips fill the first slots.
     order = jnp.argsort(~mask, axis=-1, stable=True)

@@ -43,39 +43,39 @@ class Simulation(eqx.Module):
     t1: Scalar
     sticks: Sticks
     totals: Totals
-    status: Int[Array, ""]
+    status: Int[Array, "*batch"]
+    final_state: tuple[Float[Array, "*batch"], Float[Array, "*batch"]]
     _beginnings: Motion
-    _final: Motion
 
     @property
     def slips(self) -> Slips:
         return slips_between(self.sticks, self.t1)
 
     @property
-    def stick_time(self) -> Float[Array, ""]:
+    def stick_time(self) -> Float[Array, "*batch"]:
         return self.totals.stick_time
 
     @property
-    def slip_time(self) -> Float[Array, ""]:
+    def slip_time(self) -> Float[Array, "*batch"]:
         return self.t1 - self.totals.stick_time
 
     @property
-    def stick_fraction(self) -> Float[Array, ""]:
+    def stick_fraction(self) -> Float[Array, "*batch"]:
         return self.totals.stick_time / self.t1
 
     @property
-    def final_state(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        return self._final.x, self._final.p * scales_of(self.system, self.t1, self._final.x.dtype).omega
-
-    @property
-    def switching_times(self) -> Float[Array, " intervals"]:
+    def switching_times(self) -> Float[Array, "*batch intervals"]:
         """The instants at which the base's intervals begin, s, as the simulation added them up; spare slots hold t1."""
         return self._beginnings.t
 
     def evaluate(self, times: Float[Array, " times"]) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
         """Position (m) and velocity (m/s) of the mass at the given times (s), exact; NaN outside ``[0, t1]``."""
         _checks.numeric("times", times, ndim=1)
-        dtype = self._final.x.dtype
+        if np.ndim(self.status) > 0:
+            raise ValueError(
+                f"This is a batch of {np.shape(self.status)} simulations; evaluate one, or jax.vmap over them."
+            )
+        dtype = self._beginnings.x.dtype
         return _states(self, jnp.asarray(times, dtype), dtype)
 
     def __repr__(self) -> str:
@@ -118,10 +118,11 @@ def _run(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Scalar, 
     """All that a `Simulation` holds beside its arguments."""
     scales = scales_of(system, t1, dtype)
     # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
-    durations = jnp.where(base.durations < t1, base.durations, t1).astype(dtype)
+    durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
     motion = start_motion(scales, y0)
     final, totals, records, beginnings = run_intervals(scales, motion, durations, base.velocities.astype(dtype))
-    return sticks_in_order(*records), totals, status_of(final, scales.t1), beginnings, final
+    final_state = (final.x, final.p * scales.omega)
+    return sticks_in_order(*records), totals, status_of(final, scales.t1), final_state, beginnings
 
 
 @partial(jax.jit, static_argnames="dtype")

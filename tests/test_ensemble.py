@@ -214,7 +214,7 @@ def test_merged_moments_are_those_of_all_rows():
 
 
 def test_derivative_of_the_streamed_totals():
-    """jvp through the lanes against central differences with the same random numbers."""
+    """Forward derivative through the lanes against central differences with the same random numbers."""
 
     def stick_time(mu):
         system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
@@ -242,7 +242,7 @@ def test_derivative_of_the_streamed_totals():
 )  # fmt: skip
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_bad_arguments_are_named(argument, value):
-    arguments = {"t1": 5.0, "samples": 4, "key": KEY, **{argument: value}}
+    arguments = {"t1": 5.0, "samples": 4, "key": KEY, argument: value}
     with pytest.raises(ValueError, match=rf"Argument {argument}") as caught:
         ss.simulate_ensemble(SYSTEM, POISSON, **arguments)
     assert "\n" not in str(caught.value)

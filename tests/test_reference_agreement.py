@@ -3,6 +3,8 @@
 import math
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 from support import SetUp, errors_against, filled, random_set_up, simulate_compiled
 
@@ -66,6 +68,20 @@ def test_long_visits_to_a_release_velocity_invent_no_stick(seed):
     assert_agrees(setup, setup.simulate(SLOTS))
 
 
+@pytest.mark.parametrize("w", [0.05, 0.5, 5.0])
+def test_release_arc_stays_free_through_thousands_of_intervals(w):
+    """Round-off of R^2 - w^2 grows as the square root of their number, to a hundred ulps here; it is no arrival."""
+    count = 20_000
+    durations = np.random.default_rng(0).exponential(1.0, count)
+    durations[0] = 2 / w + 0.1
+    base = ss.VelocitySteps(jnp.asarray(durations), jnp.asarray(np.resize([w, 2 * w], count)))
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(1.0))
+    simulation = simulate_compiled(system, base, float(durations.sum()), (-1.0, w))
+    assert filled(simulation).ending.tolist() == [ss.Ending.RELEASED]
+    x, speed = (float(value) for value in simulation.final_state)
+    assert math.hypot(x - 1, speed) == pytest.approx(w, rel=1e-12 * (1 + 1 / w))
+
+
 @pytest.mark.parametrize("before", [3.9, 4.1, 4.5, 6.0, 10.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_tangent_return(before, sign):
@@ -73,6 +89,30 @@ def test_tangent_return(before, sign):
     setup = SetUp(1.0, 1.0, 1.0, 1.0, (before, 1.25, 40.0), velocities, before + 31.25, -sign, 0.5 * sign)
     run = assert_agrees(setup, setup.simulate(SLOTS))
     assert run.sticks[0].start == 0
+
+
+@pytest.mark.parametrize("moment", [1.7, 1.9, 2.3, 2.9, 3.7, 4.3, 4.5])
+@pytest.mark.parametrize("w", [0.1, 0.3, 0.9, -0.3])
+def test_tangent_return_after_a_rest(w, moment):
+    """Caught by a base at rest and set off again at its release velocity, the mass is back on an arc of radius w."""
+    mass, stiffness, normal_force, mu = 1.3, 4.2, 2.1, 0.35
+    omega, a = math.sqrt(stiffness / mass), mu * normal_force / stiffness
+    speed = w * a * omega
+    stay = 1.5 / (abs(w) * omega)
+    durations = (stay + moment / omega, 4.0, 9.0, 0.7, 9.0)
+    setup = SetUp(
+        mass,
+        stiffness,
+        normal_force,
+        mu,
+        durations,
+        (speed, 0.0, speed, 2 * speed, speed),
+        20.0 + stay,
+        -0.5 * math.copysign(a, w),
+        speed,
+    )
+    run = assert_agrees(setup, setup.simulate(SLOTS))
+    assert [stick.ending for stick in run.sticks] == ["RELEASED", "BASE_SWITCHED"]
 
 
 @pytest.mark.parametrize("w", [0.1, 1.0, 7.0])
@@ -144,3 +184,16 @@ def test_release_at_the_very_instant_of_a_jump_or_of_the_horizon(horizon):
     assert sticks.end == pytest.approx([float(stick.end) for stick in run.sticks], abs=1e-14)
     final = [float(value) for value in simulation.final_state]
     assert final == pytest.approx([float(run.final_position), float(run.final_velocity)], abs=1e-14)
+
+
+@pytest.mark.slow
+def test_many_random_set_ups():
+    """Speeds, rates, amplitudes and levels at random, a hundred thousand intervals in all."""
+    sticks = 0
+    for seed in range(400):
+        source = np.random.default_rng(seed)
+        w, rate, amplitude = np.exp(source.uniform(np.log([0.02, 0.1, 0.1]), np.log([30.0, 10.0, 300.0])))
+        levels = list(LEVELS.values())[seed % len(LEVELS)]
+        setup = random_set_up(w, rate, levels, 390, seed=[seed, 1], amplitude=amplitude)
+        sticks += len(assert_agrees(setup, setup.simulate(SLOTS)).sticks)
+    assert sticks > 10_000

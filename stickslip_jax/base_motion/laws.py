@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._types import AnyArray, Array, FloatArray, Scalar
@@ -46,7 +47,7 @@ class BangBangLaw(eqx.Module):
         """
 
     @abc.abstractmethod
-    def capacity(self, t1: float) -> int:
+    def capacity(self, t1: Scalar) -> int:
         """How many intervals hold nearly every realisation on ``[0, t1]``."""
 
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> VelocitySteps:
@@ -79,12 +80,13 @@ class BangBangLaw(eqx.Module):
         return key_words(key)
 
     def _capacity_or_explain(self, t1: Scalar) -> int:
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((self, t1))):
+        try:
+            return self.capacity(t1)
+        except ConcretizationTypeError:
             raise ValueError(
                 "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
                 f"(their values are not known then); find one with {type(self).__name__}(...).capacity(t1)."
-            )
-        return self.capacity(float(t1))
+            ) from None
 
 
 class Constant(BangBangLaw):
@@ -108,7 +110,7 @@ class Constant(BangBangLaw):
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return jnp.where(drawn, jnp.inf, 0.0).astype(dtype), jnp.asarray(self.speed, dtype), ()
 
-    def capacity(self, t1: float) -> int:
+    def capacity(self, t1: Scalar) -> int:
         return 1
 
 
@@ -136,8 +138,8 @@ class SquareWave(BangBangLaw):
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return jnp.asarray(self.period / 2, dtype), memory * self.speed, -memory
 
-    def capacity(self, t1: float) -> int:
-        return math.ceil(2 * t1 / float(self.period)) + 1
+    def capacity(self, t1: Scalar) -> int:
+        return math.ceil(2 * float(t1) / float(self.period)) + 1
 
 
 class PoissonSwitching(BangBangLaw):
@@ -175,7 +177,7 @@ class PoissonSwitching(BangBangLaw):
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return drawn * (1 / self.rate), memory * self.speed, -memory
 
-    def capacity(self, t1: float) -> int:
+    def capacity(self, t1: Scalar) -> int:
         # Six standard deviations above the Poisson mean; the last term covers the skewness of small means.
         mean = float(self.rate) * float(t1)
         return math.ceil(mean + 6 * math.sqrt(mean) + 12)
@@ -215,7 +217,7 @@ class RandomSteps(BangBangLaw):
     @property
     def odds(self) -> tuple[float, ...]:
         """The probability of each level."""
-        return self.probabilities or (1 / len(self.levels),) * len(self.levels)
+        return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
 
     def begin(self, words, dtype):
         high, _ = random_words(words, jnp.asarray(_BEGINNING))
@@ -234,7 +236,7 @@ class RandomSteps(BangBangLaw):
         velocity = self.speed * jnp.asarray(self.levels, dtype)[memory]
         return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
 
-    def capacity(self, t1: float) -> int:
+    def capacity(self, t1: Scalar) -> int:
         return math.ceil(float(t1) / float(self.interval)) + 1
 
 
@@ -278,7 +280,7 @@ class PiecewiseConstant(BangBangLaw):
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return *drawn, ()
 
-    def capacity(self, t1: float) -> int:
+    def capacity(self, t1: Scalar) -> int:
         return len(self.times)
 
 

@@ -17,11 +17,12 @@ from .arcs import carry_across, sticks_from_start
 
 
 class Motion(NamedTuple):
-    """Where the mass is: time in s, position in m, velocity divided by omega in m."""
+    """Where the mass is: time in s, position in m, velocity divided by omega in m; and what its arc remembers."""
 
     t: FloatArray
     x: FloatArray
     p: FloatArray
+    released_at: FloatArray  # see `carry_across`
 
 
 class Scales(NamedTuple):
@@ -72,7 +73,8 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
     """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
     dtype = scales.omega.dtype
-    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega)
+    zero = jnp.zeros((), dtype)
+    return Motion(zero, jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega, zero)
 
 
 def start_totals(dtype) -> Totals:
@@ -96,12 +98,11 @@ def cross_interval(
 ) -> tuple[Motion, Totals, StickRecord]:
     """Cross one interval, cut at the horizon: the next state, the totals with this interval's stick, its record."""
     omega, per_omega, a, t1 = scales
-    uncut = motion.t + duration < t1
+    uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: it spoils the time, and that is reported
     span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.p, velocity * per_omega, a, omega * span)
+    passage = carry_across(motion.x, motion.p, motion.released_at, velocity * per_omega, a, omega * span)
     t_end = jnp.where(uncut, motion.t + duration, t1)
-    live = motion.t < t1
-    following = Motion(t_end, jnp.where(live, passage.x, motion.x), jnp.where(live, passage.p, motion.p))
+    following = Motion(t_end, passage.x, passage.p, passage.released_at)
 
     stuck, released = passage.stuck, passage.released
     released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))
@@ -140,6 +141,6 @@ def run_intervals(
 
 def status_of(motion: Motion, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that ended in the state `motion`."""
-    finite = jnp.isfinite(motion.t) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
+    finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
     code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
     return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)

@@ -28,7 +28,7 @@ from .interval_engine import (
     sticks_at_start,
 )
 
-BLOCK = 16  # intervals drawn at once; a lane idles for half a block on average after its sample's end
+BLOCK = 24  # intervals drawn at once; a lane idles for half a block on average after its sample's end
 
 
 class LaneResults(NamedTuple):
@@ -171,7 +171,7 @@ def _advance_block(scales: Scales, law: BangBangLaw, state: _Lanes, dtype, room:
     def step_one(lane, drawn):
         memory, motion, totals = lane
         duration, velocity, memory = law.next_interval(memory, drawn, dtype)
-        duration = jnp.where(duration < scales.t1, duration, scales.t1)  # no infinity enters the arithmetic
+        duration = jnp.where(duration >= scales.t1, scales.t1, duration)  # no infinity enters the arithmetic
         motion, totals, stick = cross_interval(scales, motion, totals, duration, velocity)
         return (memory, motion, totals), (jnp.stack(stick[:3]), stick.ending)
 

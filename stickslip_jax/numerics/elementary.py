@@ -48,7 +48,7 @@ def _horner(coefficients: tuple[float, ...], z: FloatArray) -> FloatArray:
 
 @jax.custom_jvp
 def sincos(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``(sin(angle), cos(angle))``, the angle in radians. NaN where the angle is NaN or infinite."""
+    """``(sin(angle), cos(angle))``, the angle in radians and below 2^30. NaN where it is NaN or infinite."""
     turns = jnp.round(angle * (2 / np.pi))
     high, middle, low = _HALF_PI_PARTS[np.dtype(angle.dtype)]
     r = ((angle - turns * high) - turns * middle) - turns * low

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._checks import show
 from .._types import Array, FloatArray, KeyWords
 from .elementary import log
 
@@ -25,11 +26,11 @@ def key_words(key: Array) -> KeyWords:
     """
     dtype = getattr(key, "dtype", None)
     if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
-        if "fry" in str(jax.random.key_impl(key)):
+        if "fry" in str(jax.random.key_impl(key)) and key.shape == ():
             return jax.random.key_data(key)
-    elif dtype == np.uint32 and key.shape[-1:] == (2,):
+    elif dtype == np.uint32 and key.shape == (2,):
         return jnp.asarray(key)
-    raise ValueError(f"Argument key must be a threefry key made by jax.random.key(seed), but {key!r} was given.")
+    raise ValueError(f"Argument key must be a threefry key made by jax.random.key(seed), but {show(key)} was given.")
 
 
 def random_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
