@@ -263,7 +263,7 @@ class TestEveryRandomLaw:
 
     def test_other_generators_are_refused(self, law):
         for name in ("rbg", "unsafe_rbg"):
-            with pytest.raises(ValueError, match="Argument key must be .*threefry key"):
+            with pytest.raises(ValueError, match=r"Argument key must be .*threefry key"):
                 law.sample(jax.random.key(0, impl=name), 9.0)
 
     def test_key_is_required(self, law):

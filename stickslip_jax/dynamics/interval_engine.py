@@ -6,6 +6,7 @@ instants are exact sums of durations; inside an interval the closed forms measur
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -132,6 +133,9 @@ def run_intervals(
 
     def step(carry, interval):
         following, totals, record = cross_interval(scales, *carry, *interval)
+        # After the horizon nothing happens, not even the round-off of going nowhere.
+        live = ~(carry[0].t >= scales.t1)
+        following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, carry[0])
         return (following, totals), (record, carry[0])
 
     start = (motion, start_totals(motion.x.dtype))
