@@ -13,17 +13,18 @@ BEGIN, END = "<!-- table: written by `make bench` -->", "<!-- end of table -->"
 def table(results: dict) -> str:
     """The results as a Markdown table, in the order they were measured."""
     cpu = results["machine_info"]["cpu"]
+    machine = f"{cpu.get('brand_raw', 'unknown CPU')}, {cpu.get('count', '?')} cores"
+    software = f"Python {platform.python_version()}, jax {version('jax')}"
+    rounds = results["benchmarks"][0]["stats"]["rounds"]
     lines = [
-        f"Measured on {results['datetime'][:10]}: {cpu.get('brand_raw', 'unknown CPU')}, {cpu.get('count', '?')} cores; "
-        f"Python {platform.python_version()}, jax {version('jax')}. Medians of "
-        f"{results['benchmarks'][0]['stats']['rounds']} rounds.",
+        f"Measured on {results['datetime'][:10]}: {machine}; {software}. Medians of {rounds} rounds.",
         "",
         "| program | ns per base interval | times the C program that steps by events | compile, s |",
         "|---|---:|---:|---:|",
     ]
     for entry in results["benchmarks"]:
         info = entry["extra_info"]
-        seconds = f"{info['compile_seconds']:.1f}" if "compile_seconds" in info else ""
+        seconds = f"{info['compile_seconds']:.1f}" if info.get("compile_seconds", 0) > 0.05 else ""
         lines.append(f"| {info['label']} | {info['ns_per_interval']:,.1f} | {info['ratio']:,.2f} | {seconds} |")
     return "\n".join(lines)
 

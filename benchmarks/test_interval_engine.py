@@ -17,7 +17,9 @@ ROUNDS = 15
 
 def _c(program: str, chain: int, threads: int = 1, samples: int = 20_000):
     def run(number: int) -> int:
-        return c_yardstick.simulate(program, **CASE, samples=samples, seed=number, chain=chain, threads=threads).intervals
+        return c_yardstick.simulate(
+            program, **CASE, samples=samples, seed=number, chain=chain, threads=threads
+        ).intervals
 
     return run
 
@@ -31,7 +33,7 @@ def _one_trajectory(simulate, t1: float):
 
     def run(number: int) -> int:
         gaps = np.random.default_rng(number).exponential(1 / CASE["rate"], 200)
-        velocities = CASE["w"] * np.where(np.arange(200) % 2, -1.0, 1.0)
+        velocities = CASE["w"] * np.where(np.arange(201) % 2, -1.0, 1.0)
         return simulate(gaps=gaps, velocities=velocities, t1=t1, y0=CASE["y0"]).intervals
 
     return run
@@ -99,7 +101,7 @@ def test_yardstick(benchmark, label):
     _compare(benchmark, label, timed)
 
 
-@pytest.mark.parametrize(("case", "options"), ENGINE, ids=lambda value: "".join(value))
+@pytest.mark.parametrize(("case", "options"), ENGINE, ids="".join)
 def test_engine(benchmark, workers, case, options):
     """The engine, in processes of its own."""
     worker = workers(*options)

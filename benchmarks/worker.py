@@ -19,7 +19,7 @@ from stickslip_jax.dynamics import lanes
 OMEGA, SPEED, T1, RATE = 2.0, 1.0, 200.0, 1.0  # w = 2, rate/omega = 0.5, omega t1 = 400
 INTERVALS = RATE * T1 + 1  # per sample, on average
 LAW = ss.PoissonSwitching(speed=SPEED, rate=RATE)
-ENGINE_SAMPLES = 20_000
+ENGINE_SAMPLES = 40_000
 START = (0.0, 1.0)
 
 

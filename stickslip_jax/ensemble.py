@@ -67,8 +67,9 @@ def simulate_ensemble(
         for number, part in _in_order(simulate, plan, samples):
             counts += np.bincount(part.results.status, minlength=len(Status))
             moments = moments.merge(Moments.of(_features(part.results)))
-            if keep == "sticks":
+            if part.sticks is not None:
                 kept.append(part)
+                _check_memory(kept, samples)
             advance(number)
     return Ensemble(
         system=system,
@@ -210,6 +211,20 @@ def _in_order(simulate: Callable[[int, int], _Part], plan: _Plan, samples: int) 
                 yield number, future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _check_memory(kept: list[_Part], samples: int) -> None:
+    """Stop before the sticks outgrow the memory: twice their size is needed when they are joined."""
+    if len(kept) % 64 != 1 or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
+        return
+    done = sum(len(part.results.status) for part in kept)
+    size = sum(column.nbytes for part in kept for column in (*part.results, *(part.sticks or ())))
+    expected, memory = 2 * size / done * samples, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if expected > memory:
+        raise ValueError(
+            f'Argument keep must be "statistics" for so many samples: keeping the sticks of {samples} takes '
+            f"about {expected / 1e9:.0f} GB, and this machine has {memory / 1e9:.0f} GB."
+        )
 
 
 def _features(results: LaneResults) -> np.ndarray:

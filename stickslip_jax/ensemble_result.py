@@ -38,11 +38,12 @@ class FlatSticks(NamedTuple):
     def collect(cls, pieces: "list[tuple[np.ndarray, ...]]", finished: np.ndarray) -> "FlatSticks":
         """Put pieces of `sticks_of` in order of sample, then time. Samples not `finished` have no sticks."""
         sample, start, end, position, ending = (np.concatenate(column) for column in zip(*pieces, strict=True))
-        # NumPy sorts 16-bit numbers by radix, five times faster.
-        sample = sample.astype(np.uint16 if len(finished) <= 1 << 16 else np.int64)
-        order = np.argsort(sample, kind="stable")
-        order = order[np.append(finished, np.zeros(sample.max(initial=0) + 1, bool))[sample[order]]]
-        count = np.bincount(sample[order], minlength=len(finished))
+        order = np.argsort(sample, kind="stable")  # by radix for 16-bit numbers, five times faster
+        count = np.bincount(sample, minlength=len(finished))[: len(finished)]
+        order = order[: count.sum()]  # what lanes without a sample did stands at the end
+        if not np.all(finished):
+            order = order[np.repeat(finished, count)]
+            count = np.where(finished, count, 0)
         return cls(count, *(values[order] for values in (start, end, position, ending)))
 
     def padded(self) -> Sticks:
@@ -65,13 +66,14 @@ def sticks_of(values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> tup
     `values` (slots, 3, lanes) holds start, end and position, `ending` (slots, lanes) is negative where there is no
     stick, and `sample` (blocks, lanes) tells whose records the lanes of each block of slots hold.
     """
-    lanes, block = ending.shape[1], len(ending) // len(sample)
+    slots, lanes = ending.shape
+    small = sample.astype(np.uint16 if sample.max() < 1 << 16 else np.int64)
+    owner = np.repeat(small, slots // len(sample), axis=0)
     found = np.flatnonzero(ending >= 0)
-    slot, lane = np.divmod(found.astype(np.uint32), np.uint32(lanes))
-    at = slot.astype(np.int64) * (3 * lanes) + lane
+    at = found + 2 * lanes * (found // np.int64(lanes))
     flat = values.reshape(-1)
-    owner = sample.reshape(-1)[(slot // np.uint32(block)) * np.uint32(lanes) + lane]
-    return owner, flat[at], flat[at + lanes], flat[at + 2 * lanes], ending.reshape(-1)[found]
+    columns = (flat[at], flat[at + lanes], flat[at + 2 * lanes])
+    return owner.reshape(-1)[found], *columns, ending.reshape(-1)[found]
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

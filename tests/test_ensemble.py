@@ -233,6 +233,12 @@ def test_derivative_of_the_streamed_totals():
     assert agree.mean() > 0.9
 
 
+def test_sticks_that_would_outgrow_the_memory_are_refused_early():
+    # 2^31 samples of some 2.5 kB each: no machine of this decade holds 10 TB in memory.
+    with pytest.raises(ValueError, match=r'Argument keep must be "statistics" .* GB, and this machine has'):
+        ss.simulate_ensemble(SYSTEM, POISSON, samples=2**31, keep="sticks", threads=1, t1=200.0, key=KEY)
+
+
 @pytest.mark.parametrize(
     ("argument", "value"),
     [("samples", 0), ("samples", -3), ("samples", 2.5), ("samples", True), ("samples", "10"), ("samples", 2**40),

@@ -91,28 +91,32 @@ def test_tangent_return(before, sign):
     assert run.sticks[0].start == 0
 
 
+def set_up_from_the_lower_edge(w, durations, velocities):
+    """A stick from ``z = -1/2`` that is released after ``1.5 / w``; durations in 1 / omega, from the release on."""
+    mass, stiffness, normal_force, mu = 1.3, 4.2, 2.1, 0.35
+    omega, a = math.sqrt(stiffness / mass), mu * normal_force / stiffness
+    lengths = tuple(value / omega for value in (durations[0] + 1.5 / abs(w), *durations[1:]))
+    speeds = tuple(value * w * a * omega for value in velocities)
+    t1 = sum(lengths)
+    return SetUp(mass, stiffness, normal_force, mu, lengths, speeds, t1, -0.5 * math.copysign(a, w), speeds[0])
+
+
 @pytest.mark.parametrize("moment", [1.7, 1.9, 2.3, 2.9, 3.7, 4.3, 4.5])
 @pytest.mark.parametrize("w", [0.1, 0.3, 0.9, -0.3])
 def test_tangent_return_after_a_rest(w, moment):
     """Caught by a base at rest and set off again at its release velocity, the mass is back on an arc of radius w."""
-    mass, stiffness, normal_force, mu = 1.3, 4.2, 2.1, 0.35
-    omega, a = math.sqrt(stiffness / mass), mu * normal_force / stiffness
-    speed = w * a * omega
-    stay = 1.5 / (abs(w) * omega)
-    durations = (stay + moment / omega, 4.0, 9.0, 0.7, 9.0)
-    setup = SetUp(
-        mass,
-        stiffness,
-        normal_force,
-        mu,
-        durations,
-        (speed, 0.0, speed, 2 * speed, speed),
-        20.0 + stay,
-        -0.5 * math.copysign(a, w),
-        speed,
-    )
+    setup = set_up_from_the_lower_edge(w, (moment, 7.0, 16.0, 1.3, 16.0), (1, 0, 1, 2, 1))
     run = assert_agrees(setup, setup.simulate(SLOTS))
     assert [stick.ending for stick in run.sticks] == ["RELEASED", "BASE_SWITCHED"]
+
+
+@pytest.mark.parametrize("moment", [1.7, 1.9, 2.3, 2.9, 3.7, 4.3, 4.5])
+@pytest.mark.parametrize("w", [1.05, 1.3, 1.7, -1.3])
+def test_tangent_return_after_a_detour(w, moment):
+    """The same, with an arc about the other centre between two rests at the same place, z = 1 - w."""
+    setup = set_up_from_the_lower_edge(w, (moment, 7.0, 4.4, 7.0, 16.0, 1.3, 16.0), (1, 0, -1, 0, 1, 2, 1))
+    run = assert_agrees(setup, setup.simulate(SLOTS))
+    assert [stick.ending for stick in run.sticks] == ["RELEASED", "BASE_SWITCHED", "BASE_SWITCHED"]
 
 
 @pytest.mark.parametrize("w", [0.1, 1.0, 7.0])

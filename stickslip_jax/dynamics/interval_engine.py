@@ -18,12 +18,11 @@ from .arcs import carry_across, sticks_from_start
 
 
 class Motion(NamedTuple):
-    """Where the mass is: time in s, position in m, velocity divided by omega in m; and what its arc remembers."""
+    """Where the mass is: time in s, position in m, velocity divided by omega in m."""
 
     t: FloatArray
     x: FloatArray
     p: FloatArray
-    released_at: FloatArray  # see `carry_across`
 
 
 class Scales(NamedTuple):
@@ -74,8 +73,7 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
     """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
     dtype = scales.omega.dtype
-    zero = jnp.zeros((), dtype)
-    return Motion(zero, jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega, zero)
+    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega)
 
 
 def start_totals(dtype) -> Totals:
@@ -101,9 +99,9 @@ def cross_interval(
     omega, per_omega, a, t1 = scales
     uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: it spoils the time, and that is reported
     span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.p, motion.released_at, velocity * per_omega, a, omega * span)
+    passage = carry_across(motion.x, motion.p, velocity * per_omega, a, omega * span)
     t_end = jnp.where(uncut, motion.t + duration, t1)
-    following = Motion(t_end, passage.x, passage.p, passage.released_at)
+    following = Motion(t_end, passage.x, passage.p)
 
     stuck, released = passage.stuck, passage.released
     released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))

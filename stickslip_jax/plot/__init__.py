@@ -7,6 +7,7 @@ Nothing here simulates. A figure is made only where no `ax` is given; it shows o
 from .durations import stick_durations
 from .histories import time_history
 from .portraits import phase_portrait
+from .saving import save
 from .shares import stick_share
 
-__all__ = ["phase_portrait", "stick_durations", "stick_share", "time_history"]
+__all__ = ["phase_portrait", "save", "stick_durations", "stick_share", "time_history"]

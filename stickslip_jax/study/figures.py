@@ -3,7 +3,6 @@
 import math
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 
@@ -24,11 +23,11 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, folder: Path) -> None:
     one = beginning_of_sample_0(config)
     if int(one.status) == Status.FINISHED:
         title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
-        _save(plot.time_history(one)[0], title, folder / TIME_HISTORY)
-        _save(plot.phase_portrait(one), title, folder / PHASE_PORTRAIT)
+        plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
+        plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
     if ensemble.flat_sticks is not None:
         title = f"Stick durations in {ensemble.samples} samples"
-        _save(plot.stick_durations(ensemble), title, folder / STICK_DURATIONS)
+        plot.save(plot.stick_durations(ensemble), folder / STICK_DURATIONS, title=title)
 
 
 def beginning_of_sample_0(config: StudyConfig) -> Simulation:
@@ -48,8 +47,3 @@ def beginning_of_sample_0(config: StudyConfig) -> Simulation:
         if int(one.status) != Status.BASE_TOO_SHORT or capacity > _LARGEST_CAPACITY:
             return one
         capacity *= 2
-
-
-def _save(axes: Any, title: str, path: Path) -> None:
-    axes.figure.suptitle(title)
-    axes.figure.savefig(path, dpi=150)

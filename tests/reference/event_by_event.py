@@ -322,9 +322,7 @@ def _run_interval(
             new_side = _side_on_base(oscillator, new_position, base)
             ending = CROSSED if new_side else STUCK
         segments.append(
-            ReferenceSegment(
-                side, index, base, now, end, position, velocity, new_position, new_velocity, ending
-            )
+            ReferenceSegment(side, index, base, now, end, position, velocity, new_position, new_velocity, ending)
         )
         now, position, velocity, side = end, new_position, new_velocity, new_side
     return segments
@@ -376,9 +374,7 @@ def _move(oscillator: _Oscillator, side: int, position: mpf, velocity: mpf, elap
     return centre + a * cosine + b * sine, omega * (b * cosine - a * sine)
 
 
-def _time_to_base_velocity(
-    oscillator: _Oscillator, side: int, position: mpf, velocity: mpf, base: mpf
-) -> mpf:
+def _time_to_base_velocity(oscillator: _Oscillator, side: int, position: mpf, velocity: mpf, base: mpf) -> mpf:
     """First ``t > 0`` with ``x'(t) = v`` on a slip arc; infinite when there is none or it only touches.
 
     With ``x'(t) = P cos(theta)``, ``theta = omega t + phase``, an arc below the base meets it where this

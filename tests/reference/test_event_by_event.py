@@ -147,9 +147,7 @@ def test_against_numerical_integration():
     assert run.crossings == crossings >= 5
     for item, expected in zip(run.sticks, sticks, strict=True):
         assert (float(item.start), float(item.end), float(item.position)) == pytest.approx(expected, abs=1e-8)
-    assert (float(run.final_position), float(run.final_velocity)) == pytest.approx(
-        (position, velocity), abs=1e-8
-    )
+    assert (float(run.final_position), float(run.final_velocity)) == pytest.approx((position, velocity), abs=1e-8)
 
 
 def test_stick_across_equal_velocities_is_one_and_endings_are_named():
@@ -195,9 +193,7 @@ def test_rest_on_a_fixed_base_until_it_moves():
 
 def test_frictionless_run_is_harmonic_and_never_sticks():
     schedule = random_schedule(7, 50)
-    run = simulate_reference(
-        mass=2, stiffness=3, normal_force=1, mu=0, **schedule, position0=0.7, velocity0=0.3
-    )
+    run = simulate_reference(mass=2, stiffness=3, normal_force=1, mu=0, **schedule, position0=0.7, velocity0=0.3)
     assert run.sticks == []
     assert run.crossings > 10
     with mp.workdps(40):
@@ -246,14 +242,10 @@ def test_derivatives_of_a_stick_known_in_closed_form():
 
 def test_derivatives_refuse_a_changing_event_sequence():
     with pytest.raises(EventSequenceChangedError):
-        event_time_derivatives(
-            "speed", **UNIT, durations=[9], velocities=[0.5], t1=9, position0=-1, velocity0=0.5
-        )
+        event_time_derivatives("speed", **UNIT, durations=[9], velocities=[0.5], t1=9, position0=-1, velocity0=0.5)
 
 
-@pytest.mark.parametrize(
-    "change", [{"mass": 0}, {"mu": -1}, {"durations": [1]}, {"velocities": [1, 2]}, {"t1": 0}]
-)
+@pytest.mark.parametrize("change", [{"mass": 0}, {"mu": -1}, {"durations": [1]}, {"velocities": [1, 2]}, {"t1": 0}])
 def test_bad_arguments_are_refused(change):
     case = dict(**UNIT, durations=[9], velocities=[0.5], t1=9, position0=0, velocity0=0)
     with pytest.raises(ValueError, match=r"must|reach"):
