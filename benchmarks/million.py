@@ -1,0 +1,22 @@
+"""One million trajectories of the default study: time and memory. ``python -m benchmarks.million``."""
+
+import resource
+
+import jax
+
+import stickslip_jax as ss
+from stickslip_jax import papers
+
+ss.enable_fast_cpu()
+jax.config.update("jax_enable_x64", True)
+many = ss.simulate_ensemble(
+    papers.belt_oscillator(),
+    ss.PoissonSwitching(speed=1.0, rate=1.0),
+    t1=200.0,
+    samples=1_000_000,
+    key=jax.random.key(0),
+    y0=(0.0, 1.0),
+)
+print(many)
+print(ss.mean_stick_duration(many))
+print(f"largest memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
