@@ -1,7 +1,7 @@
 """Time per base interval of the engine and of the yardsticks; w = 2, rate/omega = 0.5, omega t1 = 400.
 
-Each round times the event-stepping C program (lanes refilled) first and the case after it, so the ratio of the two is taken under the
-same load; the medians over the rounds go into `extra_info`.
+Each round times the event-stepping C program (lanes refilled) first and the case after it, so the ratio of the two is
+taken under the same load; the medians over the rounds go into `extra_info`.
 """
 
 import time
