@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from . import _checks
@@ -108,6 +109,11 @@ class _Run(NamedTuple):
 
     @classmethod
     def checked(cls, system, law, t1, samples, key, y0, keep) -> "_Run":
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, law, t1, key, y0))):
+            raise ValueError(
+                "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
+                "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."
+            )
         if not isinstance(system, MassSpring):
             raise ValueError(f"Argument system must be a MassSpring, but {system!r} was given.")
         if not isinstance(law, BangBangLaw):

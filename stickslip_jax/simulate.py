@@ -68,9 +68,9 @@ class Simulation(eqx.Module):
         """The instants at which the base's intervals begin, s, as the simulation added them up; spare slots hold t1."""
         return self._beginnings.t
 
-    def evaluate(self, times: Float[Array, " times"]) -> tuple[Float[Array, " times"], Float[Array, " times"]]:
-        """Position (m) and velocity (m/s) of the mass at the given times (s), exact; NaN outside ``[0, t1]``."""
-        _checks.numeric("times", times, ndim=1)
+    def evaluate(self, times: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """Position (m) and velocity (m/s) of the mass at `times` (s, any shape), exact; NaN outside ``[0, t1]``."""
+        _checks.numeric("times", times, ndim=None)
         if np.ndim(self.status) > 0:
             raise ValueError(
                 f"This is a batch of {np.shape(self.status)} simulations; evaluate one, or jax.vmap over them."
@@ -127,7 +127,7 @@ def _run(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Scalar, 
 
 @partial(jax.jit, static_argnames="dtype")
 def _states(one: "Simulation", times: FloatArray, dtype) -> tuple[FloatArray, FloatArray]:
-    """Position and velocity at `times` (times,), each from the beginning of the interval that holds it."""
+    """Position and velocity at `times` (any shape), each from the beginning of the interval that holds it."""
     scales = scales_of(one.system, one.t1, dtype)
     # Among intervals that begin together (spare slots of no length), the last: it is the one that lasts.
     index = jnp.clip(jnp.searchsorted(one.switching_times, times, side="right") - 1, 0)
@@ -138,7 +138,8 @@ def _states(one: "Simulation", times: FloatArray, dtype) -> tuple[FloatArray, Fl
         inside = (time >= 0) & (time <= scales.t1)
         return jnp.where(inside, motion.x, jnp.nan), jnp.where(inside, motion.p * scales.omega, jnp.nan)
 
-    return jax.vmap(at)(times, index)
+    x, velocity = jax.vmap(at)(times.reshape(-1), index.reshape(-1))
+    return x.reshape(times.shape), velocity.reshape(times.shape)
 
 
 def working_dtype(*arrays: Array, stacklevel: int = 3):

@@ -262,6 +262,17 @@ def test_a_law_or_system_of_another_kind_is_refused():
         ss.simulate_ensemble(SYSTEM, SYSTEM, t1=1.0, samples=1, key=KEY)
 
 
+@pytest.mark.usefixtures("annotations_unchecked")
+@pytest.mark.parametrize("transform", [jax.jit, jax.grad, jax.vmap])
+def test_tracing_an_ensemble_is_refused_in_words(transform):
+    def fraction(mu):
+        system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
+        return ss.stick_fraction(ss.simulate_ensemble(system, POISSON, samples=4, **RUN)).value
+
+    with pytest.raises(ValueError, match="simulate_ensemble must be numbers, but JAX is tracing them"):
+        transform(fraction)(jnp.ones(2) if transform is jax.vmap else 1.0)
+
+
 def test_labelled_arrays_hold_every_stick(kept):
     data = kept.to_xarray()
     assert data.stick_count.sum() == data.sizes["stick"] == len(kept.flat_sticks.start)

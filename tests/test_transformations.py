@@ -243,3 +243,16 @@ def test_one_bad_lane_leaves_the_others_alone(keys):
     assert np.asarray(status).tolist() == [ss.Status.FINISHED, ss.Status.NOT_FINITE, ss.Status.FINISHED]
     time = totals.stick_time
     assert float(time[0]) == float(time[2]) == pytest.approx(float(one(keys[0]).stick_time), abs=1e-12)
+
+
+def test_states_at_times_of_any_shape():
+    base = ss.SquareWave(speed=1.0, period=2.0).sample(None, 5.0)
+    simulation = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), base, t1=5.0)
+    times = np.array([[0.3, 1.0], [2.5, 4.9]])
+    x, velocity = simulation.evaluate(times)
+    assert x.shape == velocity.shape == times.shape
+    for index in np.ndindex(times.shape):
+        alone = simulation.evaluate(float(times[index]))
+        assert alone[0].shape == ()
+        assert float(alone[0]) == pytest.approx(float(x[index]), abs=1e-15)
+        assert float(alone[1]) == pytest.approx(float(velocity[index]), abs=1e-15)

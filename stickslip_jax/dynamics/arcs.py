@@ -85,7 +85,16 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
 def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> BoolArray:
     """Whether a mass in the state ``(x, p)`` is in a stick from the first instant on a base of velocity ``v``."""
     forward = jnp.where(v < 0, -x, x)
-    return (p == v) & (forward >= -a) & ((forward < a) | ((v == 0) & (forward <= a)))
+    return ((p == v) & (forward >= -a) & (forward < a)) | _rests(x, p, v, a)
+
+
+def _rests(x, p, v, a):
+    """Whether the mass is at rest inside the stick band, its very edge included, on a base at rest.
+
+    At the edge a circle of radius 0 is no motion.
+    """
+    edge = _REST_ULPS * jnp.finfo(x.dtype).eps * a
+    return (v == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
 
 
 def _first_arc(x, p, q, a, span):
@@ -94,9 +103,7 @@ def _first_arc(x, p, q, a, span):
     Returns its side, offset from its centre and p; ``R^2 - q^2``; its root, the distance h at which the arc meets the
     base velocity; the angle at which it does, and whether within the span.
     """
-    # A mass at rest at the very edge of the band, on a base at rest, stays: a circle of radius 0 is no motion.
-    edge = _REST_ULPS * jnp.finfo(x.dtype).eps * a
-    at_rest = (q == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
+    at_rest = _rests(x, p, q, a)
     x, p = jnp.where(at_rest, jnp.clip(x, -a, a), x), jnp.where(at_rest, 0, p)
 
     above = (p > q) | ((p == q) & (x < -a))
