@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from . import _checks
 from ._status import Status
-from ._types import FloatArray, Scalar
+from ._types import AnyArray, FloatArray, Scalar
 from .base_motion.laws import BangBangLaw
 from .base_motion.piecewise import VelocitySteps
 from .dynamics.interval_engine import (
@@ -68,7 +68,7 @@ class Simulation(eqx.Module):
         """The instants at which the base's intervals begin, s, as the simulation added them up; spare slots hold t1."""
         return self._beginnings.t
 
-    def evaluate(self, times: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    def evaluate(self, times: AnyArray | float) -> tuple[FloatArray, FloatArray]:
         """Position (m) and velocity (m/s) of the mass at `times` (s, any shape), exact; NaN outside ``[0, t1]``."""
         _checks.numeric("times", times, ndim=None)
         if np.ndim(self.status) > 0:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._types import FloatArray
+from .._types import AnyArray, FloatArray
 
 
 class VelocitySteps(eqx.Module):
@@ -24,7 +24,7 @@ class VelocitySteps(eqx.Module):
         zero = jnp.zeros_like(self.durations[..., :1])
         return jnp.concatenate([zero, jnp.cumsum(self.durations, axis=-1)[..., :-1]], axis=-1)
 
-    def velocity(self, time: FloatArray | float) -> FloatArray:
+    def velocity(self, time: AnyArray | float) -> FloatArray:
         """Base velocity at the given times (any shape), m/s; at a jump, the one after it. One realisation only."""
         # Spare slots begin when all is over: searching among starts with the spare ones moved to infinity skips them.
         starts = jnp.where(self.durations > 0, self.times, jnp.inf)
