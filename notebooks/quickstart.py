@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import stickslip_jax as ss
-import stickslip_jax.plot
 from stickslip_jax import papers
 
 ss.enable_fast_cpu()  # before any computation: native loops on the CPU

@@ -147,7 +147,7 @@ def working_dtype(*arrays: Array, stacklevel: int = 3):
     dtype = jnp.result_type(float, *arrays)
     if not jax.config.read("jax_enable_x64"):
         warnings.warn(
-            "stickslip_jax runs in float32: event times are good to about 1e-5 of t1. For float64 call "
+            "stickslip_jax runs in float32: event times are good to about 1e-6 of t1. For float64 call "
             'jax.config.update("jax_enable_x64", True) before anything else.',
             stacklevel=stacklevel,
         )
