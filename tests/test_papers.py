@@ -6,25 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support import SQUARE_WAVE_SHARES
 
 import stickslip_jax as ss
 from stickslip_jax import papers
 
-# r and the percentage of a steady period that the mass sticks, computed arc by arc; 38.67 at 1.22 is the maximum
-# (the paper: "almost 40% around 1.2").
-TABLE = {
-    0.4: 0,
-    0.8: 9.71,
-    0.9: 8.27,
-    1.0: 15.83,
-    1.1: 25.85,
-    1.2: 36.43,
-    1.22: 38.67,
-    1.3: 27.37,
-    1.4: 5.97,
-    1.41: 2.94,
-}
-TABLE |= dict.fromkeys((1.42, 1.5, 2.0, 2.5), 0.0)
+TABLE = SQUARE_WAVE_SHARES | {1.5: 0.0}
 
 
 @pytest.fixture(scope="module")

@@ -4,26 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support import SQUARE_WAVE_SHARES
 
 import stickslip_jax as ss
 
-# r = f_b / (omega / 2 pi), and the percentage of one steady period that the mass sticks: m = 1, k = 4, n = 1, mu = 1,
-# v0 = 1, start (0, 1). Computed arc by arc; 38.67 at 1.22 is the maximum (the paper: "almost 40% around 1.2").
-TABLE = {
-    0.4: 0.0,
-    0.8: 9.71,
-    0.9: 8.27,
-    1.0: 15.83,
-    1.1: 25.85,
-    1.2: 36.43,
-    1.22: 38.67,
-    1.3: 27.37,
-    1.4: 5.97,
-    1.41: 2.94,
-    1.42: 0.0,
-    2.0: 0.0,
-    2.5: 0.0,
-}
 OMEGA = 2.0
 PERIODS = 400
 
@@ -41,18 +25,18 @@ def table():
         ]
         return period, [run.stick_time for run in runs], runs[-1].sticks, runs[-1].status
 
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(simulate))(jnp.asarray(list(TABLE))))
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(simulate))(jnp.asarray(list(SQUARE_WAVE_SHARES))))
 
 
 def test_all_lanes_finish(table):
-    assert table[3].tolist() == [ss.Status.FINISHED] * len(TABLE)
+    assert table[3].tolist() == [ss.Status.FINISHED] * len(SQUARE_WAVE_SHARES)
 
 
 def test_share_of_the_last_period(table):
     """0.02 percentage points: the table's rounding (0.005) and what a slowly settling orbit still lacks."""
     period, (_, before, total), *_ = table
-    shares = dict(zip(TABLE, (100 * (total - before) / period).tolist(), strict=True))
-    assert shares == pytest.approx(TABLE, abs=0.02)
+    shares = dict(zip(SQUARE_WAVE_SHARES, (100 * (total - before) / period).tolist(), strict=True))
+    assert shares == pytest.approx(SQUARE_WAVE_SHARES, abs=0.02)
 
 
 def test_share_from_the_recorded_sticks(table):
