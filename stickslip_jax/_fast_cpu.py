@@ -38,7 +38,8 @@ def enable_fast_cpu() -> None:
     else:
         os.environ["XLA_FLAGS"] = before
     raise RuntimeError(
-        "enable_fast_cpu() came too late: JAX has already started in this process and no longer reads its flags. "
+        "enable_fast_cpu() had no effect: JAX has already started in this process and no longer reads its flags, or "
+        f"XLA_FLAGS, {before!r}, holds other values for them. "
         f'Call it before any JAX computation, or start Python with XLA_FLAGS="{FLAG}".'
     )
 

@@ -22,7 +22,7 @@ class Status(IntEnum):
     BASE_TOO_SHORT = 1
     """The base motion ran out of intervals before ``t1``: nothing after that instant was simulated."""
     NOT_FINITE = 2
-    """The state became NaN or infinite."""
+    """The state became NaN or infinite, or one base interval was longer than 2^30 rad of the free oscillation."""
 
     @property
     def meaning(self) -> str:
@@ -33,5 +33,5 @@ class Status(IntEnum):
 _MEANINGS = {
     Status.FINISHED: "reached t1",
     Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1",
-    Status.NOT_FINITE: "the state became NaN or infinite",
+    Status.NOT_FINITE: "the state became NaN or infinite, or a base interval spans more than 2^30 rad",
 }

@@ -24,7 +24,7 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
 
     return xr.Dataset(
         {
-            "sample": along("sample", range(len(sticks.count)), "number of the sample", cf_role="timeseries_id"),
+            "sample": along("sample", range(len(sticks.count)), "number of the sample"),
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
             "stick_position": along("stick", sticks.position, "position of the mass when the stick starts", "m"),
@@ -34,7 +34,7 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
             "stick_time": along("sample", totals.stick_time, "total stick time", "s"),
             "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
         },
-        attrs={"Conventions": "CF-1.11", "featureType": "timeSeries"},
+        attrs={"Conventions": "CF-1.11"},
     )
 
 

@@ -24,7 +24,7 @@ from .numerics.moments import Moments
 from .simulate import working_dtype
 from .systems.mass_spring import MassSpring
 
-_LARGEST_COUNTER = 2**31  # intervals of one realisation and samples of one ensemble are numbered in 32 bits
+_MOST_SAMPLES = 2**31  # they are numbered in 32 bits
 _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: their records should stay in the cache
 
 
@@ -84,7 +84,7 @@ def simulate_ensemble(
         status_counts={status: int(counts[status]) for status in Status},
         totals=_join_totals(kept) if keep == "sticks" else None,
         flat_sticks=_join_sticks(kept) if keep == "sticks" else None,
-        threads=plan.threads,
+        threads=min(plan.threads, -(-samples // plan.samples_per_task)),
         compile_seconds=compiled - started,
         run_seconds=time.perf_counter() - compiled,
     )
@@ -121,19 +121,12 @@ class _Run(NamedTuple):
                 f"Argument law must be a law such as PoissonSwitching(speed, rate), but {law!r} was given."
             )
         _checks.positive("t1", t1, "s")
-        if _checks.whole_number("samples", samples) > _LARGEST_COUNTER:
-            raise ValueError(f"Argument samples must be at most {_LARGEST_COUNTER}, but {samples} was given.")
+        if _checks.whole_number("samples", samples) > _MOST_SAMPLES:
+            raise ValueError(f"Argument samples must be at most {_MOST_SAMPLES}, but {samples} was given.")
         if keep not in ("statistics", "sticks"):
             raise ValueError(f"Argument keep must be 'statistics' or 'sticks', but {keep!r} was given.")
         y0 = _checks.pair("y0", y0)
-        try:
-            too_long = law.capacity(t1) > _LARGEST_COUNTER
-        except OverflowError:
-            too_long = True
-        if too_long:
-            raise ValueError(
-                f"Argument t1 must be shorter: {t1} s hold more than {_LARGEST_COUNTER} intervals of {law!r}."
-            )
+        law.checked_capacity(t1)
         return cls(system, law, law.words(key), t1, y0, working_dtype(stacklevel=4))
 
     def job(self, first: int, used_rows: int) -> Job:
@@ -156,7 +149,8 @@ class _Plan(NamedTuple):
         lanes = 256 if fast_cpu_enabled() else 4096
         rows = max(1, 4096 // lanes)
         if chunk is not None:
-            chunk = _checks.whole_number("chunk", chunk)
+            # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
+            chunk = min(_checks.whole_number("chunk", chunk), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
@@ -207,7 +201,7 @@ def _in_order(simulate: Callable[[int, int], _Part], plan: _Plan, samples: int) 
         (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)
     )
     waiting: deque[tuple[int, Future]] = deque()
-    with ThreadPoolExecutor(plan.threads) as pool:
+    with ThreadPoolExecutor(min(plan.threads, len(tasks))) as pool:
         try:
             while tasks or waiting:
                 while tasks and len(waiting) < 2 * plan.threads:
@@ -236,7 +230,7 @@ def _check_memory(kept: list[_Part], samples: int) -> None:
 def _features(results: LaneResults) -> np.ndarray:
     """The vectors that `Moments` sums, one row for each finished sample; columns as in `FEATURES`."""
     finished = results.status == Status.FINISHED
-    columns = (results.stick_time, results.sticks, results.slips, results.released)
+    columns = (results.stick_time, results.sticks, results.slips)
     return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
 
 

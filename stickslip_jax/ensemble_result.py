@@ -4,6 +4,7 @@ import dataclasses
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from ._status import Status
@@ -12,7 +13,7 @@ from .events import Sticks
 from .numerics.moments import Moments
 from .systems.mass_spring import MassSpring
 
-FEATURES = ("stick_time", "stick_count", "slip_count", "released_count")
+FEATURES = ("stick_time", "stick_count", "slip_count")
 """What `Moments` holds of each finished sample."""
 
 
@@ -76,7 +77,7 @@ def sticks_of(values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> tup
     return owner.reshape(-1)[found], *columns, ending.reshape(-1)[found]
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class Ensemble:
     """Many simulated samples of one law.
 
@@ -135,11 +136,16 @@ class Ensemble:
         sticks = self.moments.mean[FEATURES.index("stick_count")] * self.moments.number
         lines = [
             f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
-            f"  system    {self.system}",
-            f"  law       {self.law}",
+            f"  system    {_brief(self.system)}",
+            f"  law       {_brief(self.law)}",
             f"  sticks    {round(sticks)} found" + ("" if self.flat_sticks is None else ", all kept"),
             f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile",
         ]
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         return "\n".join(lines if failed else [*lines, "  finished  all samples"])
+
+
+def _brief(module: Any) -> str:
+    text = " ".join(eqx.tree_pformat(module, short_arrays=False).split())
+    return text if len(text) <= 110 else text[:107] + "..."

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Real
 
-from ._status import Ending
 from ._types import AnyArray
 
 
@@ -104,6 +103,3 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
 
     censored = jnp.take_along_axis(is_last, order, axis=-1) & mask
     return Slips(fill(start), fill(end), censored, mask)
-
-
-__all__ = ["Ending", "Slips", "Sticks", "slips_between", "sticks_in_order"]

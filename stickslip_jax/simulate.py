@@ -32,7 +32,7 @@ class Simulation(eqx.Module):
 
     - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).
     - `stick_time`, `slip_time`: total, s. `stick_fraction`: share of ``[0, t1]``.
-    - `final_state`: (position m, velocity m/s) at ``t1``.
+    - `final_state`: (position m, velocity m/s) at `time_reached`, which is ``t1`` if the trajectory is FINISHED.
     - `status`: a `Status` code; 0 is FINISHED. Anything else: do not use the numbers.
     - `evaluate(times)`: the state at any instants. `switching_times`: when the base's intervals begin, s.
     - `system`, `base`, `t1`: what was simulated.
@@ -44,12 +44,13 @@ class Simulation(eqx.Module):
     sticks: Sticks
     totals: Totals
     status: Int[Array, "*batch"]
+    time_reached: Float[Array, "*batch"]
     final_state: tuple[Float[Array, "*batch"], Float[Array, "*batch"]]
     _beginnings: Motion
 
     @property
     def slips(self) -> Slips:
-        return slips_between(self.sticks, self.t1)
+        return slips_between(self.sticks, self.time_reached)
 
     @property
     def stick_time(self) -> Float[Array, "*batch"]:
@@ -57,7 +58,7 @@ class Simulation(eqx.Module):
 
     @property
     def slip_time(self) -> Float[Array, "*batch"]:
-        return self.t1 - self.totals.stick_time
+        return self.time_reached - self.totals.stick_time
 
     @property
     def stick_fraction(self) -> Float[Array, "*batch"]:
@@ -69,7 +70,10 @@ class Simulation(eqx.Module):
         return self._beginnings.t
 
     def evaluate(self, times: AnyArray | float) -> tuple[FloatArray, FloatArray]:
-        """Position (m) and velocity (m/s) of the mass at `times` (s, any shape), exact; NaN outside ``[0, t1]``."""
+        """Position (m) and velocity (m/s) of the mass at `times` (s, any shape), exact.
+
+        NaN outside ``[0, time_reached]``. Under ``jax.jit`` write ``jax.jit(lambda t: one.evaluate(t))``.
+        """
         _checks.numeric("times", times, ndim=None)
         if np.ndim(self.status) > 0:
             raise ValueError(
@@ -122,7 +126,7 @@ def _run(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Scalar, 
     motion = start_motion(scales, y0)
     final, totals, records, beginnings = run_intervals(scales, motion, durations, base.velocities.astype(dtype))
     final_state = (final.x, final.p * scales.omega)
-    return sticks_in_order(*records), totals, status_of(final, scales.t1), final_state, beginnings
+    return sticks_in_order(*records), totals, status_of(final, scales.t1), final.t, final_state, beginnings
 
 
 @partial(jax.jit, static_argnames="dtype")
@@ -135,7 +139,7 @@ def _states(one: "Simulation", times: FloatArray, dtype) -> tuple[FloatArray, Fl
     def at(time, i):
         began = jax.tree.map(lambda values: values[i], one._beginnings)
         motion, _, _ = cross_interval(scales, began, one.totals, time - began.t, one.base.velocities[i])
-        inside = (time >= 0) & (time <= scales.t1)
+        inside = (time >= 0) & (time <= one.time_reached)
         return jnp.where(inside, motion.x, jnp.nan), jnp.where(inside, motion.p * scales.omega, jnp.nan)
 
     x, velocity = jax.vmap(at)(times.reshape(-1), index.reshape(-1))
@@ -147,7 +151,7 @@ def working_dtype(*arrays: Array, stacklevel: int = 3):
     dtype = jnp.result_type(float, *arrays)
     if not jax.config.read("jax_enable_x64"):
         warnings.warn(
-            "stickslip_jax runs in float32: event times are good to about 1e-6 of t1. For float64 call "
+            "stickslip_jax runs in float32: event times are good to about 2e-6 of t1. For float64 call "
             'jax.config.update("jax_enable_x64", True) before anything else.',
             stacklevel=stacklevel,
         )

@@ -36,7 +36,7 @@ ROWS = (
     "__init__",
     "__main__",
 )
-FILE_LINES, FUNCTION_LINES = 450, 65
+FILE_LINES, FUNCTION_LINES = 400, 60
 
 MODULES = {path.relative_to(ROOT).with_suffix("").parts: path for path in sorted(ROOT.rglob("*.py"))}
 

@@ -236,3 +236,32 @@ def test_evaluation_times(value):
     simulation = run()
     with pytest.raises(ValueError, match=r"\AArgument times .*\.\Z"):
         simulation.evaluate(value)
+
+
+@pytest.mark.parametrize(
+    ("durations", "velocities"),
+    [
+        ([1.0, 2.0], [1.0, -1.0]),
+        (np.ones(3), np.array([1.0, -1.0])),
+        (np.array([5.0, -3.0, 30.0]), np.array([1.0, -1.0, 1.0])),
+        (np.array([5.0, NAN]), np.array([1.0, -1.0])),
+        (np.ones(2), np.array([1.0, INF])),
+        (np.ones(3), np.array([1.0, 1.0, -1.0])),
+        (np.array(1.0), np.array(1.0)),
+    ],
+)
+def test_velocity_steps_that_are_none(durations, velocities):
+    with pytest.raises(ValueError, match=r"\AArguments? (durations|velocities) .*\.\Z"):
+        ss.VelocitySteps(durations, velocities)
+
+
+@pytest.mark.parametrize("t1", [1e300, 1e12])
+@pytest.mark.parametrize("law", [ss.PoissonSwitching(1.0, 1.0), ss.SquareWave(1.0, 1e-3), ss.RandomSteps(1.0, 1e-3)])
+def test_more_intervals_than_can_be_numbered(law, t1):
+    with pytest.raises(ValueError, match=r"\AArgument t1 must be shorter: .*\.\Z"):
+        law.sample(KEY, t1)
+
+
+def test_a_level_that_is_nearly_certain():
+    with pytest.raises(ValueError, match=r"\AArgument probabilities must hold one number of at least 1e-6"):
+        ss.RandomSteps(1.0, 1.0, levels=(-1.0, 1.0), probabilities=(1e-17, 1.0))

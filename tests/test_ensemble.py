@@ -1,6 +1,10 @@
 """Ensembles: what a sample depends on, what is counted, what is kept, and that nothing is lost on the way."""
 
 import math
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +14,13 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax.dynamics import lanes
 from stickslip_jax.ensemble_result import FEATURES
+from stickslip_jax.events import slips_between
 from stickslip_jax.numerics.moments import Moments
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
 KEY = jax.random.key(2026)
+ROOT = Path(__file__).parents[1]
 RUN = {"t1": 40.0, "y0": (0.0, 1.0), "key": KEY, "chunk": 64}
 LAWS = [
     POISSON,
@@ -188,6 +194,29 @@ def test_no_stick_at_all_is_a_defined_result():
     assert ss.mean_slip_duration(many).value == pytest.approx(5.0)
 
 
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_statistics_of_something_else_are_refused():
+    one = ss.simulate(SYSTEM, ss.Constant(1.0), t1=1.0)
+    with pytest.raises(ValueError, match=r"Argument ensemble must be the result of simulate_ensemble, but Simulation"):
+        ss.stick_fraction(one)
+
+
+def test_more_room_than_samples_costs_nothing(kept):
+    many = ss.simulate_ensemble(SYSTEM, POISSON, samples=3, **{**RUN, "chunk": 10**9, "threads": 10**6}, keep="sticks")
+    assert many.threads == 1
+    np.testing.assert_array_equal(many.totals.stick_time, kept.totals.stick_time[:3])
+
+
+@pytest.mark.slow
+def test_one_million_samples_within_one_gigabyte():
+    """In a process of its own, whose largest memory is what the benchmark prints."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.million"], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert "finished  all samples" in done.stdout
+    assert float(re.search(r"largest memory: ([\d.]+) GB", done.stdout)[1]) < 1
+
+
 def test_one_sample_has_a_value_and_no_error_bar():
     many = ss.simulate_ensemble(SYSTEM, POISSON, samples=1, **RUN)
     assert ss.stick_fraction(many).value > 0
@@ -195,11 +224,21 @@ def test_one_sample_has_a_value_and_no_error_bar():
 
 
 def test_masked_slots_are_never_read(kept):
-    """Statistics come from sums that never saw padding; padding itself is NaN."""
+    """Garbage in the padding changes nothing that is computed from the sticks."""
     sticks = kept.sticks
     assert np.all(np.isnan(sticks.start[~sticks.mask]))
     assert np.all(sticks.ending[~sticks.mask] == -1)
-    assert not np.any(np.isnan(sticks.start[sticks.mask]))
+    poisoned = ss.Sticks(
+        *(np.where(sticks.mask, getattr(sticks, name), -7) for name in ("start", "end", "position")),
+        np.where(sticks.mask, sticks.ending, 2).astype(np.int8),
+        sticks.mask,
+    )
+    np.testing.assert_array_equal(poisoned.count, sticks.count)
+    clean, dirty = slips_between(sticks, 40.0), slips_between(poisoned, 40.0)
+    np.testing.assert_array_equal(clean.mask, dirty.mask)
+    np.testing.assert_array_equal(clean.count, kept.totals.slips)
+    for name in ("start", "end", "censored"):
+        np.testing.assert_array_equal(getattr(clean, name), getattr(dirty, name))
 
 
 def test_merged_moments_are_those_of_all_rows():

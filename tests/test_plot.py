@@ -155,7 +155,7 @@ def test_portrait_draws_sticks_at_the_base_velocity(one, abscissa, scale):
     assert line(ax, "stick").get_color() == _style.STICK
 
 
-def test_portrait_slips_are_circles_about_the_equilibria(one):
+def test_portrait_slips_are_circles_about_the_centres(one):
     """Gray and black arcs keep their distance from the centre on their side (conference paper, eq. 3)."""
     ax = plot.phase_portrait(one, abscissa="position_times_omega")
     for label, sign in (("slip, base forward", 1), ("slip, base backward", -1)):
@@ -168,9 +168,9 @@ def test_portrait_slips_are_circles_about_the_equilibria(one):
                 assert np.abs(np.diff(radius))[pairs] == pytest.approx(0, abs=1e-12)
 
 
-def test_portrait_crosses_mark_the_equilibria(one):
+def test_portrait_crosses_mark_the_centres(one):
     ax = plot.phase_portrait(one)
-    crosses = line(ax, r"equilibria, $x = \pm \mu n/k$")
+    crosses = line(ax, r"centres, $x = \pm \mu n/k$")
     assert crosses.get_xdata().tolist() == [-0.25, 0.25]
     assert crosses.get_ydata().tolist() == [0, 0]
     assert crosses.get_marker() == "x"

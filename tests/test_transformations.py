@@ -256,3 +256,19 @@ def test_states_at_times_of_any_shape():
         assert alone[0].shape == ()
         assert float(alone[0]) == pytest.approx(float(x[index]), abs=1e-15)
         assert float(alone[1]) == pytest.approx(float(velocity[index]), abs=1e-15)
+
+
+def test_nothing_is_told_of_the_time_after_the_base_ran_out():
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
+    law = ss.PoissonSwitching(1.0, 1.0)
+    short = ss.simulate(system, law.sample(jax.random.key(0), 20.0, capacity=3), t1=20.0)
+    whole = ss.simulate(system, law.sample(jax.random.key(0), 20.0), t1=20.0)
+    assert int(short.status) == ss.Status.BASE_TOO_SHORT
+    reached = float(short.time_reached)
+    assert 0 < reached < 20
+    times = np.array([0.5 * reached, 0.99 * reached, 1.01 * reached, 20.0])
+    x, _ = short.evaluate(times)
+    assert np.isnan(np.asarray(x)).tolist() == [False, False, True, True]
+    np.testing.assert_allclose(x[:2], whole.evaluate(times[:2])[0], atol=1e-14)
+    assert float(short.slip_time + short.stick_time) == pytest.approx(reached, abs=1e-14)
+    assert float(np.nanmax(np.asarray(short.slips.end))) <= reached

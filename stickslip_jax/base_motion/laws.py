@@ -23,6 +23,8 @@ from ..numerics.random_bits import exponential, key_words, random_words, uniform
 from .piecewise import VelocitySteps, merge_equal_neighbours
 
 Interval = tuple[FloatArray, FloatArray, Any]
+LARGEST_CAPACITY = 2**31
+"""Intervals of one realisation are numbered in 32 bits."""
 _BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
 
 
@@ -64,7 +66,8 @@ class BangBangLaw(eqx.Module):
         _checks.positive("t1", t1, "s")
         if capacity is None:
             capacity = self._capacity_or_explain(t1)
-        capacity = _checks.whole_number("capacity", capacity)
+        if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
+            raise ValueError(f"Argument capacity must be at most {LARGEST_CAPACITY}, but {capacity} was given.")
         words = self.words(key)
         return VelocitySteps(*_sample(self, words, capacity, jnp.result_type(float)))
 
@@ -79,9 +82,21 @@ class BangBangLaw(eqx.Module):
             )
         return key_words(key)
 
+    def checked_capacity(self, t1: Scalar) -> int:
+        """`capacity`, or a ValueError where the intervals are too many to be numbered in 32 bits."""
+        try:
+            capacity = self.capacity(t1)
+        except OverflowError:
+            capacity = LARGEST_CAPACITY + 1
+        if capacity > LARGEST_CAPACITY:
+            raise ValueError(
+                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} intervals of {self!r}."
+            )
+        return capacity
+
     def _capacity_or_explain(self, t1: Scalar) -> int:
         try:
-            return self.capacity(t1)
+            return self.checked_capacity(t1)
         except ConcretizationTypeError:
             raise ValueError(
                 "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
@@ -188,7 +203,7 @@ class RandomSteps(BangBangLaw):
 
     - `speed` in m/s, `interval` in s (the papers' ``1 / f_b``): positive.
     - `levels`: at least two different numbers; the velocities are ``speed * levels``. Default -1 and +1.
-    - `probabilities` of the levels, positive, summing to 1. Default: equal odds.
+    - `probabilities` of the levels, each at least 1e-6, summing to 1. Default: equal odds.
 
     Equal velocities in a row are drawn at once as one long interval: its number of steps is geometric, and the next
     level follows the odds of the others. Raises ValueError for numbers outside these bounds.
@@ -208,10 +223,10 @@ class RandomSteps(BangBangLaw):
         if len(self.levels) < 2 or len(set(self.levels)) < len(self.levels):
             raise ValueError(f"Argument levels must hold two or more different numbers, but {self.levels} was given.")
         odds = self.odds
-        if len(odds) != len(self.levels) or min(odds) <= 0 or abs(sum(odds) - 1) > 1e-9:
+        if len(odds) != len(self.levels) or min(odds) < 1e-6 or abs(sum(odds) - 1) > 1e-9:
             raise ValueError(
-                f"Argument probabilities must hold one positive number for each of the {len(self.levels)} levels, "
-                f"summing to 1, but {self.probabilities} was given."
+                f"Argument probabilities must hold one number of at least 1e-6 for each of the {len(self.levels)} "
+                f"levels, summing to 1, but {self.probabilities} was given."
             )
 
     @property

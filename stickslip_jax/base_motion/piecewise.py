@@ -1,11 +1,20 @@
 """Realisations of a base motion whose velocity is constant between jumps."""
 
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .. import _checks
 from .._types import AnyArray, FloatArray
+
+
+def _as_jax(values: Any) -> Any:
+    return jnp.asarray(values) if isinstance(values, np.ndarray) else values
 
 
 class VelocitySteps(eqx.Module):
@@ -13,10 +22,36 @@ class VelocitySteps(eqx.Module):
 
     Neighbouring velocities differ, except that spare slots at the end have duration 0. A last duration of
     infinity means "for ever". Made by the laws' ``sample``; use `PiecewiseConstant` to give your own.
+
+    Raises ValueError for arrays of different shapes, negative durations, velocities that are not finite or equal to
+    their neighbour's.
     """
 
-    durations: Float[Array, " intervals"]
-    velocities: Float[Array, " intervals"]
+    durations: Float[Array, "*batch intervals"] = eqx.field(converter=_as_jax)
+    velocities: Float[Array, "*batch intervals"] = eqx.field(converter=_as_jax)
+
+    def __check_init__(self):
+        for name in ("durations", "velocities"):
+            value = getattr(self, name)
+            if not isinstance(value, jax.Array):
+                raise ValueError(f"Argument {name} must be an array, but {_checks.show(value)} was given.")
+        if self.durations.shape != self.velocities.shape or self.durations.ndim == 0:
+            raise ValueError(
+                "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
+                f"{self.durations.shape} and {self.velocities.shape}."
+            )
+        if _checks.is_traced(self.durations) or _checks.is_traced(self.velocities) or self.durations.ndim > 1:
+            return
+        durations = np.asarray(self.durations)
+        if not np.all(durations >= 0):
+            raise ValueError(f"Argument durations must be zero or positive, but {_checks.show(durations)} was given.")
+        lasting = np.asarray(self.velocities)[durations > 0]
+        _checks.numeric("velocities", lasting, ndim=1)
+        if np.any(lasting[1:] == lasting[:-1]):
+            raise ValueError(
+                "Argument velocities must change from interval to interval, but two neighbours are equal; "
+                "use PiecewiseConstant(times, velocities), which merges them."
+            )
 
     @property
     def times(self) -> Float[Array, " intervals"]:

@@ -44,24 +44,11 @@ class StickRecord(NamedTuple):
 
 
 class Totals(NamedTuple):
-    """Sums over the sticks of one trajectory. Two counters and a sum, because each costs a pass over the lanes."""
+    """Sums over the sticks of one trajectory."""
 
     sticks: IntArray
-    endings: IntArray  # number of sticks that ended by release, plus `_CENSORED` if one was cut by the horizon
+    censored: IntArray  # number of sticks cut by the horizon: 0 or 1
     stick_time: FloatArray
-
-    @property
-    def released(self) -> IntArray:
-        """Number of sticks that ended by release."""
-        return self.endings % _CENSORED
-
-    @property
-    def censored(self) -> IntArray:
-        """Number of sticks cut by the horizon: 0 or 1."""
-        return self.endings // _CENSORED
-
-
-_CENSORED = 1 << 30
 
 
 def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
@@ -114,7 +101,7 @@ def cross_interval(
     )
     totals = Totals(
         sticks=totals.sticks + stuck,
-        endings=totals.endings + jnp.where(stuck, jnp.where(released, 1, jnp.where(uncut, 0, _CENSORED)), 0),
+        censored=totals.censored + (stuck & ~released & ~uncut),
         # Not end - start, whose error grows with the time of day.
         stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * per_omega,
     )

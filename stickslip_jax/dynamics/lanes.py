@@ -35,10 +35,8 @@ class LaneResults(NamedTuple):
     """What the statistics need of each sample, one entry a sample."""
 
     sticks: AnyArray
-    released: AnyArray
     slips: AnyArray
     stick_time: AnyArray
-    t: AnyArray  # the time reached, s
     status: AnyArray
 
 
@@ -200,10 +198,8 @@ def _results(scales: Scales, state: _Lanes) -> LaneResults:
     totals = state.totals
     return LaneResults(
         sticks=totals.sticks,
-        released=totals.released,
         slips=count_slips(totals, state.at_start),
         stick_time=totals.stick_time,
-        t=state.motion.t,
         status=status_of(state.motion, scales.t1),
     )
 

@@ -62,9 +62,7 @@ def phase_portrait(
         if chosen:
             ax.plot(scale * joined(chosen, "position"), joined(chosen, "velocity"), label=label, **look)
     centres = scale * float(one.system.stick_half_width) * np.array([-1, 1])
-    ax.plot(
-        centres, [0, 0], ls="none", marker="x", ms=8, mew=2, color=_style.BASE, label=r"equilibria, $x = \pm \mu n/k$"
-    )
+    ax.plot(centres, [0, 0], ls="none", marker="x", ms=8, mew=2, color=_style.BASE, label=r"centres, $x = \pm \mu n/k$")
     ax.set_xlabel(r"position times frequency $\omega x$ (m/s)" if abscissa == _SCALED else "position $x$ (m)")
     ax.set_ylabel(r"velocity $\dot x$ (m/s)")
     if abscissa == _SCALED:

@@ -26,6 +26,8 @@ class Estimate:
         if math.isnan(self.value):
             return f"{self.name}: not defined (no such event in {self.samples} samples)"
         unit = "" if self.unit == "1" else f" {self.unit}"
+        if math.isnan(self.standard_error):
+            return f"{self.name}: {self.value:.6g}{unit} (no error from one sample)"
         return f"{self.name}: {format_with_error(self.value, self.standard_error)}{unit}"
 
 
@@ -34,6 +36,8 @@ def format_with_error(value: float, error: float) -> str:
     if not (math.isfinite(error) and error > 0 and math.isfinite(value)):
         return f"{value:.6g} +- {error:.2g}"
     decimals = max(0, 1 - math.floor(math.log10(error)))
+    if decimals > 9:
+        return f"{value:.6g} +- {error:.2g}"
     return f"{value:.{decimals}f} +- {error:.{decimals}f}"
 
 
@@ -69,17 +73,27 @@ def mean_slip_duration(ensemble: Ensemble) -> Estimate:
     return _ratio("mean slip duration (pooled)", ensemble, -_axis("stick_time"), _axis("slip_count"), ensemble.t1)
 
 
+def _require_ensemble(ensemble: Ensemble) -> None:
+    if not isinstance(ensemble, Ensemble):
+        raise ValueError(
+            f"Argument ensemble must be the result of simulate_ensemble, but {type(ensemble).__name__} was given; "
+            "a single simulation has .stick_fraction, .sticks and .slips itself."
+        )
+
+
 def _axis(feature: str) -> np.ndarray:
     return np.eye(len(FEATURES))[FEATURES.index(feature)]
 
 
 def _linear(name: str, ensemble: Ensemble, feature: str, factor: float, unit: str) -> Estimate:
+    _require_ensemble(ensemble)
     weights = factor * _axis(feature)
     return _estimate(name, ensemble, float(weights @ ensemble.moments.mean), weights, unit)
 
 
 def _ratio(name: str, ensemble: Ensemble, above: np.ndarray, below: np.ndarray, offset: float = 0.0) -> Estimate:
     """``(offset + above . mean) / (below . mean)`` with the delta method's error."""
+    _require_ensemble(ensemble)
     mean = ensemble.moments.mean
     denominator = float(below @ mean)
     if not denominator > 0:

@@ -9,6 +9,6 @@ Importing it raises ImportError if the extra ``study`` is not installed.
 
 from importlib.util import find_spec
 
-_missing = [name for name in ("pydantic", "cyclopts", "xarray", "h5netcdf") if find_spec(name) is None]
+_missing = [name for name in ("pydantic", "cyclopts", "xarray", "h5netcdf", "h5py") if find_spec(name) is None]
 if _missing:
     raise ImportError(f"Studies need {', '.join(_missing)}: pip install 'stickslip_jax[study]'.")

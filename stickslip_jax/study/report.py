@@ -20,7 +20,7 @@ def table(study: Study) -> str:
         *(f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}  {d}" for a, b, c, d in rows),
         "",
         *_endings(study),
-        *(["In float32 event times are good to about 1e-5 of t1."] if run.dtype == "float32" else []),
+        *(["In float32 event times are good to about 2e-6 of t1."] if run.dtype == "float32" else []),
         f"Time: {ensemble.compile_seconds:.3g} s to compile, {ensemble.run_seconds:.3g} s to run "
         f"on {ensemble.threads} thread{'s' if ensemble.threads > 1 else ''}.",
         f"Files in {study.directory}: {', '.join(study.files)}",

@@ -124,28 +124,9 @@ class _Interval:
     ending: str
 
 
-def simulate_reference(
-    *,
-    mass: Number,
-    stiffness: Number,
-    normal_force: Number,
-    mu: Number,
-    durations: Sequence[Number],
-    velocities: Sequence[Number],
-    t1: Number,
-    position0: Number,
-    velocity0: Number,
-    digits: int = 40,
-) -> ReferenceRun:
-    """Simulate on ``[0, t1]`` one event at a time, correct to about ``digits`` digits.
-
-    ``velocities[i]`` is the base velocity over ``durations[i]``; the durations must reach ``t1`` (a shortfall
-    of 1e-12 of ``t1``, left by summing floats, is filled with the last velocity).
-    """
-    system = {"mass": mass, "stiffness": stiffness, "normal_force": normal_force, "mu": mu}
-    base = {"durations": durations, "velocities": velocities, "t1": t1}
-    start = {"position0": position0, "velocity0": velocity0}
-    return _summarise(trace_reference(**system, **base, **start, digits=digits))
+def simulate_reference(**arguments) -> ReferenceRun:
+    """Simulate on ``[0, t1]`` one event at a time; keyword arguments as in :func:`trace_reference`."""
+    return _summarise(trace_reference(**arguments))
 
 
 def trace_reference(
@@ -161,7 +142,11 @@ def trace_reference(
     velocity0: Number,
     digits: int = 40,
 ) -> list[ReferenceSegment]:
-    """Return the whole trajectory as a list of segments; arguments as in :func:`simulate_reference`."""
+    """The whole trajectory on ``[0, t1]`` as a list of segments, correct to about ``digits`` digits.
+
+    ``velocities[i]`` is the base velocity over ``durations[i]``; the durations must reach ``t1`` (a shortfall
+    of 1e-12 of ``t1``, left by summing floats, is filled with the last velocity).
+    """
     with mp.workdps(digits + GUARD_DIGITS):
         mass, stiffness, load = mpf(mass), mpf(stiffness), mpf(mu) * mpf(normal_force)
         if mass <= 0 or stiffness <= 0 or load < 0:
