@@ -1,7 +1,7 @@
 """Time per base interval of the engine and of the yardsticks; w = 2, rate/omega = 0.5, omega t1 = 400.
 
-Each round times the event-stepping C program (lanes refilled) first and the case after it, so the ratio of the two is
-taken under the same load; the medians over the rounds go into `extra_info`.
+Each round times the two C programs (a step per event, a step per interval) first and the case after them, so the
+ratios are taken under the same load; the medians over the rounds go into `extra_info`.
 """
 
 import time
@@ -39,12 +39,12 @@ def _one_trajectory(simulate, t1: float):
     return run
 
 
-YARDSTICK = _c("events", 0)  # the faster of the two
+BESIDE = {"events": _c("events", 0), "intervals": _c("intervals", 0)}  # with lanes refilled: the fastest
 YARDSTICKS = {
-    "C, a step per event, lanes refilled": YARDSTICK,
+    "C, a step per event, lanes refilled": BESIDE["events"],
     "C, a step per event, lock step": _c("events", 1),
     "C, a step per interval, lock step": _c("intervals", 1),
-    "C, a step per interval, lanes refilled": _c("intervals", 0),
+    "C, a step per interval, lanes refilled": BESIDE["intervals"],
     "C, a step per interval, lanes refilled, 2 threads": _c("intervals", 0, 2),
     "numba, scalar": _numba,
     "scipy solve_ivp, restarted at events": _one_trajectory(scipy_events.simulate, 40.0),
@@ -58,19 +58,21 @@ ENGINE = [
     ("value alone", ()),
     ("value and derivative", ()),
     ("statistics, 1 thread", ("--float32",)),
+    ("statistics, 1 thread", ("--plain", "--pinned")),
     ("statistics, 1 thread", ("--plain",)),
     ("statistics, 2 threads", ("--plain",)),
 ]
 
 
 def _compare(benchmark, label: str, timed) -> None:
-    """Benchmark `timed(round) -> (seconds, intervals)`, the yardstick before each round."""
-    mine, yardstick = [], []
+    """Benchmark `timed(round) -> (seconds, intervals)`, the C programs before each round."""
+    mine, beside = [], {name: [] for name in BESIDE}
 
     def prepare():
-        started = time.perf_counter()
-        intervals = YARDSTICK(len(yardstick))
-        yardstick.append((time.perf_counter() - started) / intervals)
+        for name, run_c in BESIDE.items():
+            started = time.perf_counter()
+            intervals = run_c(len(mine))
+            beside[name].append((time.perf_counter() - started) / intervals)
 
     def run():
         seconds, intervals = timed(len(mine))
@@ -80,9 +82,9 @@ def _compare(benchmark, label: str, timed) -> None:
     benchmark.extra_info |= {
         "label": label,
         "ns_per_interval": 1e9 * float(np.median(mine)),
-        "yardstick_ns": 1e9 * float(np.median(yardstick)),
-        "ratio": float(np.median(np.array(mine) / np.array(yardstick))),
     }
+    for name, times in beside.items():
+        benchmark.extra_info[f"times_{name}"] = float(np.median(np.array(mine) / np.array(times)))
 
 
 @pytest.mark.parametrize("label", YARDSTICKS)
@@ -112,6 +114,7 @@ def test_engine(benchmark, workers, case, options):
         return worker.ask(case, 1)["timed"][0]
 
     label = f"stickslip_jax, {case}"
-    label += {(): "", ("--float32",): ", float32", ("--plain",): ", no flags set"}[options]
+    words = {"--float32": "float32", "--plain": "no flags set", "--pinned": "on one core"}
+    label += "".join(f", {words[option]}" for option in options)
     _compare(benchmark, label, timed)
     benchmark.extra_info["compile_seconds"] = compile_seconds

@@ -6,6 +6,7 @@ seconds and the number of base intervals.
 
 import argparse
 import json
+import os
 import sys
 import time
 
@@ -94,7 +95,10 @@ def main() -> None:
     options = argparse.ArgumentParser()
     options.add_argument("--plain", action="store_true", help="leave XLA's flags alone")
     options.add_argument("--float32", action="store_true")
+    options.add_argument("--pinned", action="store_true", help="stay on one core, XLA's own threads included")
     chosen = options.parse_args()
+    if chosen.pinned:
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     if not chosen.plain:
         ss.enable_fast_cpu()
     jax.config.update("jax_enable_x64", not chosen.float32)

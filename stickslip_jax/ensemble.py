@@ -146,8 +146,7 @@ class _Plan(NamedTuple):
     def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
         # Compiled into one native function, the lanes' arrays should stay in the cache; launched operation by
         # operation, they should be long enough to hide the launches (benchmarks/README.md).
-        lanes = 256 if fast_cpu_enabled() else 4096
-        rows = max(1, 4096 // lanes)
+        lanes, rows = (256, 16) if fast_cpu_enabled() else (4096, 4)
         if chunk is not None:
             # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk), max(samples, 4096))

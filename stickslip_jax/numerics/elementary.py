@@ -1,7 +1,7 @@
 """Vectorising elementary functions: sine and cosine together, the angle of a vector, the logarithm.
 
 XLA's CPU back end calls scalar library code for ``sin``, ``cos``, ``atan2`` and ``log``; the polynomials below
-compile to vector instructions and cost a fifth (``benchmarks/README.md``). The coefficients are those of
+compile to vector instructions and cost a fifth of that. The coefficients are those of
 FreeBSD's msun (fdlibm) kernels except the logarithm's, accurate to about one unit in the last place in float64;
 float32 uses the same polynomials with its own range reduction. Derivatives are the exact ones, not those of the
 polynomials.
