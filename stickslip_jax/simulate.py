@@ -85,11 +85,15 @@ class Simulation(eqx.Module):
     def __repr__(self) -> str:
         if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)) or np.ndim(self.status) > 0:
             return f"Simulation(status={self.status}, sticks={self.sticks!r})"
+        status = Status(int(self.status))
+        if status != Status.FINISHED:
+            stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
+            return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
         fraction = 100 * float(self.stick_fraction)
         return (
             f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
             f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips, stick fraction {fraction:.4g} %, "
-            f"{Status(int(self.status)).meaning}"
+            f"{status.meaning}"
         )
 
 

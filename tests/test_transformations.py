@@ -264,6 +264,8 @@ def test_nothing_is_told_of_the_time_after_the_base_ran_out():
     short = ss.simulate(system, law.sample(jax.random.key(0), 20.0, capacity=3), t1=20.0)
     whole = ss.simulate(system, law.sample(jax.random.key(0), 20.0), t1=20.0)
     assert int(short.status) == ss.Status.BASE_TOO_SHORT
+    assert "NOT FINISHED: stopped at" in repr(short)
+    assert "fraction" not in repr(short)
     reached = float(short.time_reached)
     assert 0 < reached < 20
     times = np.array([0.5 * reached, 0.99 * reached, 1.01 * reached, 20.0])

@@ -43,7 +43,7 @@ def format_with_error(value: float, error: float) -> str:
 
 def stick_fraction(ensemble: Ensemble) -> Estimate:
     """Mean share of ``[0, t1]`` spent sticking, ``E[total stick time] / t1``."""
-    return _linear("stick fraction", ensemble, "stick_time", 1 / ensemble.t1, "1")
+    return _linear("stick fraction", ensemble, "stick_time", 1 / _require_ensemble(ensemble).t1, "1")
 
 
 def mean_stick_count(ensemble: Ensemble) -> Estimate:
@@ -70,15 +70,17 @@ def mean_slip_duration(ensemble: Ensemble) -> Estimate:
 
     A slip cut by the horizon counts with the part seen. NaN if there was no slip.
     """
-    return _ratio("mean slip duration (pooled)", ensemble, -_axis("stick_time"), _axis("slip_count"), ensemble.t1)
+    t1 = _require_ensemble(ensemble).t1
+    return _ratio("mean slip duration (pooled)", ensemble, -_axis("stick_time"), _axis("slip_count"), t1)
 
 
-def _require_ensemble(ensemble: Ensemble) -> None:
+def _require_ensemble(ensemble: Ensemble) -> Ensemble:
     if not isinstance(ensemble, Ensemble):
         raise ValueError(
             f"Argument ensemble must be the result of simulate_ensemble, but {type(ensemble).__name__} was given; "
             "a single simulation has .stick_fraction, .sticks and .slips itself."
         )
+    return ensemble
 
 
 def _axis(feature: str) -> np.ndarray:
@@ -86,15 +88,13 @@ def _axis(feature: str) -> np.ndarray:
 
 
 def _linear(name: str, ensemble: Ensemble, feature: str, factor: float, unit: str) -> Estimate:
-    _require_ensemble(ensemble)
     weights = factor * _axis(feature)
-    return _estimate(name, ensemble, float(weights @ ensemble.moments.mean), weights, unit)
+    return _estimate(name, ensemble, float(weights @ _require_ensemble(ensemble).moments.mean), weights, unit)
 
 
 def _ratio(name: str, ensemble: Ensemble, above: np.ndarray, below: np.ndarray, offset: float = 0.0) -> Estimate:
     """``(offset + above . mean) / (below . mean)`` with the delta method's error."""
-    _require_ensemble(ensemble)
-    mean = ensemble.moments.mean
+    mean = _require_ensemble(ensemble).moments.mean
     denominator = float(below @ mean)
     if not denominator > 0:
         return Estimate(name, math.nan, math.nan, "s", ensemble.moments.number)

@@ -84,8 +84,6 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
             chunk=run.chunk,
             progress=progress,
         )
-    except OverflowError:
-        raise StudyError(f"t1 in [run] must be shorter: {run.t1:g} s hold too many base intervals to count.") from None
     except ValueError as error:
         raise StudyError(str(error).removeprefix("Argument ")) from error
 
