@@ -16,6 +16,8 @@ import numpy as np
 import stickslip_jax as ss
 from stickslip_jax import ensemble
 from stickslip_jax.dynamics import lanes
+from stickslip_jax.dynamics.interval_lanes import IntervalEngine
+from stickslip_jax.dynamics.method import EXACT
 
 OMEGA, SPEED, T1, RATE = 2.0, 1.0, 200.0, 1.0  # w = 2, rate/omega = 0.5, omega t1 = 400
 INTERVALS = RATE * T1 + 1  # per sample, on average
@@ -45,7 +47,7 @@ def _recording_handed_on():
     """Every stick recorded chunk by chunk, each chunk dropped after use: memory does not grow."""
 
     def run(round_number: int) -> float:
-        job = ensemble._Run.checked(system(), LAW, T1, ENGINE_SAMPLES, jax.random.key(round_number), START, "sticks")
+        job = ensemble._Run.checked(system(), LAW, T1, ENGINE_SAMPLES, jax.random.key(round_number), START, EXACT, "sticks")
         plan = ensemble._Plan.of(ENGINE_SAMPLES, 1, None)
         simulate = ensemble._recorder(job, plan)
         for first in range(0, ENGINE_SAMPLES, plan.samples_per_task):
@@ -61,7 +63,8 @@ def _kernel(differentiate: bool):
     width, rows = 256, 16
 
     def stick_time(mu, words):
-        job = lanes.Job(system(mu), LAW, words, T1, START, np.uint32(0), np.int32(rows))
+        engine = IntervalEngine(system(mu), LAW, T1, START)
+        job = lanes.Job(engine, words, np.uint32(0), np.int32(rows))
         return lanes.summarise(job, lanes=width, rows=rows, dtype=jax.numpy.result_type(float)).stick_time
 
     def with_derivative(mu, words):

@@ -4,8 +4,15 @@ from importlib import import_module
 
 from ._fast_cpu import enable_fast_cpu
 from ._status import Ending, Status
+from .base_motion.drive import WithJumps
+from .base_motion.ground import GroundAcceleration
 from .base_motion.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from .base_motion.piecewise import VelocitySteps
+from .base_motion.random import RandomPhase, Uniform
+from .base_motion.recorded import Recorded
+from .base_motion.smooth import Harmonic, Signal, SumOfHarmonics
+from .base_motion.voltage import SourceVoltage
+from .dynamics.method import Exact
 from .ensemble import simulate_ensemble
 from .ensemble_result import Ensemble
 from .events import Slips, Sticks
@@ -18,8 +25,9 @@ from .statistics.estimates import (
     mean_stick_duration,
     stick_fraction,
 )
-from .systems.friction import Coulomb
+from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from .systems.mass_spring import MassSpring
+from .systems.motor_cart import MotorCart, stick_duration_bound
 
 __version__ = "0.1.0"
 
@@ -42,16 +50,31 @@ __all__ = [
     "Ending",
     "Ensemble",
     "Estimate",
+    "Exact",
+    "FrictionCurve",
+    "FrictionLaw",
+    "GroundAcceleration",
+    "Harmonic",
     "MassSpring",
+    "MotorCart",
     "PiecewiseConstant",
     "PoissonSwitching",
+    "RandomPhase",
     "RandomSteps",
+    "Recorded",
+    "Signal",
     "Simulation",
     "Slips",
+    "SourceVoltage",
     "SquareWave",
     "Status",
     "Sticks",
+    "Stribeck",
+    "SumOfHarmonics",
+    "Uniform",
     "VelocitySteps",
+    "VelocityWeakening",
+    "WithJumps",
     "enable_fast_cpu",
     "mean_slip_count",
     "mean_slip_duration",
@@ -59,5 +82,6 @@ __all__ = [
     "mean_stick_duration",
     "simulate",
     "simulate_ensemble",
+    "stick_duration_bound",
     "stick_fraction",
 ]

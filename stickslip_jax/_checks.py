@@ -53,17 +53,20 @@ def whole_number(name: str, value: Any, minimum: int = 1) -> int:
     return int(value)
 
 
-def pair(name: str, value: Any) -> tuple[Any, Any]:
-    """Check that ``value`` holds two finite numbers (position, velocity) and return them."""
-    try:
-        first, second = value
-    except (TypeError, ValueError):
+def state(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
+    """Check that ``value`` holds finite numbers, one for each part of ``meaning``, and return them."""
+    entries = list(value) if isinstance(value, (tuple, list)) or np.ndim(value) == 1 else []
+    if len(entries) != len(meaning):
         raise ValueError(
-            f"Argument {name} must be two numbers (position in m, velocity in m/s), but {show(value)} was given."
-        ) from None
-    numeric(f"{name}[0]", first)
-    numeric(f"{name}[1]", second)
-    return first, second
+            f"Argument {name} must be {_COUNTS[len(meaning)]} numbers ({', '.join(meaning)}), but {show(value)} was "
+            "given."
+        )
+    for index, entry in enumerate(entries):
+        numeric(f"{name}[{index}]", entry)
+    return tuple(entries)
+
+
+_COUNTS = {2: "two", 3: "three"}
 
 
 def _kind(ndim: int | None) -> str:

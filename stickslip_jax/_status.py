@@ -7,7 +7,7 @@ class Ending(IntEnum):
     """Why a stick ended."""
 
     RELEASED = 0
-    """The spring force reached the friction limit: the mass slides off."""
+    """The force needed to hold the mass reached the friction limit: it slides off."""
     BASE_SWITCHED = 1
     """The base velocity jumped; the mass cannot follow a jump."""
     HORIZON = 2
@@ -23,6 +23,8 @@ class Status(IntEnum):
     """The base motion ran out of intervals before ``t1``: nothing after that instant was simulated."""
     NOT_FINITE = 2
     """The state became NaN or infinite, or one base interval was longer than 2^30 rad of the free oscillation."""
+    OUT_OF_STEPS = 3
+    """All time steps allowed were used before ``t1``: nothing after that instant was simulated."""
 
     @property
     def meaning(self) -> str:
@@ -34,4 +36,5 @@ _MEANINGS = {
     Status.FINISHED: "reached t1",
     Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1",
     Status.NOT_FINITE: "the state became NaN or infinite, or a base interval spans more than 2^30 rad",
+    Status.OUT_OF_STEPS: "all time steps allowed were used before t1 (see max_steps)",
 }

@@ -17,8 +17,8 @@ AnyInteger: TypeAlias = Array | np.integer
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
 IntArray: TypeAlias = Int[Array, "..."]
-KeyWords: TypeAlias = UInt32[Array, "2"]
-"""The two 32-bit words of a threefry key."""
+KeyWords: TypeAlias = UInt32[Array, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
+"""The two 32-bit words of a threefry key, as one array or apart."""
 
 __all__ = [
     "AnyArray",

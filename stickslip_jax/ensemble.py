@@ -15,27 +15,41 @@ import numpy as np
 from . import _checks
 from ._fast_cpu import fast_cpu_enabled
 from ._status import Status
-from ._types import Array, Scalar
+from ._types import Array
+from .base_motion.drive import is_random, words_for
 from .base_motion.laws import BangBangLaw
+from .base_motion.random import Uniform
 from .dynamics.chunks import open_chunk, record_chunk, summarise_chunk
-from .dynamics.lanes import BLOCK, Job, LaneResults, Records
+from .dynamics.interval_lanes import IntervalEngine
+from .dynamics.lanes import BLOCK, Engine, Job, LaneResults, Records
+from .dynamics.method import EXACT, Exact
+from .dynamics.switched_lanes import SwitchedEngine
+from .dynamics.switched_run import turns_for
 from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals, sticks_of
 from .numerics.moments import Moments
-from .simulate import working_dtype
-from .systems.mass_spring import MassSpring
+from .set_up import (
+    check_length,
+    check_method,
+    check_system,
+    checked_step,
+    interval_engine_applies,
+    state_of,
+    working_dtype,
+)
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
 _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: their records should stay in the cache
 
 
 def simulate_ensemble(
-    system: MassSpring,
-    law: BangBangLaw,
+    system: Any,
+    law: Any,
     *,
     t1: float,
     samples: int,
     key: Array | None = None,
-    y0: tuple[float, float] = (0.0, 0.0),
+    y0: Any = None,
+    method: Exact = EXACT,
     keep: str = "statistics",
     threads: int | None = None,
     chunk: int | None = None,
@@ -44,10 +58,15 @@ def simulate_ensemble(
     """Simulate `samples` independent realisations of the base motion `law`, exactly.
 
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``: it depends on the key and i
-    only, not on the number of samples, the chunk size or the threads.
+    only, not on the number of samples, the chunk size or the threads. ``many.realisation(i)`` gives its base motion
+    and initial state.
 
-    - `system`: what moves; `law`: what drives it; `t1`: duration, s; `y0`: initial position (m) and velocity (m/s).
-    - `key`: from ``jax.random.key(seed)``; may be None for a law without randomness.
+    - `system`: what moves, a `MassSpring` or a `MotorCart`.
+    - `law`: what drives it: a law such as `PoissonSwitching`, `RandomPhase` or `KanaiTajimi`, or anything that
+      `simulate` takes. `t1`: duration, s.
+    - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
+    - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
+    - `method`: `Exact`, with the step for motions that are followed in time steps.
     - `keep`: "statistics" keeps sums only (memory does not grow with `samples`); "sticks" keeps every stick.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
@@ -55,7 +74,7 @@ def simulate_ensemble(
     Returns an `Ensemble`. Trajectories that did not reach ``t1`` are counted in its ``status_counts`` and enter no
     statistic. Raises ValueError for arguments outside these bounds.
     """
-    run = _Run.checked(system, law, t1, samples, key, y0, keep)
+    run = _Run.checked(system, law, t1, samples, key, y0, method, keep)
     threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
     plan = _Plan.of(samples, threads, chunk)
     started = time.perf_counter()
@@ -63,27 +82,20 @@ def simulate_ensemble(
     simulate(0, 0)  # compiles, so that the threads need not race for it
     compiled = time.perf_counter()
 
-    moments, counts, kept = Moments.of(np.zeros((0, len(FEATURES)))), np.zeros(len(Status), int), []
-    with _progress_bar(progress, samples) as advance:
-        for number, part in _in_order(simulate, plan, samples):
-            counts += np.bincount(part.results.status, minlength=len(Status))
-            moments = moments.merge(Moments.of(_features(part.results)))
-            if part.sticks is not None:
-                kept.append(part)
-                _check_memory(kept, samples)
-            advance(number)
+    tally = _simulate_all(simulate, plan, samples, progress)
     return Ensemble(
         system=system,
         law=law,
         t1=float(t1),
-        y0=(float(y0[0]), float(y0[1])),
+        y0=run.y0,
         samples=samples,
-        key_words=tuple(int(word) for word in np.asarray(run.words)) if law.is_random else None,
+        key_words=tuple(int(word) for word in np.asarray(run.words)) if run.is_random else None,
         dtype=str(np.dtype(run.dtype)),
-        moments=moments,
-        status_counts={status: int(counts[status]) for status in Status},
-        totals=_join_totals(kept) if keep == "sticks" else None,
-        flat_sticks=_join_sticks(kept) if keep == "sticks" else None,
+        moments=tally.moments,
+        status_counts={status: int(tally.counts[status]) for status in Status},
+        doubtful=tally.doubtful,
+        totals=_join_totals(tally.kept) if keep == "sticks" else None,
+        flat_sticks=_join_sticks(tally.kept) if keep == "sticks" else None,
         threads=min(plan.threads, -(-samples // plan.samples_per_task)),
         compile_seconds=compiled - started,
         run_seconds=time.perf_counter() - compiled,
@@ -97,41 +109,78 @@ class _Part(NamedTuple):
     sticks: FlatSticks | None = None
 
 
+class _Tally(NamedTuple):
+    """What the ensemble comes to: sums, and the parts that hold sticks."""
+
+    moments: Moments
+    counts: np.ndarray
+    doubtful: int
+    kept: list[_Part]
+
+
+def _simulate_all(simulate: Callable[[int, int], _Part], plan: "_Plan", samples: int, progress: bool | None) -> _Tally:
+    moments, counts, kept, doubtful = Moments.of(np.zeros((0, len(FEATURES)))), np.zeros(len(Status), int), [], 0
+    with _progress_bar(progress, samples) as advance:
+        for number, part in _in_order(simulate, plan, samples):
+            counts += np.bincount(part.results.status, minlength=len(Status))
+            doubtful += int(np.count_nonzero(part.results.doubts))
+            moments = moments.merge(Moments.of(_features(part.results)))
+            if part.sticks is not None:
+                kept.append(part)
+                _check_memory(kept, samples)
+            advance(number)
+    return _Tally(moments, counts, doubtful, kept)
+
+
 class _Run(NamedTuple):
     """What is the same for every chunk."""
 
-    system: MassSpring
-    law: BangBangLaw
+    engine: Engine
     words: Array
-    t1: Scalar
-    y0: tuple[Scalar, Scalar]
+    y0: tuple[Any, ...]
+    is_random: bool
     dtype: Any
 
     @classmethod
-    def checked(cls, system, law, t1, samples, key, y0, keep) -> "_Run":
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, law, t1, key, y0))):
+    def checked(cls, system, law, t1, samples, key, y0, method, keep) -> "_Run":
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, law, t1, key, y0, method))):
             raise ValueError(
                 "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
                 "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."
             )
-        if not isinstance(system, MassSpring):
-            raise ValueError(f"Argument system must be a MassSpring, but {system!r} was given.")
-        if not isinstance(law, BangBangLaw):
-            raise ValueError(
-                f"Argument law must be a law such as PoissonSwitching(speed, rate), but {law!r} was given."
-            )
+        check_system(system)
+        check_method(method)
         _checks.positive("t1", t1, "s")
         if _checks.whole_number("samples", samples) > _MOST_SAMPLES:
             raise ValueError(f"Argument samples must be at most {_MOST_SAMPLES}, but {samples} was given.")
         if keep not in ("statistics", "sticks"):
             raise ValueError(f"Argument keep must be 'statistics' or 'sticks', but {keep!r} was given.")
-        y0 = _checks.pair("y0", y0)
-        law.checked_capacity(t1)
-        return cls(system, law, law.words(key), t1, y0, working_dtype(stacklevel=4))
+        y0 = state_of(system, y0, may_be_random=True)
+        engine = _engine(system, law, t1, y0, method)
+        random = is_random(law) or any(isinstance(value, Uniform) for value in y0)
+        if random and key is None:
+            raise ValueError(
+                "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
+            )
+        return cls(engine, words_for(law, key), y0, random, working_dtype(stacklevel=4))
 
     def job(self, first: int, used_rows: int) -> Job:
         """Samples ``first ..`` in so many rows of lanes."""
-        return Job(*self[:5], np.uint32(first), np.int32(used_rows))
+        return Job(self.engine, self.words, np.uint32(first), np.int32(used_rows))
+
+
+def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact) -> Engine:
+    """The engine that can simulate this, the fastest."""
+    if isinstance(law, BangBangLaw):
+        law.checked_capacity(t1)
+    if interval_engine_applies(system, law, method):
+        return IntervalEngine(system, law, t1, y0)
+    drive, step = checked_step(system, law, method, t1, "law")
+    check_length(system, law, t1)
+    pieces = sum(len(leaf) for leaf in jax.tree.leaves((drive.base, drive.ground)) if np.ndim(leaf))
+    # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
+    most = method.max_steps or 20 * turns_for(t1, step, pieces)
+    return SwitchedEngine(system, drive, method.solver, t1, y0, step, np.int32(min(most, 2**31 - 1)))
 
 
 class _Plan(NamedTuple):

@@ -5,13 +5,16 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from . import _checks
 from ._status import Status
-from .base_motion.laws import BangBangLaw
+from .base_motion.drive import is_random
+from .base_motion.random import realised_state
 from .events import Sticks
 from .numerics.moments import Moments
-from .systems.mass_spring import MassSpring
 
 FEATURES = ("stick_time", "stick_count", "slip_count")
 """What `Moments` holds of each finished sample."""
@@ -24,6 +27,7 @@ class SampleTotals(NamedTuple):
     slips: np.ndarray
     stick_time: np.ndarray
     status: np.ndarray
+    doubts: np.ndarray
 
 
 class FlatSticks(NamedTuple):
@@ -83,21 +87,24 @@ class Ensemble:
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_words`: what was simulated.
     - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
+    - `doubtful`: how many samples had an instant at which the last digits decide whether there was an event (see
+      `Simulation`); they are counted like the others.
     - `status_counts`: how many samples ended with each `Status`; all that are not FINISHED enter no statistic.
     - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
     - `flat_sticks`: the same sticks one after the other, without padding.
     - `compile_seconds`, `run_seconds`: where the time went.
     """
 
-    system: MassSpring
-    law: BangBangLaw
+    system: Any
+    law: Any
     t1: float
-    y0: tuple[float, float]
+    y0: tuple[Any, ...]
     samples: int
     key_words: tuple[int, ...] | None
     dtype: str
     moments: Moments
     status_counts: dict[Status, int]
+    doubtful: int
     totals: SampleTotals | None
     flat_sticks: FlatSticks | None
     threads: int
@@ -122,6 +129,20 @@ class Ensemble:
         """Number of samples that reached ``t1``."""
         return self.status_counts[Status.FINISHED]
 
+    def realisation(self, number: int) -> tuple[Any, tuple[float, ...]]:
+        """The base motion and the initial state of sample `number`: what `simulate` needs to follow it again.
+
+        Raises ValueError unless ``0 <= number < samples``.
+        """
+        if _checks.whole_number("number", number, minimum=0) >= self.samples:
+            raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
+        if self.key_words is None:
+            return self.law, self.y0
+        key = jax.random.fold_in(jax.random.wrap_key_data(np.array(self.key_words, np.uint32)), number)
+        base = self.law.sample(key, self.t1) if is_random(self.law) else self.law
+        y0 = realised_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
+        return base, tuple(float(value) for value in y0)
+
     def to_xarray(self) -> Any:
         """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.
 
@@ -143,6 +164,7 @@ class Ensemble:
         ]
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
+        lines += [f"  in doubt  {self.doubtful} samples, by the last digits"] if self.doubtful else []
         return "\n".join(lines if failed else [*lines, "  finished  all samples"])
 
 

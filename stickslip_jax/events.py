@@ -14,7 +14,7 @@ class Sticks(eqx.Module):
     Arrays have the shape (slots,) for one trajectory and (samples, slots) for an ensemble; sticks fill the first slots.
     Slots outside `mask` hold NaN (ending: -1), are for display only, and enter no statistic.
 
-    - `start`, `end`: s. `position`: of the mass when the stick starts, m.
+    - `start`, `end`: s. `position`: of the mass when the stick starts, m (of a motor: its angle, rad).
     - `ending`: an `Ending` code: 0 RELEASED, 1 BASE_SWITCHED, 2 HORIZON (censored by the end of the simulation).
     """
 
@@ -63,14 +63,16 @@ class Slips(eqx.Module):
         return self.mask.sum(axis=-1)
 
 
-def sticks_in_order(start, end, position, ending) -> Sticks:
-    """Sort one trajectory's records, one an interval, so that the sticks come first; differentiable, fixed size.
+def sticks_in_order(start, end, position, ending, slots: int | None = None) -> Sticks:
+    """Gather one trajectory's records so that the sticks come first; differentiable, fixed size.
 
-    Arrays of shape (intervals,); `ending` is negative where there is no stick.
+    Arrays of shape (records,); `ending` is negative where there is no stick. `slots`: how many sticks to keep room for,
+    as many as there are records by default.
     """
+    size = ending.shape[0]
     stuck = ending >= 0
-    order = jnp.argsort(~stuck, stable=True)
-    mask = stuck[order]
+    (order,) = jnp.nonzero(stuck, size=size if slots is None else slots, fill_value=0)
+    mask = jnp.arange(order.shape[0]) < stuck.sum()
 
     def fill(values, padding):
         return jnp.where(mask, values[order], padding)

@@ -13,6 +13,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax.dynamics import lanes
+from stickslip_jax.dynamics.interval_lanes import IntervalEngine
 from stickslip_jax.ensemble_result import FEATURES
 from stickslip_jax.events import slips_between
 from stickslip_jax.numerics.moments import Moments
@@ -258,7 +259,8 @@ def test_derivative_of_the_streamed_totals():
     def stick_time(mu):
         system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
         words = jax.random.key_data(KEY)
-        job = lanes.Job(system, POISSON, words, 20.0, (0.0, 1.0), np.uint32(0), np.int32(2))
+        engine = IntervalEngine(system, POISSON, 20.0, (0.0, 1.0))
+        job = lanes.Job(engine, words, np.uint32(0), np.int32(2))
         return lanes.summarise(job, lanes=32, rows=2, dtype=jnp.result_type(float)).stick_time
 
     _, tangent = jax.jit(lambda mu: jax.jvp(stick_time, (mu,), (1.0,)))(1.0)
@@ -297,7 +299,7 @@ def test_bad_arguments_are_named(argument, value):
 def test_a_law_or_system_of_another_kind_is_refused():
     with pytest.raises(ValueError, match="Argument system must be a MassSpring"):
         ss.simulate_ensemble(POISSON, POISSON, t1=1.0, samples=1, key=KEY)
-    with pytest.raises(ValueError, match="Argument law must be a law"):
+    with pytest.raises(ValueError, match="Argument law must be a base motion"):
         ss.simulate_ensemble(SYSTEM, SYSTEM, t1=1.0, samples=1, key=KEY)
 
 

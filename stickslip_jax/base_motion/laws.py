@@ -8,7 +8,7 @@ it with more room only continues it, and an ensemble can draw intervals while it
 import abc
 import math
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ from jax.errors import ConcretizationTypeError
 from .. import _checks
 from .._types import AnyArray, Array, FloatArray, Scalar
 from ..numerics.random_bits import exponential, key_words, random_words, uniform
+from .pieces import PieceLaw
 from .piecewise import VelocitySteps, merge_equal_neighbours
 
 Interval = tuple[FloatArray, FloatArray, Any]
@@ -28,10 +29,10 @@ LARGEST_CAPACITY = 2**31
 _BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
 
 
-class BangBangLaw(eqx.Module):
+class BangBangLaw(PieceLaw):
     """What every law of piecewise-constant base velocity offers. Subclass it to add one."""
 
-    is_random: ClassVar[bool]
+    jumps = True
 
     @abc.abstractmethod
     def begin(self, words: Array, dtype) -> Any:
@@ -47,6 +48,10 @@ class BangBangLaw(eqx.Module):
 
         Neighbouring velocities must differ, except that a duration of 0 marks a spare slot.
         """
+
+    def next_piece(self, memory: Any, drawn: Any, dtype):
+        duration, velocity, memory = self.next_interval(memory, drawn, dtype)
+        return duration, velocity, jnp.zeros((), dtype), memory
 
     @abc.abstractmethod
     def capacity(self, t1: Scalar) -> int:

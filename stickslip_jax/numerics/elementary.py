@@ -68,6 +68,12 @@ def _sincos_jvp(primals, tangents):
     return (s, c), (c * d_angle, -s * d_angle)
 
 
+def sincos_of_small(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """``(sin(angle), cos(angle))`` for angles below 0.6 rad: the polynomials alone, a third of the work."""
+    z = angle * angle
+    return angle + angle * z * _horner(_SIN, z), 1 - 0.5 * z + z * z * _horner(_COS, z)
+
+
 @jax.custom_jvp
 def angle_of(y: FloatArray, x: FloatArray) -> FloatArray:
     """``atan2(y, x)`` for ``y >= 0``: the angle of the vector ``(x, y)``, in [0, pi]; 0 at the origin.

@@ -1,19 +1,151 @@
-"""Friction laws."""
+"""Friction laws: the friction coefficient of a stick, and that of a slip by its relative speed."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from .. import _checks
-from .._types import Scalar
+from .._types import FloatArray, Scalar
 
 
-class Coulomb(eqx.Module):
-    """Coulomb dry friction: the force is ``mu * normal_force`` against the sliding, and at most that in a stick.
+class FrictionLaw(eqx.Module):
+    """What every friction law offers: a stick holds up to ``static * normal_force``; a slip at relative speed
+    ``|v_rel|`` (m/s) meets ``kinetic(|v_rel|) * normal_force``.
 
-    `mu` is the friction coefficient (dimensionless, zero or positive).
-    Raises ValueError if `mu` is negative or not finite. Source: Lima and Sampaio 2015, eq. 2.
+    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms. To write a law of your
+    own, take `FrictionCurve`, or subclass this.
+    """
+
+    constant: ClassVar[bool] = False
+
+    @property
+    @abc.abstractmethod
+    def static(self) -> Scalar:
+        """The friction coefficient of a stick."""
+
+    @abc.abstractmethod
+    def kinetic(self, speed: FloatArray) -> Any:
+        """The friction coefficient of a slip at relative speed `speed` (m/s, zero or positive)."""
+
+
+class Coulomb(FrictionLaw):
+    """Coulomb dry friction: the force is ``mu * normal_force`` against the sliding.
+
+    - `mu`: the friction coefficient (dimensionless, zero or positive).
+    - `mu_static`: that of a stick, at least `mu`; by default the same.
+
+    Raises ValueError if a number is negative or not finite, or `mu_static` below `mu`.
+    Source: Lima and Sampaio 2015, eq. 2.
     """
 
     mu: Scalar
+    mu_static: Scalar | None = None
+    constant = True
 
     def __check_init__(self):
         _checks.non_negative("mu", self.mu)
+        if self.mu_static is not None:
+            _static_at_least("mu", self.mu, self.mu_static)
+
+    @property
+    def static(self) -> Scalar:
+        return self.mu if self.mu_static is None else self.mu_static
+
+    def kinetic(self, speed: FloatArray) -> Any:
+        return self.mu
+
+
+class VelocityWeakening(FrictionLaw):
+    """Friction that falls with the speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
+
+    `mu_static`: dimensionless; `weakening` in s/m: zero or positive. Raises ValueError otherwise.
+    """
+
+    mu_static: Scalar
+    weakening: Scalar
+
+    def __check_init__(self):
+        _checks.non_negative("mu_static", self.mu_static)
+        _checks.non_negative("weakening", self.weakening, "s/m")
+
+    @property
+    def static(self) -> Scalar:
+        return self.mu_static
+
+    def kinetic(self, speed: FloatArray) -> Any:
+        return self.mu_static / (1 + self.weakening * speed)
+
+
+class Stribeck(FrictionLaw):
+    """``mu + (mu_static - mu) exp(-(|v_rel| / stribeck_speed)^exponent) + viscous |v_rel|``.
+
+    - `mu`: far above the Stribeck speed, `mu_static`: of a stick, at least `mu`; dimensionless.
+    - `stribeck_speed` in m/s, positive. `exponent`: at least 1. `viscous` in s/m, zero or positive.
+
+    Raises ValueError for numbers outside these bounds.
+    """
+
+    mu: Scalar
+    mu_static: Scalar
+    stribeck_speed: Scalar
+    exponent: float = eqx.field(static=True, default=1.0)
+    viscous: Scalar = 0.0
+
+    def __check_init__(self):
+        _checks.non_negative("mu", self.mu)
+        _static_at_least("mu", self.mu, self.mu_static)
+        _checks.positive("stribeck_speed", self.stribeck_speed, "m/s")
+        _checks.numeric("exponent", self.exponent)
+        if self.exponent < 1:
+            raise ValueError(f"Argument exponent must be at least 1, but {self.exponent} was given.")
+        _checks.non_negative("viscous", self.viscous, "s/m")
+
+    @property
+    def static(self) -> Scalar:
+        return self.mu_static
+
+    def kinetic(self, speed: FloatArray) -> Any:
+        ratio = speed / self.stribeck_speed
+        power = ratio if self.exponent == 1 else ratio**self.exponent
+        return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
+
+
+class FrictionCurve(FrictionLaw):
+    """A friction law of the user's: the coefficient of a slip is ``curve(|v_rel|)``.
+
+    - `curve`: a smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
+      with parameters of its own.
+    - `mu_static`: the coefficient of a stick, at least ``curve(0)``; by default equal to it.
+
+    Raises ValueError for a curve that cannot be called, or coefficients that are negative or do not fit.
+    """
+
+    curve: Callable[[FloatArray], Any]
+    mu_static: Scalar | None = None
+
+    def __check_init__(self):
+        if not callable(self.curve):
+            raise ValueError(f"Argument curve must be a function of the relative speed, but {self.curve!r} was given.")
+        at_rest = self.curve(jnp.zeros(()))
+        _checks.non_negative("curve(0)", at_rest)
+        if self.mu_static is not None:
+            _static_at_least("curve(0)", at_rest, self.mu_static)
+
+    @property
+    def static(self) -> Scalar:
+        return self.curve(jnp.zeros(())) if self.mu_static is None else self.mu_static
+
+    def kinetic(self, speed: FloatArray) -> Any:
+        return self.curve(speed)
+
+
+def _static_at_least(name: str, kinetic: Scalar, static: Scalar) -> None:
+    _checks.non_negative("mu_static", static)
+    if not (_checks.is_traced(kinetic) or _checks.is_traced(static)) and static < kinetic:
+        raise ValueError(
+            f"Argument mu_static must be at least {name} = {kinetic}, but {static} was given: a stick holds at "
+            "least as well as a slip."
+        )

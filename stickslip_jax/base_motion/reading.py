@@ -1,0 +1,274 @@
+"""Recorded motions from files: tables of numbers (CSV) and accelerograms of the PEER NGA database (AT2)."""
+
+import csv
+import math
+import os
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from .. import _checks
+from .ground import GroundAcceleration
+from .recorded import Recorded
+
+STANDARD_GRAVITY = 9.80665
+"""m/s^2 (ISO 80000-3)."""
+
+Row: TypeAlias = tuple[int, list[str]]
+"""Number of the line, counted from 1, and its entries."""
+
+_WHOLE, _DECIMAL = r"(\d+)", r"([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)"
+_COUNT_AND_STEP = (
+    re.compile(rf"NPTS\s*[=:]\s*{_WHOLE}\s*,?\s*DT\s*[=:]\s*{_DECIMAL}"),
+    re.compile(rf"^\s*{_WHOLE}\s*,?\s+{_DECIMAL}\s*,?\s+NPTS\s*,?\s*DT\b"),
+)
+_QUANTITY_AND_UNIT = re.compile(r"\bUNITS?\b|\bTIME[- ]+(?:HISTORY|SERIES)\b")
+_IN_G = re.compile(r"(?:\bIN|\bUNITS?(?:\s+OF|\s*[:=])?)\s*\(?G(?![A-Z/*])")
+_NO_ACCELERATION = re.compile(r"VELOCITY|DISPLACEMENT")
+
+
+def read_csv(
+    path: str | os.PathLike[str],
+    *,
+    time_column: int | str = 0,
+    value_column: int | str = 1,
+    scale: float = 1.0,
+    delimiter: str | None = ",",
+    shift: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) and values of a record in a text file, one sample a line, both (points,), float64.
+
+    - `time_column`, `value_column`: numbers of the columns, counted from 0, or their names in the header row. The first
+      row is a header if it has no number in either column. Blank lines, and lines that begin with ``#``, do not count.
+    - `scale`: what the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2. Times must be in s.
+    - `delimiter`: the sign between columns; None for any white space.
+    - `shift`: subtract the first time from all; without it, the first time must be 0.
+
+    Raises ValueError for arguments outside these bounds and, with the number of the line, for a file that is empty, has
+    rows of different lengths or too few columns, entries that are not finite numbers, or times that do not increase;
+    OSError for a file that is missing or cannot be read.
+    """
+    _check_column("time_column", time_column)
+    _check_column("value_column", value_column)
+    _checks.numeric("scale", scale)
+    if delimiter is not None and not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
+        raise ValueError(
+            "Argument delimiter must be a single sign such as ';', or None for white space, but "
+            f"{_checks.show(delimiter)} was given."
+        )
+    file = repr(str(path))
+    rows = _rows(file, _text(path), delimiter)
+    if not rows:
+        raise _unsuitable("a row for each sample", f"{file} is empty")
+    for line, entries in rows:
+        if len(entries) != len(rows[0][1]):
+            expected = f"line {line} of {file} has {len(entries)} and line {rows[0][0]} has {len(rows[0][1])}"
+            raise _unsuitable("the same number of columns in every row", f"{expected}; correct the shorter one")
+    time = _index_of("time_column", time_column, file, rows[0])
+    value = _index_of("value_column", value_column, file, rows[0])
+    by_name = isinstance(time_column, str) or isinstance(value_column, str)
+    if by_name or not (_is_number(rows[0][1][time]) or _is_number(rows[0][1][value])):
+        rows = rows[1:]
+    times = _finite(file, ((line, entries[time]) for line, entries in rows))
+    values = _finite(file, ((line, entries[value]) for line, entries in rows))
+    _check_times(file, times, [line for line, _ in rows], shift)
+    return times - times[0], values * float(scale)
+
+
+def read_recorded_csv(
+    path: str | os.PathLike[str],
+    *,
+    time_column: int | str = 0,
+    value_column: int | str = 1,
+    scale: float = 1.0,
+    delimiter: str | None = ",",
+    shift: bool = False,
+) -> Recorded:
+    """A recorded base velocity (m/s) or force (N), after multiplication by `scale`.
+
+    Arguments and errors of `read_csv`.
+    """
+    columns: dict[str, Any] = {"time_column": time_column, "value_column": value_column}
+    return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+
+
+def read_acceleration_csv(
+    path: str | os.PathLike[str],
+    *,
+    time_column: int | str = 0,
+    value_column: int | str = 1,
+    scale: float = 1.0,
+    delimiter: str | None = ",",
+    shift: bool = False,
+) -> GroundAcceleration:
+    """A recorded ground acceleration, m/s^2 after multiplication by `scale` (9.80665 for a record in g).
+
+    Arguments and errors of `read_csv`.
+    """
+    columns: dict[str, Any] = {"time_column": time_column, "value_column": value_column}
+    return GroundAcceleration(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+
+
+def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> GroundAcceleration:
+    """A ground acceleration from an AT2 file of the PEER NGA database, in m/s^2.
+
+    - `g`: m/s^2 in one unit of the file.
+
+    The header says that the record is an acceleration in units of g; its last line tells the number of samples and the
+    time between them (s), as ``NPTS= 5372, DT= .0050 SEC`` or ``5372 0.0050 NPTS, DT``. The samples follow, any number
+    a line. Raises ValueError for a `g` that is not positive, and for a file that is empty, has no such header, holds
+    another quantity or unit, another number of samples, or an entry that is not a finite number (with its line);
+    OSError for a file that is missing or cannot be read.
+    """
+    _checks.positive("g", g, "m/s^2")
+    file, text = repr(str(path)), _text(path)
+    if not text.strip():
+        raise _unsuitable("an accelerogram", f"{file} is empty")
+    lines = text.split("\n")
+    last, count, step = _end_of_header(file, lines)
+    _check_unit(file, lines[:last])
+    entries = ((number, entry) for number, line in enumerate(lines[last:], last + 1) for entry in line.split())
+    values = _finite(file, entries)
+    if len(values) != count:
+        raise _unsuitable(
+            f"as many samples as its header says, NPTS = {count}", f"{file} holds {len(values)}; get a whole copy of it"
+        )
+    return GroundAcceleration(np.arange(count) * step, values * float(g))
+
+
+def _end_of_header(file: str, lines: list[str]) -> tuple[int, int, float]:
+    """The number of the line with NPTS and DT, and the two."""
+    for number, line in enumerate(lines, 1):
+        for pattern in _COUNT_AND_STEP:
+            if found := pattern.search(line.upper()):
+                count, step = int(found[1]), float(found[2])
+                if count < 2 or not 0 < step < math.inf:
+                    raise _unsuitable(
+                        "NPTS of at least 2 and a positive DT",
+                        f"line {number} of {file} is {_checks.show(line.strip())}",
+                    )
+                return number, count, step
+    raise _unsuitable(
+        "a header that ends with NPTS and DT, such as 'NPTS= 5372, DT= .0050 SEC'",
+        f"{file} has no such line; read_acceleration_csv reads tables of times and values",
+    )
+
+
+def _check_unit(file: str, header: list[str]) -> None:
+    """Check that the header's last line about quantity and unit says acceleration and g."""
+    told = [line.strip() for line in header if _QUANTITY_AND_UNIT.search(line.upper())]
+    if not told:
+        raise _unsuitable(
+            "an acceleration in units of g",
+            f"the header of {file} names no unit; if it is g, add the line 'ACCELERATION TIME SERIES IN UNITS OF G'",
+        )
+    said = told[-1].upper()
+    if _NO_ACCELERATION.search(said) or not _IN_G.search(said):
+        raise _unsuitable(
+            "an acceleration in units of g",
+            f"the header of {file} says {_checks.show(told[-1])}; take the AT2 file of the same record",
+        )
+
+
+def _text(path: Any) -> str:
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"Argument path must be the name of a file, but {_checks.show(path)} was given.")
+    try:
+        # Old headers hold names in old encodings: a sign that cannot be read matters only where a number should be.
+        return Path(path).read_text(encoding="utf-8-sig", errors="replace")
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            f"Argument path must be the name of a file that exists, but {str(path)!r} was given; the folder looked in "
+            f"is {str(Path(path).absolute().parent)!r}."
+        ) from None
+    except OSError as error:
+        raise type(error)(
+            f"Argument path must be the name of a file that can be read, but {str(path)!r} was given "
+            f"({error.strerror})."
+        ) from None
+
+
+def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
+    """The lines that count, cut into entries."""
+    rows = []
+    for number, line in enumerate(text.split("\n"), 1):
+        # Line by line, so that a stray quotation mark cannot swallow the rest of the file.
+        try:
+            cut = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter), [])
+        except csv.Error as error:
+            raise _unsuitable("rows of numbers", f"line {number} of {file} is none ({error})") from None
+        entries = [entry.strip() for entry in cut]
+        if any(entries) and not entries[0].startswith("#"):
+            rows.append((number, entries))
+    return rows
+
+
+def _check_column(name: str, column: Any) -> None:
+    whole = isinstance(column, (int, np.integer)) and not isinstance(column, bool)
+    if not isinstance(column, str) and not (whole and column >= 0):
+        raise ValueError(
+            f"Argument {name} must be the number of a column, counted from 0, or its name in the header row, but "
+            f"{_checks.show(column)} was given."
+        )
+
+
+def _index_of(argument: str, column: int | str, file: str, first_row: Row) -> int:
+    line, entries = first_row
+    if isinstance(column, str):
+        if entries.count(column) != 1:
+            raise ValueError(
+                f"Argument {argument} must be the name of one of the columns {_checks.show(entries)} of {file}, or its "
+                f"number counted from 0, but {column!r} was given."
+            )
+        return entries.index(column)
+    if column >= len(entries):
+        raise ValueError(
+            f"Argument {argument} must be the number of a column of {file}, from 0 to {len(entries) - 1}, but {column} "
+            f"was given; if line {line} has more, give the sign between them as delimiter."
+        )
+    return int(column)
+
+
+def _is_number(entry: str) -> bool:
+    try:
+        float(entry)
+    except ValueError:
+        return False
+    return "_" not in entry  # Python reads 1_000 as a number
+
+
+def _finite(file: str, entries: Iterable[tuple[int, str]]) -> np.ndarray:
+    """The entries as numbers."""
+    numbers = []
+    for line, entry in entries:
+        number = float(entry) if _is_number(entry) else math.nan
+        if not math.isfinite(number):
+            raise _unsuitable(
+                "finite numbers only", f"line {line} of {file} has the entry {_checks.show(entry)}; correct it"
+            )
+        numbers.append(number)
+    return np.array(numbers, float)
+
+
+def _check_times(file: str, times: np.ndarray, lines: list[int], shift: bool) -> None:
+    if len(times) < 2:
+        raise _unsuitable("at least 2 samples", f"{file} has {len(times)}")
+    falls = np.diff(times) <= 0
+    if np.any(falls):
+        at = int(np.argmax(falls)) + 1
+        raise _unsuitable(
+            "times that increase",
+            f"in line {lines[at]} of {file} the time {times[at]} s follows {times[at - 1]} s; sort the lines, and keep "
+            "one of those with the same time",
+        )
+    if times[0] != 0 and not shift:
+        raise _unsuitable(
+            "times that begin with 0", f"the first in {file} is {times[0]} s; shift=True subtracts it from all of them"
+        )
+
+
+def _unsuitable(wanted: str, found: str) -> ValueError:
+    return ValueError(f"Argument path must name a file with {wanted}, but {found}.")

@@ -1,0 +1,297 @@
+"""Exact switched motion of any system: time steps in which every switch is located to machine precision.
+
+A system plugs in as a `SwitchedModel`: how it moves while it slips one way or the other and while it sticks, and one
+function, the guard, that is positive while the present mode lasts. Each turn of the loop tries one step:
+
+- if the guard stays positive, the step is taken;
+- if it falls through zero inside, the step is tried again up to the guess of where it does, until it ends there within
+  `_LANDED` of the step; a last Newton step then lands on the event, and carries its derivative (the implicit function
+  theorem);
+- if it comes down near zero and turns up again, the step is tried again up to the turning point, to see which it is;
+- a step never crosses the end of a piece of the base motion or of the load: there the mode is settled afresh.
+
+What can be missed: two falls in one step between which the guard has two more extrema, which the cubic through the
+ends of a step cannot show; so steps must be short against the shortest time scale (`time_scales.py` sees to it).
+Where the guard turns round closer to zero than `_DOUBT`, a stick may come or go with the last digits: that is counted.
+"""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._status import Ending, Status
+from .._types import BoolArray, FloatArray, IntArray
+from ..base_motion.pieces import Feed, Piece, PieceLaw, next_feed
+from ..numerics.roots import look_ahead
+from .interval_engine import StickRecord, Totals, start_totals
+
+State = tuple[FloatArray, ...]
+_LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
+_DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
+NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
+_AT_ONCE = 1e-9  # of a step: a fall so early means that the mode was over when the step began
+_MANY_TRIES = 12  # guesses that have not landed by then are followed by halving
+
+
+class Pieces(NamedTuple):
+    """The piece under way of every part that comes in pieces: of base velocity, ground acceleration and force."""
+
+    base: tuple[Piece, ...]
+    ground: tuple[Piece, ...]
+    force: tuple[Piece, ...]
+
+
+class SwitchedModel(eqx.Module):
+    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t."""
+
+    @abc.abstractmethod
+    def inputs(self, t: FloatArray, pieces: Pieces) -> Any:
+        """What the drive does from time t on, until a piece ends."""
+
+    @abc.abstractmethod
+    def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
+        """The state after slipping for the time `h` with relative velocity of this sign."""
+
+    @abc.abstractmethod
+    def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
+        """The state after sticking for the time `h`."""
+
+    @abc.abstractmethod
+    def rates(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        """The time derivative of the state; `sign` is 0 in a stick."""
+
+    @abc.abstractmethod
+    def at_rest(self, inputs: Any, y: State) -> BoolArray:
+        """Whether the mass has the velocity of what it rubs on, but for round-off, at `tau` 0."""
+
+    @abc.abstractmethod
+    def slip_sign(self, inputs: Any, y: State) -> FloatArray:
+        """The sign of the relative velocity at `tau` 0 and right after it, for a mass that is not at rest."""
+
+    @abc.abstractmethod
+    def guard(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A number that is positive while the mode lasts, and its time derivative.
+
+        In a slip: ``sign`` times the relative velocity. In a stick: ``1 - (needed friction / largest friction)^2``.
+        """
+
+    @abc.abstractmethod
+    def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
+        """The size of the terms that cancel in the guard, to judge round-off by."""
+
+    @abc.abstractmethod
+    def on_base(self, inputs: Any, y: State) -> State:
+        """The state at `tau` 0 with the relative velocity made exactly zero."""
+
+    @abc.abstractmethod
+    def can_stick(self, inputs: Any, y: State) -> BoolArray:
+        """Whether friction can hold the mass on the base, at `tau` 0 and relative velocity zero."""
+
+    @abc.abstractmethod
+    def release_sign(self, inputs: Any, y: State) -> FloatArray:
+        """The sign of the relative velocity with which a mass leaves a stick, at `tau` 0."""
+
+    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+        """The longest step to take from `y`, `age` s after the last event at rest.
+
+        Transients may call for shorter ones at first, and a stick may allow longer ones.
+        """
+        return step
+
+
+class Lane(NamedTuple):
+    """One trajectory under way. `sign` is that of the relative velocity, 0 in a stick."""
+
+    t: FloatArray
+    y: State
+    sign: FloatArray
+    target: FloatArray  # length of the next step to try
+    event: FloatArray  # time of the last event
+    tries: IntArray
+    turns: IntArray  # of the loop so far
+    stick_start: FloatArray
+    stick_position: FloatArray
+    totals: Totals
+    at_start: BoolArray
+    doubts: IntArray
+    feeds: tuple[Feed, ...]
+
+
+class Streams(eqx.Module):
+    """The laws of all parts of the drive that come in pieces; a lane's feeds follow their order."""
+
+    base: tuple[PieceLaw, ...]
+    ground: tuple[PieceLaw, ...]
+    force: tuple[PieceLaw, ...]
+
+    @property
+    def all(self) -> tuple[PieceLaw, ...]:
+        return self.base + self.ground + self.force
+
+    def pieces(self, feeds: tuple[Feed, ...]) -> Pieces:
+        """The pieces under way."""
+        now = tuple(feed.piece for feed in feeds)
+        second, third = len(self.base), len(self.base) + len(self.ground)
+        return Pieces(now[:second], now[second:third], now[third:])
+
+
+def start_lane(model: SwitchedModel, streams: Streams, feeds: tuple[Feed, ...], y0: State, step: FloatArray) -> Lane:
+    """The beginning of a trajectory, its mode settled."""
+    dtype = step.dtype
+    zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+    y = tuple(jnp.asarray(value, dtype) for value in y0)
+    y, sign = _settle(model, model.inputs(zero, streams.pieces(feeds)), y, zero, jnp.ones((), bool))
+    return Lane(
+        zero,
+        y,
+        sign,
+        lax.stop_gradient(model.step_limit(zero, step, y, sign)),
+        zero,
+        none,
+        none,
+        zero,
+        y[0],
+        start_totals(dtype),
+        sign == 0,
+        none,
+        feeds,
+    )
+
+
+def advance(
+    model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, lane: Lane
+) -> tuple[Lane, StickRecord]:
+    """One turn of the loop; the stick that ended in it, if any."""
+    dtype = lane.t.dtype
+    inputs = model.inputs(lane.t, streams.pieces(lane.feeds))
+    stop = jnp.minimum(t1, _first(feed.piece.end for feed in lane.feeds))
+    left = stop - lane.t
+    to_stop = lane.target >= left
+    h = jnp.where(to_stop, left, lane.target)
+    sticking = lane.sign == 0
+    y1 = _where(sticking, model.stick(inputs, lane.y, h), model.slip(inputs, lane.y, h, lane.sign))
+
+    s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
+    s1, d1 = model.guard(inputs, h, y1, lane.sign)
+    scale = model.guard_scale(inputs, y1, lane.sign)
+    noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale
+    look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
+    delta = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
+    near = jnp.abs(delta) <= _LANDED[dtype.itemsize] * step
+    stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
+    at_once = look.falls & (s0 <= noise) & (look.where < _AT_ONCE)
+    landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
+    again = ~landed & (look.falls | look.turns) & ~stalled
+    taken = ~landed & ~again
+    doubt = taken & (look.lowest < _DOUBT[dtype.itemsize] * scale) & (look.lowest > -noise) & (s0 > noise)
+
+    # The event: a Newton step from where the step ended. Its tangent is that of the implicit function theorem.
+    delta = jnp.where(landed & ~at_once, delta, 0)
+    stays = again | at_once
+    tau = jnp.where(stays, 0, h + delta)
+    rates = model.rates(inputs, h, y1, lane.sign)
+    y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
+    t = jnp.where(taken & to_stop, stop, lane.t + tau)
+    live = ~(lane.t >= t1) & ~_spent(lane)
+    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), doubts=lane.doubts + doubt)
+
+    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, look.where)
+    moved = moved._replace(turns=lane.turns + 1)
+    switched, record = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
+    event = jnp.where(landed & model.at_rest(inputs, y), t, lane.event)
+    following = model.step_limit(t - event, step, switched.y, switched.sign)
+    target, event = lax.stop_gradient((jnp.where(again, guess * h, following), event))
+    switched = switched._replace(target=target, event=event)
+    following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
+    return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord]:
+    """Settle the mode after an event or at the end of a piece, and note the stick that ended."""
+    ended = at_stop & (lane.t < t1)
+    was_stick = lane.sign == 0
+    feeds, jumped = lane.feeds, jnp.zeros((), bool)
+    for index, law in enumerate(streams.all):
+        over = ended & (lane.feeds[index].piece.end <= lane.t)
+        following = next_feed(law, lane.feeds[index], lane.t.dtype)
+        picked = jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), following, lane.feeds[index])
+        feeds = (*feeds[:index], picked, *feeds[index + 1 :])
+        jumped = jumped | (over & law.jumps)
+    inputs = model.inputs(lane.t, streams.pieces(feeds))
+
+    on_base = model.on_base(inputs, lane.y)
+    holds = model.can_stick(inputs, on_base)
+    sign = jnp.where(landed, jnp.where(was_stick, model.release_sign(inputs, on_base), -lane.sign), lane.sign)
+    sign = jnp.where(landed & ~was_stick & holds, 0, sign)
+    slipping = (lane.sign != 0) & ~jumped
+    settled_y, settled_sign = _settle(model, inputs, _where(was_stick & ~jumped, on_base, lane.y), lane.sign, jumped)
+    settle = ended & ~slipping
+    sign = jnp.where(settle, settled_sign, sign)
+    y = _where(settle, settled_y, _where(landed & (sign == 0), on_base, lane.y))
+
+    cut = at_stop & ~(lane.t < t1)
+    over = was_stick & ((sign != 0) | cut) & (lane.t > lane.stick_start)
+    released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
+    ending = jnp.where(over, jnp.where(cut, horizon, jnp.where(ended & jumped, switched, released)), none)
+    record = StickRecord(lane.stick_start, lane.t, lane.stick_position, ending)
+    begins = ~was_stick & (sign == 0)
+    totals = Totals(
+        sticks=lane.totals.sticks + over,
+        censored=lane.totals.censored + (over & cut),
+        stick_time=lane.totals.stick_time + jnp.where(over, lane.t - lane.stick_start, 0),
+    )
+    return lane._replace(
+        y=y,
+        sign=sign,
+        totals=totals,
+        feeds=feeds,
+        stick_start=jnp.where(begins, lane.t, lane.stick_start),
+        stick_position=jnp.where(begins, y[0], lane.stick_position),
+    ), record
+
+
+def _settle(model, inputs, y, sign, jumped):
+    """The mode of a mass in the state `y`, found from nothing but its relative velocity, or kept in a stick."""
+    resting = model.at_rest(inputs, y) | ((sign == 0) & ~jumped)
+    on_base = model.on_base(inputs, y)
+    held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
+    return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
+
+
+def status_of_lane(lane: Lane, t1: FloatArray) -> IntArray:
+    """The `Status` of a trajectory that has ended, or will not be followed further."""
+    finite = jnp.isfinite(lane.t + t1)
+    for value in lane.y:
+        finite = finite & jnp.isfinite(value)
+    unfinished = jnp.where(_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
+    code = jnp.where(lane.t < t1, unfinished, Status.FINISHED)
+    return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
+
+
+def has_ended(lane: Lane, t1: FloatArray, most_turns: IntArray) -> BoolArray:
+    """Whether nothing more will happen: the horizon, the end of the base motion, a NaN, or too many turns."""
+    finite = jnp.isfinite(lane.y[0]) & jnp.isfinite(lane.y[1])
+    return ~(lane.t < t1) | _spent(lane) | (lane.turns >= most_turns) | ~finite
+
+
+def _spent(lane: Lane) -> BoolArray:
+    spent = jnp.zeros((), bool)
+    for feed in lane.feeds:
+        spent = spent | feed.spent
+    return spent
+
+
+def _first(times) -> FloatArray | float:
+    earliest = jnp.inf
+    for time in times:
+        earliest = jnp.minimum(earliest, time)
+    return earliest
+
+
+def _where(chosen: BoolArray, new: State, old: State) -> State:
+    return tuple(jnp.where(chosen, a, b) for a, b in zip(new, old, strict=True))

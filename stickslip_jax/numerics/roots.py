@@ -1,0 +1,80 @@
+"""Where a smooth function first falls through zero in a step, guessed from its values and slopes at both ends.
+
+The guess comes from the cubic through them (Hermite); whoever uses it goes there, looks, and guesses again, so that
+the result depends on the function only. No derivative passes through a guess: the implicit function theorem enters
+where the last Newton step is taken.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from .._types import BoolArray, FloatArray
+
+_POLISHES = 4  # of the root of the cubic; the next guess starts from a shorter step anyway
+_NEAR_START = 0.02  # a minimum in so small a part of the step has been looked at already
+
+
+class Outlook(NamedTuple):
+    """What the cubic says of the step.
+
+    - `falls`: the function falls below zero; `turns`: it comes down near zero and goes up again.
+    - `where`: the root or the minimum, a fraction of the step. `lowest`: the value at the minimum inside the step
+      (infinity where there is none). `early`: the fall comes well before the end, although the end lies near a root.
+    """
+
+    falls: BoolArray
+    turns: BoolArray
+    where: FloatArray
+    lowest: FloatArray
+    early: BoolArray
+
+
+def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, noise: FloatArray) -> Outlook:
+    """Look for the first fall through zero on [0, 1] of a function with these values and slopes at 0 and 1.
+
+    It starts at or above zero, but for `noise`, the round-off in its values.
+    """
+    s0, d0, s1, d1, noise = lax.stop_gradient((jnp.maximum(s0, 0), d0, s1, d1, noise))
+    c = 3 * (s1 - s0) - 2 * d0 - d1
+    e = 2 * (s0 - s1) + d0 + d1
+
+    def p(u):
+        return s0 + u * (d0 + u * (c + u * e))
+
+    # Stationary points of p: minimum (-c + root) / (3 e) = -d0 / (c + root), maximum with the other sign of the root;
+    # each in the form that does not cancel.
+    squared = c * c - 3 * d0 * e
+    root = jnp.sqrt(jnp.maximum(squared, 0))
+    small, large = _divide(-d0, c + jnp.where(c < 0, -root, root)), -(c + jnp.where(c < 0, -root, root))
+    large = _divide(large, 3 * e)
+    least, most = jnp.where(c < 0, large, small), jnp.where(c < 0, small, large)
+    turning = (squared > 0) & (least > 0) & (least < 1)
+    lowest = jnp.where(turning, p(jnp.where(turning, least, 0)), jnp.inf)
+    dips = lowest < -noise
+    falls = dips | (s1 < -noise)
+    turns = ~falls & turning & (least > _NEAR_START) & (lowest < 0.5 * jnp.minimum(s0, s1))
+
+    right = jnp.where(dips, least, 1)
+    rises_first = (s0 <= noise) & (squared > 0) & (most > 0) & (most < right)
+    left = jnp.where(rises_first, most, 0)
+    u = _first_root(p, lambda u: d0 + u * (2 * c + u * 3 * e), left, right)
+    return Outlook(falls, turns, jnp.where(turns, least, u), lowest, dips & (least < 0.98))
+
+
+def _first_root(p, slope, left, right):
+    """The root of the cubic `p` between a point above zero and one below, by Newton steps kept inside the bracket."""
+    above, below = p(left), p(right)
+    u = left + (right - left) * jnp.clip(_divide(above, above - below), 0, 1)
+    for _ in range(_POLISHES):
+        value = p(u)
+        left, right = jnp.where(value > 0, u, left), jnp.where(value > 0, right, u)
+        newton = u - _divide(value, slope(u))
+        u = jnp.where((newton >= left) & (newton <= right), newton, (left + right) / 2)
+    return u
+
+
+def _divide(above, below):
+    """A quotient that is 0 where the divisor is."""
+    return jnp.where(below == 0, 0, above / jnp.where(below == 0, 1, below))

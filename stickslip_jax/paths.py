@@ -1,0 +1,144 @@
+"""One trajectory by either engine, and the state along it: what a `Simulation` is made of."""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from . import _checks
+from ._status import Status
+from ._types import FloatArray, Scalar
+from .base_motion.drive import Drive
+from .base_motion.piecewise import VelocitySteps
+from .dynamics.interval_engine import (
+    Motion,
+    Totals,
+    cross_interval,
+    run_intervals,
+    scales_of,
+    start_motion,
+    start_totals,
+    status_of,
+)
+from .dynamics.method import Exact
+from .dynamics.switched_engine import State
+from .dynamics.switched_run import TURNS_PER_STICK, Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
+from .events import Sticks, sticks_in_order
+from .set_up import checked_step
+from .systems.mass_spring import MassSpring
+
+_MOST_DOUBLINGS = 6  # of the turns of the loop, before a trajectory is given up
+
+Run = tuple[Sticks, Totals, Array, Array, State, Array, "Path"]
+"""Sticks, totals, status, time reached (s), final state, doubts, path."""
+
+
+class Path(eqx.Module):
+    """What is needed to tell the state at any time."""
+
+    @property
+    def times(self) -> Array:
+        """When the pieces of the path begin, s."""
+        raise NotImplementedError
+
+    def state(self, time: FloatArray) -> State:
+        """The state at one time (s)."""
+        raise NotImplementedError
+
+    def base_velocity(self, time: FloatArray) -> FloatArray:
+        """The base velocity at one time (s), m/s."""
+        raise NotImplementedError
+
+
+class IntervalPath(Path):
+    """The states at the beginnings of the base's intervals."""
+
+    system: MassSpring
+    base: VelocitySteps
+    t1: Scalar
+    beginnings: Motion
+
+    @property
+    def times(self) -> Array:
+        return self.beginnings.t
+
+    def state(self, time: FloatArray) -> State:
+        scales = scales_of(self.system, self.t1, time.dtype)
+        began, velocity = jax.tree.map(
+            lambda values: values[self._index(time)], (self.beginnings, self.base.velocities)
+        )
+        motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
+        return motion.x, motion.p * scales.omega
+
+    def base_velocity(self, time: FloatArray) -> FloatArray:
+        return self.base.velocities[self._index(time)].astype(time.dtype)
+
+    def _index(self, time: FloatArray) -> Array:
+        # Among intervals that begin together (spare slots of no length), the last: it is the one that lasts.
+        return jnp.clip(jnp.searchsorted(self.beginnings.t, time, side="right") - 1, 0)
+
+
+class StepPath(Path):
+    """The states at the beginnings of time steps."""
+
+    system: Any
+    drive: Drive
+    solver: Any
+    beginnings: Beginnings
+
+    @property
+    def times(self) -> Array:
+        return self.beginnings.t
+
+    def state(self, time: FloatArray) -> State:
+        return state_at(self.system, self.drive, self.solver, self.beginnings, time)
+
+    def base_velocity(self, time: FloatArray) -> FloatArray:
+        return base_velocity_at(self.drive, self.beginnings, time)
+
+
+@partial(jax.jit, static_argnames="dtype")
+def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: State, dtype) -> Run:
+    """One trajectory in closed form, interval by interval."""
+    scales = scales_of(system, t1, dtype)
+    # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
+    durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
+    motion = start_motion(scales, y0)
+    final, totals, records, beginnings = run_intervals(scales, motion, durations, base.velocities.astype(dtype))
+    final_state = (final.x, final.p * scales.omega)
+    path = IntervalPath(system, base, t1, beginnings)
+    none = jnp.zeros((), jnp.int32)
+    return sticks_in_order(*records), totals, status_of(final, scales.t1), final.t, final_state, none, path
+
+
+def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: State, dtype) -> Run:
+    """One trajectory in time steps with located switches; again with more steps where they did not suffice."""
+    drive, step = checked_step(system, base, method, t1)
+    turns = method.max_steps
+    if turns is None:
+        if _checks.is_traced(step) or _checks.is_traced(t1):
+            raise ValueError(
+                "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are traced by a "
+                "JAX transformation: the number of steps is not known then. Twice t1 / step suffices for most motions."
+            )
+        pieces = sum(leaf.shape[-1] for leaf in jax.tree.leaves((drive.base, drive.ground)) if jax.numpy.ndim(leaf))
+        turns = turns_for(float(t1), float(step), pieces)
+    for _ in range(_MOST_DOUBLINGS):
+        run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
+        status = run[2]
+        if method.max_steps is not None or _checks.is_traced(status) or status != Status.OUT_OF_STEPS:
+            break
+        turns *= 2
+    return run
+
+
+@partial(jax.jit, static_argnames=("turns", "dtype"))
+def _follow_steps(system, drive, solver, t1, y0, step, *, turns, dtype) -> Run:
+    done = run_trajectory(system, drive, solver, t1, y0, step, turns=turns, dtype=dtype)
+    lane = done.lane
+    sticks = sticks_in_order(*done.records, slots=turns // TURNS_PER_STICK + 1)
+    path = StepPath(system, drive, solver, done.beginnings)
+    return sticks, lane.totals, done.status, lane.t, lane.y, lane.doubts, path

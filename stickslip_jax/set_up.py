@@ -1,0 +1,119 @@
+"""What `simulate` and `simulate_ensemble` ask of their arguments, and which engine they choose."""
+
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from . import _checks
+from ._types import Scalar
+from .base_motion.drive import Drive, drive_of, is_random, longest_time
+from .base_motion.laws import BangBangLaw
+from .base_motion.piecewise import VelocitySteps
+from .base_motion.random import Uniform
+from .dynamics.method import Exact
+from .dynamics.models import check_drive
+from .dynamics.time_scales import step_for
+from .systems.friction import Coulomb
+from .systems.mass_spring import MassSpring
+from .systems.motor_cart import MotorCart
+
+_STATES = {
+    MassSpring: ("position in m", "velocity in m/s"),
+    MotorCart: ("angle in rad", "angular velocity in rad/s", "current in A"),
+}
+
+
+def check_system(system: Any) -> None:
+    """Check that `system` is one that can be simulated. Raises ValueError otherwise."""
+    if not isinstance(system, tuple(_STATES)):
+        raise ValueError(f"Argument system must be a MassSpring or a MotorCart, but {_checks.show(system)} was given.")
+
+
+def check_method(method: Any) -> None:
+    """Check that `method` is `Exact`. Raises ValueError otherwise."""
+    if not isinstance(method, Exact):
+        raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
+
+
+def state_of(system: Any, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
+    """The initial state of `system`, checked; zeros if it is None."""
+    meaning = next(names for kind, names in _STATES.items() if isinstance(system, kind))
+    if y0 is None:
+        return (0.0,) * len(meaning)
+    numbers = y0
+    if isinstance(y0, (tuple, list)) and any(isinstance(value, Uniform) for value in y0):
+        if not may_be_random:
+            raise ValueError(
+                f"Argument y0 must be numbers, but {_checks.show(y0)} was given; only simulate_ensemble draws initial "
+                "states."
+            )
+        numbers = tuple(value.low if isinstance(value, Uniform) else value for value in y0)
+    _checks.state("y0", numbers, meaning)
+    return tuple(y0)
+
+
+def one_realisation(system: Any, base: Any, t1: Scalar) -> Any:
+    """`base` as a motion without randomness that covers ``[0, t1]``."""
+    if isinstance(base, VelocitySteps) and base.durations.ndim != 1:
+        raise ValueError(
+            f"Argument base must be one realisation, but it has durations of shape {base.durations.shape}; "
+            "use jax.vmap over the realisations, or simulate_ensemble."
+        )
+    drive_of(base)
+    if is_random(base):
+        raise ValueError(
+            f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
+            "draw one with base.sample(key, t1)."
+        )
+    check_length(system, base, t1)
+    return base.sample(None, t1) if isinstance(base, BangBangLaw) else base
+
+
+def check_length(system: Any, base: Any, t1: Scalar) -> None:
+    """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
+    if _checks.is_traced(t1):
+        return
+    for name, motion in (("base", base), ("force", getattr(system, "force", None))):
+        longest = longest_time(motion)
+        if longest < float(t1) * (1 - 1e-12):
+            raise ValueError(
+                f"Argument {name} must last until t1 = {float(t1):g} s, but it ends at {longest:g} s; record more of "
+                "it or choose a smaller t1."
+            )
+
+
+def interval_engine_applies(system: Any, base: Any, method: Exact) -> bool:
+    """Whether the closed forms over whole base intervals hold: decided by what the arguments are, not their numbers."""
+    return (
+        isinstance(system, MassSpring)
+        and isinstance(base, (VelocitySteps, BangBangLaw))
+        and isinstance(system.friction, Coulomb)
+        and system.friction.mu_static is None
+        and system.damping is None
+        and system.force is None
+        and method.step is None
+        and method.solver is None
+    )
+
+
+def checked_step(system: Any, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Drive, Scalar]:
+    """The drive that `base` (an argument called `name`) is, and the time step (s), at most `t1`."""
+    drive = drive_of(base, name)
+    check_drive(system, drive, method)
+    step = step_for(system, drive, method)
+    return drive, step if _checks.is_traced(step) or _checks.is_traced(t1) else min(float(step), float(t1))
+
+
+def working_dtype(*arrays: Array, stacklevel: int = 3):
+    """The floating dtype of a simulation; says once how to get float64 when JAX runs in float32."""
+    dtype = jnp.result_type(float, *arrays)
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "stickslip_jax runs in float32: event times are good to about 2e-6 of t1. For float64 call "
+            'jax.config.update("jax_enable_x64", True) before anything else.',
+            stacklevel=stacklevel,
+        )
+    return dtype
