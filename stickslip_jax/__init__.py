@@ -6,9 +6,11 @@ from ._fast_cpu import enable_fast_cpu
 from ._status import Ending, Status
 from .base_motion.drive import WithJumps
 from .base_motion.ground import GroundAcceleration
+from .base_motion.kanai_tajimi import KanaiTajimi
 from .base_motion.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from .base_motion.piecewise import VelocitySteps
 from .base_motion.random import RandomPhase, Uniform
+from .base_motion.reading import read_acceleration_csv, read_at2, read_recorded_csv
 from .base_motion.recorded import Recorded
 from .base_motion.smooth import Harmonic, Signal, SumOfHarmonics
 from .base_motion.voltage import SourceVoltage
@@ -25,6 +27,7 @@ from .statistics.estimates import (
     mean_stick_duration,
     stick_fraction,
 )
+from .statistics.first_sticks import FirstSticks, first_stick
 from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart, stick_duration_bound
@@ -51,10 +54,12 @@ __all__ = [
     "Ensemble",
     "Estimate",
     "Exact",
+    "FirstSticks",
     "FrictionCurve",
     "FrictionLaw",
     "GroundAcceleration",
     "Harmonic",
+    "KanaiTajimi",
     "MassSpring",
     "MotorCart",
     "PiecewiseConstant",
@@ -76,10 +81,14 @@ __all__ = [
     "VelocityWeakening",
     "WithJumps",
     "enable_fast_cpu",
+    "first_stick",
     "mean_slip_count",
     "mean_slip_duration",
     "mean_stick_count",
     "mean_stick_duration",
+    "read_acceleration_csv",
+    "read_at2",
+    "read_recorded_csv",
     "simulate",
     "simulate_ensemble",
     "stick_duration_bound",

@@ -1,32 +1,36 @@
 """The papers' set-ups by name, to run and to compare with.
 
-Source: Lima and Sampaio, "Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach"
+Sources: Lima and Sampaio, "An electromechanical system with uncertain stick-slip oscillations" (2022: `motor_cart`),
+and "Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach"
 (the conference paper). Its frequency ratio is ``r = f_b / (omega / 2 pi)``, both in Hz.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from . import _checks
 from ._types import Array, Float, Scalar
-from .base_motion.laws import BangBangLaw, RandomSteps, SquareWave
+from .base_motion.laws import RandomSteps, SquareWave
+from .base_motion.random import RandomPhase, Uniform
+from .base_motion.voltage import SourceVoltage
 from .simulate import simulate
 from .systems.friction import Coulomb
 from .systems.mass_spring import MassSpring
+from .systems.motor_cart import MotorCart
 
 BELT_SPEED = 1.0
 """Modulus of the belt velocity, m/s (conference paper, section 3)."""
 
 
 class SetUp(NamedTuple):
-    """What to hand to `simulate` or `simulate_ensemble`; `t1` in s, `y0` in m and m/s."""
+    """What to hand to `simulate` or `simulate_ensemble`; `t1` in s, `y0` in m and m/s (rad, rad/s and A)."""
 
-    system: MassSpring
-    law: BangBangLaw
+    system: MassSpring | MotorCart
+    law: Any
     t1: float
-    y0: tuple[float, float]
+    y0: tuple[Any, ...]
 
 
 def belt_oscillator() -> MassSpring:
@@ -51,6 +55,19 @@ def random_belt(ratio: Scalar, y0: tuple[float, float] = (0.0, 0.0)) -> SetUp:
     Raises ValueError if `ratio` is not positive.
     """
     return SetUp(belt_oscillator(), RandomSteps(BELT_SPEED, _belt_period(ratio)), 200.0, y0)
+
+
+def motor_cart(mu: Scalar = 0.2, t1: float = 2.0) -> SetUp:
+    """The motor and cart with random phase of the voltage and random initial angle (Lima and Sampaio 2022, section 7).
+
+    - `mu`: the friction coefficient, zero or positive; the paper runs 10,000 samples at 0.2 and at 0.5.
+    - `t1`: duration, s. The paper does not tell it; within 2 s the first stick of nearly every sample has ended that
+      ever will. Neither does it tell angular velocity and current at the start, which are 0 here.
+
+    Raises ValueError for numbers outside these bounds.
+    """
+    _checks.positive("t1", t1, "s")
+    return SetUp(MotorCart(mu=mu), RandomPhase(SourceVoltage()), t1, (Uniform(0.0, 2 * math.pi), 0.0, 0.0))
 
 
 def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]:

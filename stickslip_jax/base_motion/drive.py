@@ -116,8 +116,8 @@ def drive_of(base: Any, name: str = "base") -> Drive:
     if callable(getattr(base, "velocity", None)) and callable(getattr(base, "acceleration", None)):
         return Drive(UserMotion(base))
     raise ValueError(
-        f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) and "
-        f"acceleration(t), but {_checks.show(base)} was given."
+        f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
+        f"and acceleration(t), but {_checks.show(base)} was given."
     )
 
 

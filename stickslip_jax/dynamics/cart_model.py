@@ -75,12 +75,13 @@ class CartModel(SwitchedModel):
         return speed, jnp.where(sticking, 0, self._torque(sign)(sincos(y[0]), *y[1:])), current_rate
 
     def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
-        # A jump of the torque sends the current through a transient, which calls for shorter steps while it lasts. In
-        # a stick all is known, and steps need only be short against the period of the voltage.
+        # A jump of the torque sends the current through a transient, which calls for shorter steps while it lasts: in a
+        # slip for the integrator, in a stick so that no step holds both the transient's extremum and others.
         transient = self.system.inductance / self.system.resistance
         slip = jnp.minimum(step, _LONGEST_TURN / jnp.maximum(jnp.abs(y[1]), 1e-9))
         slip = slip * jnp.minimum(1, 0.1 + age / (6 * transient))
-        return jnp.where(sign == 0, 2 * np.pi / (16 * self.smooth.angular_frequency), slip)
+        stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
+        return jnp.where(sign == 0, stick, slip)
 
     def at_rest(self, inputs: CartInputs, y: State) -> BoolArray:
         noise = NOISE_ULPS * jnp.finfo(y[1].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[1]))

@@ -1,0 +1,72 @@
+"""The first stick of every sample."""
+
+import dataclasses
+
+import numpy as np
+
+from .. import _checks
+from ..ensemble_result import Ensemble
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FirstSticks:
+    """The first stick of every sample; arrays (samples,), NaN (ending: -1) where `mask` is False: no stick.
+
+    - `start`, `duration`: s. `position`: of the mass, m; of a motor its angle, rad.
+    - `ending`: an `Ending` code. HORIZON marks a duration cut short by the end of the simulation.
+    - `mask`: whether there is one.
+    """
+
+    start: np.ndarray
+    duration: np.ndarray
+    position: np.ndarray
+    ending: np.ndarray
+    mask: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many samples have a first stick."""
+        return int(self.mask.sum())
+
+    def __repr__(self) -> str:
+        return f"FirstSticks({self.count} in {len(self.mask)} samples)"
+
+
+def first_stick(ensemble: Ensemble, *, count_initial_rest: bool = False) -> FirstSticks:
+    """The first stick of every sample that reached ``t1``, of an ensemble with ``keep="sticks"``.
+
+    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass was put down at rest, counts as the
+      first. By default it does not, and the next one is the first (the studied quantity of Lima and Sampaio 2022).
+
+    Raises ValueError for an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
+    """
+    if not isinstance(ensemble, Ensemble):
+        raise ValueError(
+            f"Argument ensemble must be the result of simulate_ensemble, but {type(ensemble).__name__} was given."
+        )
+    if not isinstance(count_initial_rest, bool):
+        raise ValueError(
+            f"Argument count_initial_rest must be True or False, but {_checks.show(count_initial_rest)} was given."
+        )
+    sticks = ensemble.require_sticks()
+    first = np.cumsum(sticks.count) - sticks.count
+    if len(sticks.start) and not count_initial_rest:
+        at_zero = (sticks.count > 0) & (sticks.start[np.minimum(first, len(sticks.start) - 1)] == 0)
+    else:
+        at_zero = np.zeros(len(first), bool)
+    mask = sticks.count > at_zero
+    at = (first + at_zero)[mask]
+
+    def fill(values: np.ndarray, padding: float) -> np.ndarray:
+        filled = np.full(len(mask), padding, values.dtype)
+        filled[mask] = values[at]
+        return filled
+
+    duration = sticks.end - sticks.start
+    return FirstSticks(
+        fill(sticks.start, np.nan),
+        fill(duration, np.nan),
+        fill(sticks.position, np.nan),
+        fill(sticks.ending, -1),
+        mask,
+    )
