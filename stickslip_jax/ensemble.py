@@ -179,7 +179,7 @@ def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact
     check_length(system, law, t1)
     pieces = sum(len(leaf) for leaf in jax.tree.leaves((drive.base, drive.ground)) if np.ndim(leaf))
     # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
-    most = method.max_steps or 20 * turns_for(t1, step, pieces)
+    most = method.max_steps or 20 * turns_for(t1, float(step), pieces)
     return SwitchedEngine(system, drive, method.solver, t1, y0, step, np.int32(min(most, 2**31 - 1)))
 
 

@@ -138,7 +138,7 @@ class Ensemble:
             raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
         if self.key_words is None:
             return self.law, self.y0
-        key = jax.random.fold_in(jax.random.wrap_key_data(np.array(self.key_words, np.uint32)), number)
+        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_words, jnp.uint32)), number)
         base = self.law.sample(key, self.t1) if is_random(self.law) else self.law
         y0 = realised_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
         return base, tuple(float(value) for value in y0)

@@ -1,7 +1,7 @@
 """One trajectory by either engine, and the state along it: what a `Simulation` is made of."""
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,9 +31,6 @@ from .set_up import checked_step
 from .systems.mass_spring import MassSpring
 
 _MOST_DOUBLINGS = 6  # of the turns of the loop, before a trajectory is given up
-
-Run = tuple[Sticks, Totals, Array, Array, State, Array, "Path"]
-"""Sticks, totals, status, time reached (s), final state, doubts, path."""
 
 
 class Path(eqx.Module):
@@ -100,18 +97,30 @@ class StepPath(Path):
         return base_velocity_at(self.drive, self.beginnings, time)
 
 
+class Run(NamedTuple):
+    """One trajectory, as a `Simulation` names its parts."""
+
+    sticks: Sticks
+    totals: Totals
+    status: Array
+    time_reached: Array
+    final_state: State
+    doubts: Array
+    path: Path
+
+
 @partial(jax.jit, static_argnames="dtype")
 def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: State, dtype) -> Run:
     """One trajectory in closed form, interval by interval."""
     scales = scales_of(system, t1, dtype)
     # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
     durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
-    motion = start_motion(scales, y0)
+    motion = start_motion(scales, (y0[0], y0[1]))
     final, totals, records, beginnings = run_intervals(scales, motion, durations, base.velocities.astype(dtype))
     final_state = (final.x, final.p * scales.omega)
     path = IntervalPath(system, base, t1, beginnings)
     none = jnp.zeros((), jnp.int32)
-    return sticks_in_order(*records), totals, status_of(final, scales.t1), final.t, final_state, none, path
+    return Run(sticks_in_order(*records), totals, status_of(final, scales.t1), final.t, final_state, none, path)
 
 
 def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: State, dtype) -> Run:
@@ -124,14 +133,14 @@ def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: State, d
                 "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are traced by a "
                 "JAX transformation: the number of steps is not known then. Twice t1 / step suffices for most motions."
             )
-        pieces = sum(leaf.shape[-1] for leaf in jax.tree.leaves((drive.base, drive.ground)) if jax.numpy.ndim(leaf))
+        pieces = sum(leaf.shape[-1] for leaf in jax.tree.leaves((drive.base, drive.ground)) if jnp.ndim(leaf))
         turns = turns_for(float(t1), float(step), pieces)
-    for _ in range(_MOST_DOUBLINGS):
-        run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
-        status = run[2]
-        if method.max_steps is not None or _checks.is_traced(status) or status != Status.OUT_OF_STEPS:
+    run: Run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
+    for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
+        if _checks.is_traced(run.status) or run.status != Status.OUT_OF_STEPS:
             break
         turns *= 2
+        run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
     return run
 
 
@@ -141,4 +150,4 @@ def _follow_steps(system, drive, solver, t1, y0, step, *, turns, dtype) -> Run:
     lane = done.lane
     sticks = sticks_in_order(*done.records, slots=turns // TURNS_PER_STICK + 1)
     path = StepPath(system, drive, solver, done.beginnings)
-    return sticks, lane.totals, done.status, lane.t, lane.y, lane.doubts, path
+    return Run(sticks, lane.totals, done.status, lane.t, lane.y, lane.doubts, path)

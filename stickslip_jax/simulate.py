@@ -137,7 +137,7 @@ def simulate(
     base = one_realisation(system, base, t1)
     dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(base) if eqx.is_inexact_array(leaf)))
     if interval_engine_applies(system, base, method):
-        run = follow_intervals(system, base, t1, y0, dtype)
+        run: Any = follow_intervals(system, base, t1, y0, dtype)
     else:
         run = follow_steps(system, base, method, t1, y0, dtype)
     return Simulation(system, base, t1, *run)

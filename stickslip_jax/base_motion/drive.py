@@ -89,11 +89,17 @@ class Drive(eqx.Module):
     ground: tuple[PieceLaw, ...] = ()
     parts_differ: bool = eqx.field(static=True, default=False)
 
+    @property
+    def signal(self) -> Signal | None:
+        """The smooth part of a drive without random phases."""
+        assert not isinstance(self.smooth, RandomPhase)
+        return self.smooth
+
     def realised(self, words: Any, dtype) -> Signal | None:
         """The smooth part of the sample whose key has these words."""
         if isinstance(self.smooth, RandomPhase):
-            return self.smooth.realised(jnp.stack(_part(words, 1)) if self.parts_differ else words, dtype)
-        return self.smooth
+            return self.smooth.realised(_part(words, 1) if self.parts_differ else words, dtype)
+        return self.signal
 
     def words_of_pieces(self, words: Any) -> Any:
         """The words for `base` and `ground`."""

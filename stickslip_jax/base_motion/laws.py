@@ -18,7 +18,7 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
-from .._types import AnyArray, Array, FloatArray, Scalar
+from .._types import AnyArray, Array, FloatArray, KeyWords, Scalar
 from ..numerics.random_bits import exponential, key_words, random_words, uniform
 from .pieces import PieceLaw
 from .piecewise import VelocitySteps, merge_equal_neighbours
@@ -35,11 +35,11 @@ class BangBangLaw(PieceLaw):
     jumps = True
 
     @abc.abstractmethod
-    def begin(self, words: Array, dtype) -> Any:
+    def begin(self, words: KeyWords, dtype) -> Any:
         """What is known before the first interval (for example the first sign), drawn from the key's words."""
 
     @abc.abstractmethod
-    def draw(self, words: Array, number: Array, dtype) -> Any:
+    def draw(self, words: KeyWords, number: Array, dtype) -> Any:
         """What is random (or looked up) about interval `number`, from the key's words and that number alone."""
 
     @abc.abstractmethod

@@ -68,8 +68,10 @@ class Harmonic(Signal):
     @property
     def tones(self) -> "SumOfHarmonics":
         """The same as a sum of one."""
-        one = (self.amplitude, self.angular_frequency, self.phase)
-        return SumOfHarmonics(*(jnp.asarray(number)[None] for number in one), self.offset)
+        amplitude, frequency, phase = (
+            jnp.asarray(number)[None] for number in (self.amplitude, self.angular_frequency, self.phase)
+        )
+        return SumOfHarmonics(amplitude, frequency, phase, self.offset)
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.tones.value(t)
@@ -126,16 +128,16 @@ class SumOfHarmonics(Signal):
         """Amplitude, angular frequency and phase of each harmonic."""
         phases = jnp.zeros_like(jnp.asarray(self.amplitudes)) if self.phases is None else self.phases
         columns = (self.amplitudes, self.angular_frequencies, phases)
-        return [tuple(column[j] for column in columns) for j in range(len(self.amplitudes))]
+        return [(columns[0][j], columns[1][j], columns[2][j]) for j in range(len(self.amplitudes))]
 
     def value(self, t: FloatArray) -> FloatArray:
-        return self.offset + sum(A * jnp.cos(w * t + phase) for A, w, phase in self.each)
+        return jnp.asarray(self.offset + sum(A * jnp.cos(w * t + phase) for A, w, phase in self.each))
 
     def rate(self, t: FloatArray) -> FloatArray:
-        return -sum(A * w * jnp.sin(w * t + phase) for A, w, phase in self.each)
+        return jnp.asarray(sum(-A * w * jnp.sin(w * t + phase) for A, w, phase in self.each))
 
     def curvature(self, t: FloatArray) -> FloatArray:
-        return -sum(A * w * w * jnp.cos(w * t + phase) for A, w, phase in self.each)
+        return jnp.asarray(sum(-A * w * w * jnp.cos(w * t + phase) for A, w, phase in self.each))
 
     def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
         # sin(b) - sin(a) as a product: no cancellation for short steps.

@@ -48,11 +48,12 @@ class IntervalEngine(Engine):
 
     def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
         scales = self._scales(dtype)
-        motion = start_motion(scales, realised_state(self.y0, words, dtype))
+        x, velocity = realised_state(self.y0, words, dtype)
+        motion = start_motion(scales, (x, velocity))
         memory = self.law.begin(words, dtype)
         zero = jnp.zeros((), jnp.uint32)
-        _, velocity, _ = self.law.next_interval(memory, self.law.draw(words, zero, dtype), dtype)
-        at_start = sticks_at_start(scales, motion, velocity)
+        _, base, _ = self.law.next_interval(memory, self.law.draw(words, zero, dtype), dtype)
+        at_start = sticks_at_start(scales, motion, base)
         return _Lanes(words, zero, memory, motion, start_totals(dtype), at_start, jnp.zeros((), bool))
 
     def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:

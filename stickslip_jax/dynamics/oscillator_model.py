@@ -127,8 +127,8 @@ class OscillatorModel(SwitchedModel):
         return load + self.system.force.value(inputs.t + tau) if isinstance(self.system.force, Signal) else load
 
     def _force_rate(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
-        smooth = isinstance(self.system.force, Signal)
-        return inputs.load_slope + (self.system.force.rate(inputs.t + tau) if smooth else 0)
+        force = self.system.force
+        return inputs.load_slope + (force.rate(inputs.t + tau) if isinstance(force, Signal) else 0)
 
     def _needed(self, inputs: OscillatorInputs, tau: FloatArray, y: State) -> FloatArray:
         """The friction force that a stick needs, ``m v' + c v + k x - F``, N (Lima and Sampaio 2017, eq. 3)."""

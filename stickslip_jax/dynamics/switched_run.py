@@ -55,7 +55,7 @@ def run_trajectory(
 ) -> Trajectory:
     """Follow one realisation for up to `turns` turns of the loop; where it ends earlier, the loop idles."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
-    streams, model = streams_of(system, drive), model_of(system, drive.smooth, solver)
+    streams, model = streams_of(system, drive), model_of(system, drive.signal, solver)
     start = lane_at_start(system, drive, jnp.zeros(2, jnp.uint32), y0, step, solver)
 
     def turn(lane, _):
@@ -84,7 +84,7 @@ def run_trajectory(
 
 def state_at(system: Any, drive: Drive, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the turn that holds it."""
-    model = model_of(system, drive.smooth, solver)
+    model = model_of(system, drive.signal, solver)
     # Among turns that begin together (tries of the same step), the last: it is the one that was taken.
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     t, y, sign, pieces = jax.tree.map(lambda values: values[index], beginnings)
@@ -97,8 +97,8 @@ def base_velocity_at(drive: Drive, beginnings: Beginnings, time: FloatArray) -> 
     """The base velocity at one `time`, m/s; 0 where nothing but a voltage or the ground's acceleration drives."""
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     velocity = jnp.zeros_like(time)
-    if drive.smooth is not None and not isinstance(drive.smooth, SourceVoltage):
-        velocity = velocity + drive.smooth.value(time)
+    if drive.signal is not None and not isinstance(drive.signal, SourceVoltage):
+        velocity = velocity + drive.signal.value(time)
     for piece in beginnings.pieces.base:
         begin, value, slope = (values[index] for values in (piece.begin, piece.value, piece.slope))
         velocity = velocity + value + slope * (time - begin)

@@ -49,20 +49,22 @@ def step_for(system: Any, drive: Drive, method: Any) -> Scalar:
     return method.step
 
 
-def _scales(system: Any, drive: Drive, method: Any) -> dict[str, tuple[Any, tuple[int, int]]]:
+def _scales(system: Any, drive: Drive, method: Any) -> dict[str, tuple[Any, tuple[float, float]]]:
+    """Each time scale (s) by name, with the number of steps in it by default and at least."""
     if isinstance(system, MotorCart):
-        scales = {"mechanical time constant": (system.shortest_time, _CONSTANT)}
-        scales["electrical time constant"] = (system.inductance / system.resistance, _DECAY)
-        return scales | {"period of the voltage": (_period(drive.smooth), _SOLVED)}
-    closed = has_closed_form(system) and method.solver is None
-    parts = _PERIOD if closed else _SOLVED
+        return {
+            "mechanical time constant": (system.shortest_time, _CONSTANT),
+            "electrical time constant": (system.inductance / system.resistance, _DECAY),
+            "period of the voltage": (_period(drive.smooth), _SOLVED),
+        }
+    parts = _PERIOD if has_closed_form(system) and method.solver is None else _SOLVED
     natural = 2 * math.pi * (system.mass / system.stiffness) ** 0.5
-    scales = {"natural period": (natural, parts)}
-    if isinstance(system.force, Signal):
-        scales["shortest period of the force"] = (system.force.shortest_period, parts)
-    if drive.smooth is not None:
-        scales["shortest period of the base motion"] = (_period(drive.smooth), parts)
-    return scales
+    force = system.force
+    return {
+        "natural period": (natural, parts),
+        "shortest period of the force": (force.shortest_period if isinstance(force, Signal) else math.inf, parts),
+        "shortest period of the base motion": (_period(drive.smooth), parts),
+    }
 
 
 def _period(smooth: Signal | RandomPhase | None) -> Any:
