@@ -8,35 +8,63 @@ from pathlib import Path
 
 README = Path(__file__).with_name("README.md")
 BEGIN, END = "<!-- table: written by `make bench` -->", "<!-- end of table -->"
+BEGIN_CART, END_CART = "<!-- motor and cart: written by `make bench` -->", "<!-- end of motor and cart -->"
 
 
-def table(results: dict) -> str:
-    """The results as a Markdown table, in the order they were measured."""
+def heading(results: dict, rounds: int) -> str:
+    """Where, when and how often it was measured."""
     cpu = results["machine_info"]["cpu"]
     machine = f"{cpu.get('brand_raw', 'unknown CPU')}, {cpu.get('count', '?')} cores"
     software = f"Python {platform.python_version()}, jax {version('jax')}"
-    rounds = results["benchmarks"][0]["stats"]["rounds"]
+    return f"Measured on {results['datetime'][:10]}: {machine}; {software}. Medians of {rounds} rounds."
+
+
+def table(results: dict) -> str:
+    """The interval engine's results as a Markdown table, in the order they were measured."""
+    entries = [entry for entry in results["benchmarks"] if "ns_per_interval" in entry["extra_info"]]
     lines = [
-        f"Measured on {results['datetime'][:10]}: {machine}; {software}. Medians of {rounds} rounds.",
+        heading(results, entries[0]["stats"]["rounds"]),
         "",
         "| program | ns per base interval | times C by events | times C by intervals | compile, s |",
         "|---|---:|---:|---:|---:|",
     ]
-    for entry in results["benchmarks"]:
-        info = entry["extra_info"]
-        seconds = f"{info['compile_seconds']:.1f}" if info.get("compile_seconds", 0) > 0.05 else ""
+    for info in (entry["extra_info"] for entry in entries):
         ratios = f"{info['times_events']:,.2f} | {info['times_intervals']:,.2f}"
-        lines.append(f"| {info['label']} | {info['ns_per_interval']:,.1f} | {ratios} | {seconds} |")
+        lines.append(f"| {info['label']} | {info['ns_per_interval']:,.1f} | {ratios} | {_compilation(info)} |")
     return "\n".join(lines)
+
+
+def cart_table(results: dict) -> str:
+    """The motor and cart's results as a Markdown table."""
+    entries = [entry for entry in results["benchmarks"] if "us_per_second" in entry["extra_info"]]
+    lines = [
+        heading(results, entries[0]["stats"]["rounds"]),
+        "",
+        "| program | 20,000 runs, s | us per simulated second | speed, numba at 1e-4 s = 1 | compile, s | memory, GB |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for info in (entry["extra_info"] for entry in entries):
+        memory = f"{info['memory_gb']:.2f}" if "memory_gb" in info else ""
+        lines.append(
+            f"| {info['label']} | {info['all_runs_s']:.2f} | {info['us_per_second']:.1f} | {info['speed']:.1f} | "
+            f"{_compilation(info)} | {memory} |"
+        )
+    return "\n".join(lines)
+
+
+def _compilation(info: dict) -> str:
+    return f"{info['compile_seconds']:.1f}" if info.get("compile_seconds", 0) > 0.05 else ""
 
 
 def main(path: str) -> None:
     """Replace what stands between the markers."""
     results = json.loads(Path(path).read_text())
     text = README.read_text()
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    README.write_text(f"{before}{BEGIN}\n{table(results)}\n{END}{after}")
-    print(table(results))
+    for begin, end, new in ((BEGIN, END, table(results)), (BEGIN_CART, END_CART, cart_table(results))):
+        before, after = text.split(begin)[0], text.split(end)[1]
+        text = f"{before}{begin}\n{new}\n{end}{after}"
+        print(new, end="\n\n")
+    README.write_text(text)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """A process that times JAX cases on request, because XLA's flags and float64 are settled once per process.
 
-It reads one line ``case rounds`` at a time and answers with one JSON line: compile seconds, and for each round the
-seconds and the number of base intervals.
+It reads one line ``case rounds`` at a time and answers with one JSON line: compile seconds, the most memory used so far
+(bytes), and for each round the seconds and the work done: base intervals, or seconds of the motor and cart.
 """
 
 import argparse
 import json
 import os
+import resource
 import sys
 import time
 
@@ -47,7 +48,8 @@ def _recording_handed_on():
     """Every stick recorded chunk by chunk, each chunk dropped after use: memory does not grow."""
 
     def run(round_number: int) -> float:
-        job = ensemble._Run.checked(system(), LAW, T1, ENGINE_SAMPLES, jax.random.key(round_number), START, EXACT, "sticks")
+        key = jax.random.key(round_number)
+        job = ensemble._Run.checked(system(), LAW, T1, ENGINE_SAMPLES, key, START, EXACT, "sticks")
         plan = ensemble._Plan.of(ENGINE_SAMPLES, 1, None)
         simulate = ensemble._recorder(job, plan)
         for first in range(0, ENGINE_SAMPLES, plan.samples_per_task):
@@ -83,7 +85,26 @@ def _kernel(differentiate: bool):
     return run
 
 
+def _motor_cart(keep: str, threads: int):
+    """The paper's 20,000 runs: 10,000 at mu = 0.2 and at mu = 0.5, every one followed for 2 s."""
+
+    def run(round_number: int) -> float:
+        for mu in (0.2, 0.5):
+            setup = ss.papers.motor_cart(mu)
+            many = ss.simulate_ensemble(
+                setup.system, setup.law, t1=setup.t1, y0=setup.y0, samples=10_000,
+                key=jax.random.key(round_number), keep=keep, threads=threads, progress=False,
+            )  # fmt: skip
+            assert many.finished == many.samples
+        return 20_000 * setup.t1
+
+    return run
+
+
 CASES = {
+    "motor and cart, statistics, 1 thread": lambda: _motor_cart("statistics", 1),
+    "motor and cart, every stick, 1 thread": lambda: _motor_cart("sticks", 1),
+    "motor and cart, every stick, 2 threads": lambda: _motor_cart("sticks", 2),
     "statistics, 1 thread": lambda: _ensemble("statistics", 1),
     "statistics, 2 threads": lambda: _ensemble("statistics", 2),
     "every stick, handed on": _recording_handed_on,
@@ -99,6 +120,7 @@ def main() -> None:
     options.add_argument("--plain", action="store_true", help="leave XLA's flags alone")
     options.add_argument("--float32", action="store_true")
     options.add_argument("--pinned", action="store_true", help="stay on one core, XLA's own threads included")
+    options.add_argument("--name", help="of no effect: lets a case have a process of its own")
     chosen = options.parse_args()
     if chosen.pinned:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -123,7 +145,9 @@ def main() -> None:
             started = time.perf_counter()
             intervals = ready[name](number + 1)
             timed.append((time.perf_counter() - started, intervals))
-        print(json.dumps({"compile_seconds": compile_seconds, "timed": timed}), file=answers, flush=True)
+        memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        answer = {"compile_seconds": compile_seconds, "timed": timed, "memory": memory}
+        print(json.dumps(answer), file=answers, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Yardsticks: other ways to compute the motion of a mass and spring on a base of velocity `+w` or `-w`.
+"""Yardsticks: other ways to compute what the package does, most of them on a base of velocity `+w` or `-w`.
 
-All are dimensionless (`z`, `u`, `omega t`; `rate` is `lambda / omega`) and keyword-only except for `program`.
+Those are dimensionless (`z`, `u`, `omega t`; `rate` is `lambda / omega`) and keyword-only except for `program`.
 
 - `c_yardstick`: vectorised C, `program` is `"events"` or `"intervals"`.
   `simulate(program, *, w, rate, t1, samples, y0=(0.0, 0.0), seed=0, initial_sign=0, threads=1, chain=0)`
@@ -12,6 +12,9 @@ All are dimensionless (`z`, `u`, `omega t`; `rate` is `lambda / omega`) and keyw
 - `scipy_events` and `diffrax_events`: a general ODE solver with event location, one trajectory.
   `simulate(*, gaps, velocities, t1, y0=(0.0, 0.0), tolerance=1e-8) -> Trajectory`
 - `event_driver.switching_velocities(w, gaps, initial_sign=1)`: the `velocities` that go with given gaps.
+- `numba_motor_cart`: the motor and cart (Lima and Sampaio 2022, SI units), a scalar Runge-Kutta loop of fixed step.
+  `simulate(*, mu, t1, samples, seed=0, step=1e-4, threads=1) -> Sticks`
+  `given(*, mu, t1, theta, alpha0, step=1e-4, threads=1) -> Sticks`
 
 Result types: `_common`. The submodules are imported one by one, so that none needs the libraries of another.
 """

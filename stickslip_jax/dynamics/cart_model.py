@@ -14,6 +14,7 @@ keeps exactly (it is a linear invariant), and an exponential one only to its ord
 from typing import NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -45,19 +46,8 @@ class CartModel(SwitchedModel):
 
     def slip(self, inputs: CartInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
         # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
-        system, turn = self.system, self._torque(sign)
-        start, phase = sincos(y[0]), sincos(inputs.phase)
-
-        def field(tau, state):
-            angle, speed, current = state
-            sine, _ = _turned(phase, self.smooth.angular_frequency * tau)
-            voltage = self.smooth.mean + self.smooth.amplitude * sine
-            current_rate = (voltage - system.resistance * current - system.motor_constant * speed) * (
-                1 / system.inductance
-            )
-            return speed, turn(_turned(start, angle), speed, current), current_rate
-
-        angle, speed, current = runge_kutta_step(_SOLVER, field, (0 * h, *y[1:]), h)
+        field = _Slip(self, sincos(y[0]), sincos(inputs.phase), sign)
+        angle, speed, current = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=_SOLVER)
         return y[0] + angle, speed, current
 
     def stick(self, inputs: CartInputs, y: State, h: FloatArray) -> State:
@@ -140,6 +130,23 @@ class CartModel(SwitchedModel):
         gain = voltage.amplitude / (system.resistance**2 + reactance**2)
         sine, cosine = sincos(inputs.phase + voltage.angular_frequency * tau)
         return voltage.mean / system.resistance + gain * (system.resistance * sine - reactance * cosine)
+
+
+class _Slip(eqx.Module):
+    """The rates of a slip: a function of the time since the step began and of the state, its angle from there."""
+
+    model: CartModel
+    start: tuple[FloatArray, FloatArray]
+    phase: tuple[FloatArray, FloatArray]
+    sign: FloatArray
+
+    def __call__(self, tau: FloatArray, state: State) -> State:
+        angle, speed, current = state
+        system, voltage = self.model.system, self.model.smooth
+        sine, _ = _turned(self.phase, voltage.angular_frequency * tau)
+        drop = system.resistance * current + system.motor_constant * speed
+        current_rate = (voltage.mean + voltage.amplitude * sine - drop) * (1 / system.inductance)
+        return speed, self.model._torque(self.sign)(_turned(self.start, angle), speed, current), current_rate
 
 
 def _turned(direction: tuple[FloatArray, FloatArray], angle: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,6 +1,7 @@
 """The mass and spring where slips have no closed form: each step is one step of a solver."""
 
 import diffrax
+import equinox as eqx
 
 from .._types import FloatArray
 from ..numerics.runge_kutta import runge_kutta_step
@@ -14,4 +15,15 @@ class SolverOscillatorModel(OscillatorModel):
     solver: diffrax.AbstractERK
 
     def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
-        return runge_kutta_step(self.solver, lambda tau, state: self.rates(inputs, tau, state, sign), y, h)
+        return runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+
+
+class _Slip(eqx.Module):
+    """The rates of a slip, a function of the time since the step began and of the state."""
+
+    model: OscillatorModel
+    inputs: OscillatorInputs
+    sign: FloatArray
+
+    def __call__(self, tau: FloatArray, state: State) -> State:
+        return self.model.rates(self.inputs, tau, state, self.sign)

@@ -140,7 +140,9 @@ class Streams(eqx.Module):
         return Pieces(now[:second], now[second:third], now[third:])
 
 
-def start_lane(model: SwitchedModel, streams: Streams, feeds: tuple[Feed, ...], y0: State, step: FloatArray) -> Lane:
+def start_lane(
+    model: SwitchedModel, streams: Streams, feeds: tuple[Feed, ...], y0: tuple[Any, ...], step: FloatArray
+) -> Lane:
     """The beginning of a trajectory, its mode settled."""
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
@@ -174,7 +176,9 @@ def advance(
     to_stop = lane.target >= left
     h = jnp.where(to_stop, left, lane.target)
     sticking = lane.sign == 0
-    y1 = _where(sticking, model.stick(inputs, lane.y, h), model.slip(inputs, lane.y, h, lane.sign))
+    # What is not chosen must stay finite for the sake of derivatives: a slip over the long step of a stick may not.
+    slid = model.slip(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
+    y1 = _where(sticking, model.stick(inputs, lane.y, h), slid)
 
     s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(inputs, h, y1, lane.sign)

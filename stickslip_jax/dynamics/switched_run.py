@@ -39,7 +39,7 @@ class Trajectory(eqx.Module):
     beginnings: Beginnings
 
 
-def lane_at_start(system: Any, drive: Drive, words: Any, y0: State, step: FloatArray, solver: Any) -> Lane:
+def lane_at_start(system: Any, drive: Drive, words: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any) -> Lane:
     """The beginning of the trajectory that `words` choose."""
     dtype = step.dtype
     streams = streams_of(system, drive)
@@ -51,7 +51,7 @@ def lane_at_start(system: Any, drive: Drive, words: Any, y0: State, step: FloatA
 
 @partial(jax.jit, static_argnames=("turns", "dtype"))
 def run_trajectory(
-    system: Any, drive: Drive, solver: Any, t1: Scalar, y0: State, step: Scalar, *, turns: int, dtype: Any
+    system: Any, drive: Drive, solver: Any, t1: Scalar, y0: tuple[Any, ...], step: Scalar, *, turns: int, dtype: Any
 ) -> Trajectory:
     """Follow one realisation for up to `turns` turns of the loop; where it ends earlier, the loop idles."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
@@ -89,7 +89,7 @@ def state_at(system: Any, drive: Drive, solver: Any, beginnings: Beginnings, tim
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     t, y, sign, pieces = jax.tree.map(lambda values: values[index], beginnings)
     inputs, h = model.inputs(t, pieces), time - t
-    stuck, slid = model.stick(inputs, y, h), model.slip(inputs, y, h, sign)
+    stuck, slid = model.stick(inputs, y, h), model.slip(inputs, y, jnp.where(sign == 0, 0, h), sign)
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
 
 

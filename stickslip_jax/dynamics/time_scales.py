@@ -15,7 +15,7 @@ from .oscillator_model import has_closed_form
 
 # Steps for each shortest time: by default, and at least. What is smooth has at most two extrema in a sixth of its
 # period; a Runge-Kutta step wants more; the cart's mechanical time constant is no period.
-_PERIOD, _SOLVED, _CONSTANT = (16, 6), (48, 12), (7, 4)
+_PERIOD, _SOLVED, _CONSTANT = (16.0, 6.0), (48.0, 12.0), (7.0, 4.0)
 _DECAY = (1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
 
 

@@ -1,29 +1,67 @@
-"""One step of an explicit Runge-Kutta method, unrolled: the coefficients are diffrax's, the loop over stages is not.
+"""One step of an explicit Runge-Kutta method; the coefficients are diffrax's, the loop over stages is not.
 
-The states are tuples of scalars and zero coefficients cost nothing, so that many lanes advance as vectors.
+The stages are unrolled and the states are tuples of scalars, so that zero coefficients cost nothing and many lanes
+advance as vectors. Derivatives go through a second form in which the stages are a loop: unrolled they would take
+a minute to compile.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import diffrax
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .._types import FloatArray
 
 State = tuple[FloatArray, ...]
 
 
-def runge_kutta_step(
-    solver: diffrax.AbstractERK, field: Callable[[Any, State], State], y: State, h: FloatArray
-) -> State:
-    """The state after the time `h` under ``y' = field(tau, y)``, starting at tau = 0."""
-    tableau = solver.tableau
-    assert isinstance(tableau, diffrax.ButcherTableau)
+@eqx.filter_custom_jvp
+def runge_kutta_step(field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any) -> State:
+    """The state after the time `h` under ``y' = field(tau, y)``, starting at tau = 0.
+
+    `field` must be a pytree that holds everything it depends on, an ``equinox.Module`` say; `solver` a
+    ``diffrax.AbstractERK``.
+    """
+    tableau = _tableau(solver)
     slopes = [field(0 * h, y)]
     for c, row in zip(np.asarray(tableau.c), tableau.a_lower, strict=True):
         slopes.append(field(float(c) * h, _moved(y, h, np.asarray(row), slopes)))
     return _moved(y, h, np.asarray(tableau.b_sol), slopes)
+
+
+@runge_kutta_step.def_jvp
+def _runge_kutta_step_jvp(primals, tangents, *, solver):
+    return eqx.filter_jvp(partial(_looped, solver=solver), primals, tangents)
+
+
+def _looped(field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any) -> State:
+    tableau = _tableau(solver)
+    stages = len(tableau.b_sol)
+    dtype = jnp.result_type(h)
+    weights = np.zeros((stages, stages))
+    for number, row in enumerate(tableau.a_lower):
+        weights[number + 1, : number + 1] = row
+    nodes = jnp.asarray(np.concatenate([[0.0], np.asarray(tableau.c)]), dtype)
+
+    def stage(slopes, at):
+        number, node, row = at
+        reached = tuple(value + h * (row @ slopes[:, i]) for i, value in enumerate(y))
+        return slopes.at[number].set(jnp.stack(field(node * h, reached))), None
+
+    start = jnp.zeros((stages, len(y)), dtype)
+    slopes, _ = lax.scan(stage, start, (jnp.arange(stages), nodes, jnp.asarray(weights, dtype)))
+    moved = jnp.asarray(np.asarray(tableau.b_sol), dtype) @ slopes
+    return tuple(value + h * moved[i] for i, value in enumerate(y))
+
+
+def _tableau(solver: Any) -> diffrax.ButcherTableau:
+    assert isinstance(solver.tableau, diffrax.ButcherTableau)
+    return solver.tableau
 
 
 def _moved(y: State, h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:

@@ -57,7 +57,7 @@ def first_stick(ensemble: Ensemble, *, count_initial_rest: bool = False) -> Firs
     mask = sticks.count > at_zero
     at = (first + at_zero)[mask]
 
-    def fill(values: np.ndarray, padding: float) -> np.ndarray:
+    def fill(values, padding):
         filled = np.full(len(mask), padding, values.dtype)
         filled[mask] = values[at]
         return filled
