@@ -15,7 +15,7 @@ def test_the_readme_prints_what_it_says():
     # The tests' process has started JAX already; its flags change speed, not results.
     text = README.read_text(encoding="utf-8").replace("ss.enable_fast_cpu()", "None")
     parts = re.findall(r"```python\n(.*?)```\s+(?:[^`]*?```\n(.*?)```)?", text, flags=re.DOTALL)
-    assert len(parts) == 2
+    assert len(parts) == 4
     names: dict = {}
     for code, promised in parts:
         printed = io.StringIO()
