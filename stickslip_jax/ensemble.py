@@ -177,9 +177,8 @@ def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact
         return IntervalEngine(system, law, t1, y0)
     drive, step = checked_step(system, law, method, t1, "law")
     check_length(system, law, t1)
-    pieces = sum(len(leaf) for leaf in jax.tree.leaves((drive.base, drive.ground)) if np.ndim(leaf))
     # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
-    most = method.max_steps or 20 * turns_for(t1, float(step), pieces)
+    most = method.max_steps or 20 * turns_for(system, drive, t1, step)
     return SwitchedEngine(system, drive, method.solver, t1, y0, step, np.int32(min(most, 2**31 - 1)))
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.errors import ConcretizationTypeError
 from jaxtyping import Array
 
 from . import _checks
@@ -110,7 +111,7 @@ class Run(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="dtype")
-def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: State, dtype) -> Run:
+def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
     """One trajectory in closed form, interval by interval."""
     scales = scales_of(system, t1, dtype)
     # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
@@ -123,18 +124,16 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: St
     return Run(sticks_in_order(*records), totals, status_of(final, scales.t1), final.t, final_state, none, path)
 
 
-def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: State, dtype) -> Run:
+def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
     """One trajectory in time steps with located switches; again with more steps where they did not suffice."""
     drive, step = checked_step(system, base, method, t1)
-    turns = method.max_steps
-    if turns is None:
-        if _checks.is_traced(step) or _checks.is_traced(t1):
-            raise ValueError(
-                "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are traced by a "
-                "JAX transformation: the number of steps is not known then. Twice t1 / step suffices for most motions."
-            )
-        pieces = sum(leaf.shape[-1] for leaf in jax.tree.leaves((drive.base, drive.ground)) if jnp.ndim(leaf))
-        turns = turns_for(float(t1), float(step), pieces)
+    try:
+        turns = turns_for(system, drive, t1, step) if method.max_steps is None else method.max_steps
+    except ConcretizationTypeError:
+        raise ValueError(
+            "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are traced by a JAX "
+            "transformation: the number of steps is not known then. Twice t1 / step suffices for most motions."
+        ) from None
     run: Run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
         if _checks.is_traced(run.status) or run.status != Status.OUT_OF_STEPS:

@@ -44,6 +44,9 @@ class GroundAcceleration(GroundMotion):
         """The ground acceleration at times `t` (s, any shape), m/s^2."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.accelerations))
 
+    def pieces(self, t1) -> int:
+        return len(self.times)
+
     def begin(self, words, dtype):
         return ()
 

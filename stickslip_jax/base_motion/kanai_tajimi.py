@@ -107,6 +107,9 @@ class KanaiTajimi(GroundMotion):
         growth = jnp.minimum(t / self.rise, 1)
         return growth**2 * jnp.exp(-self.decay * jnp.maximum(t - self.rise - self.plateau, 0))
 
+    def pieces(self, t1) -> int:
+        return math.ceil(float(t1) / float(self.interval)) + 1
+
     def begin(self, words, dtype) -> Memory:
         return *_normal_pair(words, jnp.asarray(_BEGINNING), dtype), jnp.zeros((), dtype)
 

@@ -49,6 +49,9 @@ class BangBangLaw(PieceLaw):
         Neighbouring velocities must differ, except that a duration of 0 marks a spare slot.
         """
 
+    def pieces(self, t1: Any) -> int:
+        return self.capacity(t1)
+
     def next_piece(self, memory: Any, drawn: Any, dtype):
         duration, velocity, memory = self.next_interval(memory, drawn, dtype)
         return duration, velocity, jnp.zeros((), dtype), memory

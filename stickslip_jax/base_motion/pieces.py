@@ -44,6 +44,10 @@ class PieceLaw(eqx.Module):
     jumps: ClassVar[bool]
 
     @abc.abstractmethod
+    def pieces(self, t1: Any) -> int:
+        """About how many pieces there are on ``[0, t1]``; `t1` (s) is no tracer."""
+
+    @abc.abstractmethod
     def begin(self, words: Any, dtype) -> Any:
         """What is known before the first piece, drawn from the key's words."""
 

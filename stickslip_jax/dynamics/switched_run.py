@@ -105,7 +105,11 @@ def base_velocity_at(drive: Drive, beginnings: Beginnings, time: FloatArray) -> 
     return velocity
 
 
-def turns_for(t1: float, step: float, pieces: int) -> int:
-    """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece."""
-    steps = math.ceil(t1 / step)
+def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
+    """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece.
+
+    Raises ConcretizationTypeError if JAX is tracing a number that it depends on.
+    """
+    pieces = sum(law.pieces(t1) for law in streams_of(system, drive).all)
+    steps = math.ceil(float(t1) / float(step))
     return _BLOCK * math.ceil((1.5 * steps + 2 * pieces + 96) / _BLOCK)
