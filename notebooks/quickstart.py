@@ -144,3 +144,48 @@ below, above = np.maximum(means - low, 0), np.maximum(high - means, 0)
 ax = ss.plot.stick_share(
     few_ratios, means, (below, above), ax=ax, label="random steps, mean", errors_label="random steps, 90 % of samples"
 )
+
+# %% [markdown]
+# ## Everything that has no closed form
+# Damping, forces, other friction laws, smooth and recorded bases run in time steps, with every switch located inside
+# its step. Here a damped, forced mass on a base that oscillates: the shaded band is where friction can hold it.
+
+# %%
+forced = ss.MassSpring(
+    mass=1.0,
+    stiffness=1.0,
+    normal_force=1.0,
+    friction=ss.Coulomb(0.4),
+    damping=0.4,
+    force=ss.Harmonic(amplitude=1.0, angular_frequency=0.7),
+)
+swinging = ss.Harmonic(amplitude=1.0, angular_frequency=1.0, offset=0.7)
+two = ss.simulate(forced, swinging, t1=30.0, y0=(3.0, 0.0))
+print(two)
+print("sticks at", [f"{start:.8f}" for start in two.sticks.start[two.sticks.mask]])
+
+# %%
+axes = ss.plot.time_history(two)
+
+# %% [markdown]
+# ## The motor and the cart
+# Lima and Sampaio (2022): random phase of the voltage, random initial angle. How long the first stick lasts depends on
+# the angle at which the motor stops; the line is the closed-form bound (their figure 5).
+
+# %%
+setup = papers.motor_cart(mu=0.5)
+motors = ss.simulate_ensemble(
+    setup.system,
+    setup.law,
+    t1=setup.t1,
+    y0=setup.y0,
+    samples=SAMPLES,
+    key=jax.random.key(3),
+    keep="sticks",
+    progress=False,
+)
+first_sticks = ss.first_stick(motors)
+print(first_sticks)
+
+# %%
+ax = ss.plot.stick_map(first_sticks, system=motors.system, bound=setup.law)

@@ -46,8 +46,8 @@ def test_nothing_was_warned_of(executed):
 
 
 def test_every_figure_is_drawn(executed):
-    """Time history, phase portrait, stick durations, stick share."""
-    assert sum("image/png" in output.get("data", {}) for output in outputs(executed)) == 4
+    """Two time histories, phase portrait, stick durations, stick share, stick map."""
+    assert sum("image/png" in output.get("data", {}) for output in outputs(executed)) == 6
 
 
 def test_the_size_is_set_from_outside(executed):
@@ -62,6 +62,11 @@ def test_numbers_told(executed):
     exact, difference = map(float, told.groups())
     # A central difference over 2e-7 is good to about 1e-13 * 200 / 2e-7 = 1e-4.
     assert exact == pytest.approx(difference, abs=1e-3)
+
+
+def test_the_forced_mass_sticks_where_it_is_known_to(executed):
+    """Published for this system: 9.48337858 and 26.13168182 s (DISODE45 example)."""
+    assert "['9.48337858', '26.13168182']" in printed(executed)
 
 
 def test_the_labelled_arrays_are_shown(executed):
