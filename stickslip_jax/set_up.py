@@ -9,10 +9,11 @@ from jaxtyping import Array
 
 from . import _checks
 from ._types import Scalar
-from .base_motion.drive import Drive, drive_of, is_random, longest_time
+from .base_motion.drive import Drive, WithJumps, drive_of, is_random, longest_time
 from .base_motion.laws import BangBangLaw
 from .base_motion.piecewise import VelocitySteps
 from .base_motion.random import Uniform
+from .base_motion.smooth import UserMotion
 from .dynamics.method import Exact
 from .dynamics.models import check_drive
 from .dynamics.time_scales import step_for
@@ -62,13 +63,15 @@ def one_realisation(system: Any, base: Any, t1: Scalar) -> Any:
             f"Argument base must be one realisation, but it has durations of shape {base.durations.shape}; "
             "use jax.vmap over the realisations, or simulate_ensemble."
         )
-    drive_of(base)
+    smooth = drive_of(base).smooth
     if is_random(base):
         raise ValueError(
             f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
             "draw one with base.sample(key, t1)."
         )
     check_length(system, base, t1)
+    if isinstance(smooth, UserMotion) and not isinstance(base, WithJumps):
+        return smooth
     return base.sample(None, t1) if isinstance(base, BangBangLaw) else base
 
 

@@ -29,7 +29,7 @@ class WithJumps(eqx.Module):
     Raises ValueError for anything else.
     """
 
-    motion: Any
+    motion: Any = eqx.field(converter=lambda v: UserMotion(v) if _is_users(v) else v)
     jumps: BangBangLaw | VelocitySteps
 
     def __check_init__(self):
@@ -122,12 +122,17 @@ def drive_of(base: Any, name: str = "base") -> Drive:
     if isinstance(base, WithJumps):
         motion, jumps = drive_of(base.motion), drive_of(base.jumps)
         return Drive(motion.smooth, motion.base + jumps.base, parts_differ=True)
-    if callable(getattr(base, "velocity", None)) and callable(getattr(base, "acceleration", None)):
+    if _is_users(base):
         return Drive(UserMotion(base))
     raise ValueError(
         f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
         f"and acceleration(t), but {_checks.show(base)} was given."
     )
+
+
+def _is_users(base: Any) -> bool:
+    known = isinstance(base, (PieceLaw, VelocitySteps, Signal, RandomPhase))
+    return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
 
 
 def is_random(base: Any) -> bool:

@@ -152,13 +152,13 @@ class SumOfHarmonics(Signal):
 
 
 class UserMotion(Signal):
-    """A base motion of the user's: any pytree (an ``equinox.Module``, say) with ``velocity(t)`` and
-    ``acceleration(t)``.
+    """A base motion of the user's: any object with ``velocity(t)`` and ``acceleration(t)``.
 
-    It may have ``shortest_period`` (s) too; without it, give the step of the simulation.
+    It may have ``shortest_period`` (s) too; without it, give the step of the simulation. To differentiate with respect
+    to its parameters, make it a pytree (an ``equinox.Module``, say); an object of another kind is a constant.
     """
 
-    motion: Any
+    motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.motion.velocity(t)
@@ -169,6 +169,22 @@ class UserMotion(Signal):
     @property
     def shortest_period(self) -> Any:
         return getattr(self.motion, "shortest_period", None)
+
+
+class _Constant(eqx.Module):
+    """An object that is no pytree, as a pytree without leaves."""
+
+    held: Any = eqx.field(static=True)
+
+    def velocity(self, t: FloatArray) -> FloatArray:
+        return jnp.asarray(self.held.velocity(t))
+
+    def acceleration(self, t: FloatArray) -> FloatArray:
+        return jnp.asarray(self.held.acceleration(t))
+
+    @property
+    def shortest_period(self) -> Any:
+        return getattr(self.held, "shortest_period", None)
 
 
 def _array(name: str, values: Any) -> AnyArray:

@@ -111,7 +111,7 @@ class Lane(NamedTuple):
     y: State
     sign: FloatArray
     target: FloatArray  # length of the next step to try
-    event: FloatArray  # time of the last event
+    event: FloatArray  # time of the last event at rest
     tries: IntArray
     turns: IntArray  # of the loop so far
     stick_start: FloatArray
@@ -207,10 +207,8 @@ def advance(
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, look.where)
     moved = moved._replace(turns=lane.turns + 1)
     switched, record = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
-    event = jnp.where(landed & model.at_rest(inputs, y), t, lane.event)
-    following = model.step_limit(t - event, step, switched.y, switched.sign)
-    target, event = lax.stop_gradient((jnp.where(again, guess * h, following), event))
-    switched = switched._replace(target=target, event=event)
+    longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
+    switched = switched._replace(target=lax.stop_gradient(jnp.where(again, guess * h, longest)))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
 
@@ -244,6 +242,9 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     ending = jnp.where(over, jnp.where(cut, horizon, jnp.where(ended & jumped, switched, released)), none)
     record = StickRecord(lane.stick_start, lane.t, lane.stick_position, ending)
     begins = ~was_stick & (sign == 0)
+    at_rest = landed & model.at_rest(inputs, y)
+    # A mass put down on the very edge of the band leaves it at once: that is no stick.
+    no_stick = was_stick & (sign != 0) & ~over
     totals = Totals(
         sticks=lane.totals.sticks + over,
         censored=lane.totals.censored + (over & cut),
@@ -254,6 +255,8 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
         sign=sign,
         totals=totals,
         feeds=feeds,
+        event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
+        at_start=lane.at_start & ~no_stick,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
         stick_position=jnp.where(begins, y[0], lane.stick_position),
     ), record

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .. import _checks
@@ -113,6 +114,12 @@ class Stribeck(FrictionLaw):
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
 
 
+def _traceable(curve: Any) -> Any:
+    """A plain function as a pytree without leaves, so that it can be part of a system that JAX transforms."""
+    is_plain = callable(curve) and jax.tree.leaves(curve) == [curve]
+    return jax.tree_util.Partial(curve) if is_plain else curve
+
+
 class FrictionCurve(FrictionLaw):
     """A friction law of the user's: the coefficient of a slip is ``curve(|v_rel|)``.
 
@@ -123,7 +130,7 @@ class FrictionCurve(FrictionLaw):
     Raises ValueError for a curve that cannot be called, or coefficients that are negative or do not fit.
     """
 
-    curve: Callable[[FloatArray], Any]
+    curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
     mu_static: Scalar | None = None
 
     def __check_init__(self):
