@@ -31,6 +31,7 @@ from .events import Sticks, sticks_in_order
 from .set_up import checked_step
 from .systems.mass_spring import MassSpring
 
+_MOST_KEPT = 2**25  # turns of the loop whose states are kept: about 3 GB
 _MOST_DOUBLINGS = 6  # of the turns of the loop, before a trajectory is given up
 
 
@@ -134,6 +135,11 @@ def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[An
             "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are traced by a JAX "
             "transformation: the number of steps is not known then. Twice t1 / step suffices for most motions."
         ) from None
+    if turns > _MOST_KEPT:
+        raise ValueError(
+            f"Argument t1 must be shorter: {turns} steps would be kept, and at most {_MOST_KEPT} can be; "
+            "simulate_ensemble keeps sticks only, for a single sample too."
+        )
     run: Run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
         if _checks.is_traced(run.status) or run.status != Status.OUT_OF_STEPS:

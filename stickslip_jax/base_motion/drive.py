@@ -49,10 +49,11 @@ class WithJumps(eqx.Module):
         if key is None and is_random(self):
             raise ValueError("Argument key must be a key such as jax.random.key(0), but None was given.")
         motion, jumps = self.motion, self.jumps
-        if isinstance(motion, RandomPhase):
-            motion = motion.sample(jax.random.fold_in(key, 1), t1)
+        own = [None, None] if key is None else [jax.random.fold_in(key, part) for part in (0, 1)]
+        if isinstance(motion, RandomPhase) and own[1] is not None:
+            motion = motion.sample(own[1], t1)
         if isinstance(jumps, BangBangLaw):
-            jumps = jumps.sample(jax.random.fold_in(key, 0) if jumps.is_random else None, t1, capacity=capacity)
+            jumps = jumps.sample(own[0], t1, capacity=capacity)
         return WithJumps(motion, jumps)
 
 

@@ -18,6 +18,7 @@ from .models import model_of, streams_of
 from .switched_engine import Lane, Pieces, State, advance, has_ended, start_lane, status_of_lane
 
 _BLOCK = 32  # turns of the loop after which to see whether the trajectory has ended
+MOST_TURNS = 2**30  # they are counted in 32 bits
 TURNS_PER_STICK = 4  # at least: to find and reach its beginning, and to find and reach its end
 
 
@@ -108,8 +109,14 @@ def base_velocity_at(drive: Drive, beginnings: Beginnings, time: FloatArray) -> 
 def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
     """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece.
 
-    Raises ConcretizationTypeError if JAX is tracing a number that it depends on.
+    Raises ConcretizationTypeError if JAX is tracing a number that it depends on, ValueError if they are too many to be
+    counted in 32 bits.
     """
     pieces = sum(law.pieces(t1) for law in streams_of(system, drive).all)
-    steps = math.ceil(float(t1) / float(step))
-    return _BLOCK * math.ceil((1.5 * steps + 2 * pieces + 96) / _BLOCK)
+    turns = 1.5 * (float(t1) / float(step)) + 2 * pieces + 96
+    if turns > MOST_TURNS:
+        raise ValueError(
+            f"Argument t1 must be shorter: {float(t1):g} s hold more than {MOST_TURNS} steps of {float(step):.3g} s or "
+            "pieces of the motion."
+        )
+    return _BLOCK * math.ceil(turns / _BLOCK)

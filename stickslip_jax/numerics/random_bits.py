@@ -18,7 +18,7 @@ from .elementary import log
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
-def key_words(key: Array) -> KeyWords:
+def key_words(key: Array) -> Array:
     """The two 32-bit words of a threefry key (new style ``jax.random.key`` or old style ``PRNGKey``).
 
     Raises ValueError for anything else; other generators are refused because under ``vmap`` some of them
