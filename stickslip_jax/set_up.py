@@ -5,10 +5,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from . import _checks
-from ._types import Scalar
+from ._types import AnyArray, Scalar
 from .base_motion.drive import Drive, WithJumps, drive_of, is_random, longest_time
 from .base_motion.laws import BangBangLaw
 from .base_motion.piecewise import VelocitySteps
@@ -110,7 +109,7 @@ def checked_step(system: Any, base: Any, method: Exact, t1: Scalar, name: str = 
     return drive, step if _checks.is_traced(step) or _checks.is_traced(t1) else min(float(step), float(t1))
 
 
-def working_dtype(*arrays: Array, stacklevel: int = 3):
+def working_dtype(*arrays: AnyArray, stacklevel: int = 3):
     """The floating dtype of a simulation; says once how to get float64 when JAX runs in float32."""
     dtype = jnp.result_type(float, *arrays)
     if not jax.config.read("jax_enable_x64"):

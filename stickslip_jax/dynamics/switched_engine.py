@@ -34,8 +34,9 @@ State = tuple[FloatArray, ...]
 _LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
 _DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
+_CLOCK_ULPS = 4  # the round-off of times, in units in the last place
 _AT_ONCE = 1e-9  # of a step: a fall so early means that the mode was over when the step began
-_MANY_TRIES = 12  # guesses that have not landed by then are followed by halving
+_MANY_TRIES = 12  # guesses that have not landed by then are followed by halving, down to where round-off decides
 
 
 class Pieces(NamedTuple):
@@ -183,12 +184,14 @@ def advance(
     s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(inputs, h, y1, lane.sign)
     scale = model.guard_scale(inputs, y1, lane.sign)
-    noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale
+    # Round-off of the guard itself, and of the time at which it is taken.
+    clock = _CLOCK_ULPS * jnp.finfo(dtype).eps * (lane.t + h)
+    noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
     look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
     delta = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
-    near = jnp.abs(delta) <= _LANDED[dtype.itemsize] * step
+    near = jnp.abs(delta) <= _LANDED[dtype.itemsize] * step + clock
     stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
-    at_once = look.falls & (s0 <= noise) & (look.where < _AT_ONCE)
+    at_once = look.falls & (s0 <= noise) & ((look.where < _AT_ONCE) | (lane.tries > 2 * _MANY_TRIES))
     landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
     again = ~landed & (look.falls | look.turns) & ~stalled
     taken = ~landed & ~again
