@@ -62,8 +62,7 @@ class OscillatorModel(SwitchedModel):
     def rates(self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
         m, k, c = self._constants()
         velocity, acceleration = self._base(inputs, tau)
-        speed = jnp.abs(y[1] - velocity)
-        rub = sign * self.system.friction.kinetic(speed) * self.system.normal_force
+        rub = sign * self._coefficient(sign * (y[1] - velocity)) * self.system.normal_force
         slip = (self._force(inputs, tau) - _times(c, y[1]) - k * y[0] - rub) / m
         return y[1], jnp.where(sign == 0, acceleration, slip)
 
@@ -110,6 +109,17 @@ class OscillatorModel(SwitchedModel):
 
     def _constants(self):
         return self.system.mass, self.system.stiffness, self.system.damping
+
+    def _coefficient(self, speed: FloatArray) -> Any:
+        """The friction coefficient of a slip, continued with the same slope to where the slip is over.
+
+        The stages of a Runge-Kutta step that ends an arc may lie slightly beyond; a kink there would cost its order.
+        """
+        friction = self.system.friction
+        coefficient = friction.kinetic(jnp.abs(speed))
+        if friction.constant:
+            return coefficient
+        return jnp.where(speed < 0, 2 * friction.kinetic(jnp.zeros_like(speed)) - coefficient, coefficient)
 
     def _holds(self) -> FloatArray:
         return jnp.asarray(self.system.friction.static * self.system.normal_force)
