@@ -71,7 +71,16 @@ class Line(NamedTuple):
 
 
 class Shaking(Line):
-    """A `Line` that is the acceleration of the ground."""
+    """A `Line` that is the acceleration of the ground, on which the base rests."""
+
+    def value(self, *_) -> float:
+        return 0.0
+
+    def rate(self, *_) -> float:
+        return 0.0
+
+    def acceleration(self, t: float, middle: float) -> float:
+        return Line(*self).value(t, middle)
 
     @property
     def package(self) -> ss.GroundAcceleration:
@@ -88,6 +97,10 @@ class Steps(NamedTuple):
     @property
     def breaks(self) -> tuple[float, ...]:
         return tuple(np.cumsum(self.durations)[:-1].tolist())
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return self.breaks
 
     def value(self, _, middle: float) -> float:
         return self.velocities[int(np.searchsorted(self.breaks, middle))]
@@ -113,6 +126,10 @@ class Jumping(NamedTuple):
     @property
     def breaks(self) -> tuple[float, ...]:
         return (*self.motion.breaks, *self.steps.breaks)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return self.steps.breaks
 
     def value(self, t: float, middle: float) -> float:
         return self.motion.value(t, middle) + self.steps.value(t, middle)
@@ -193,49 +210,32 @@ class Case(NamedTuple):
         parts = [part.breaks for part in (self.base, self.force) if part is not None]
         return sorted({t for breaks in parts for t in breaks if 0 < t < self.t1})
 
-    def base_velocity(self, t: float, middle: float) -> float:
-        return 0.0 if isinstance(self.base, Shaking) else self.base.value(t, middle)
-
-    def base_acceleration(self, t: float, middle: float) -> float:
-        return 0.0 if isinstance(self.base, Shaking) else self.base.rate(t, middle)
-
     def push(self, t: float, middle: float) -> float:
         """The force on the mass; that of a shaking ground is ``-mass * acceleration``."""
         load = 0.0 if self.force is None else self.force.value(t, middle)
-        return load - self.mass * self.base.value(t, middle) if isinstance(self.base, Shaking) else load
+        return load - self.mass * self.base.acceleration(t, middle) if isinstance(self.base, Shaking) else load
 
     def follow(self, **method) -> "Followed":
-        """Simulate by the package, in time steps."""
+        """Simulate by the package, in time steps: by default those that the package itself takes for closed forms."""
+        method = {"step": self.shortest_time / 16} | method
         return follow(self.system, self.base.package, self.t1, self.y0, **method)
 
     def reference(self, **options) -> Run:
         """Simulate by the reference, whose steps resolve every harmonic."""
         middles = [(a + b) / 2 for a, b in pairwise([0.0, *self.breaks, self.t1])]
-        fastest = max([self.omega, (self.damping or 0) / self.mass, *self._frequencies])
-        return simulate_mass_spring(
-            mass=self.mass,
-            stiffness=self.stiffness,
-            damping=self.damping or 0.0,
-            normal_force=self.normal_force,
-            mu_static=float(self.rub.law.static),
-            mu_kinetic=self.rub.kinetic,
-            base_velocity=lambda t, i: self.base_velocity(t, middles[i]),
-            base_acceleration=lambda t, i: self.base_acceleration(t, middles[i]),
-            force=lambda t, i: self.push(t, middles[i]),
-            t1=self.t1,
-            y0=self.y0,
-            breaks=self.breaks,
-            **({"max_step": 0.25 / fastest} | options),
-        )
-
-    @property
-    def _frequencies(self) -> tuple[float, ...]:
-        return self.base.frequencies + (() if self.force is None else self.force.frequencies)
+        fastest = max(2 * math.pi / self.shortest_time, (self.damping or 0) / self.mass)
+        functions = {"base_velocity": self.base.value, "base_acceleration": self.base.rate, "force": self.push}
+        numbers = {name: getattr(self, name) for name in ("mass", "stiffness", "normal_force", "t1", "y0", "breaks")}
+        numbers |= {"damping": self.damping or 0.0, "mu_static": float(self.rub.law.static)}
+        of_time = {name: lambda t, i, f=function: f(t, middles[i]) for name, function in functions.items()}
+        options = {"max_step": 0.25 / fastest} | options
+        return simulate_mass_spring(**numbers, **of_time, mu_kinetic=self.rub.kinetic, **options)
 
     @property
     def shortest_time(self) -> float:
         """The shortest of all periods, s."""
-        return 2 * math.pi / max(self.omega, *self._frequencies, 0.0)
+        frequencies = self.base.frequencies + (() if self.force is None else self.force.frequencies)
+        return 2 * math.pi / max(self.omega, *frequencies, 0.0)
 
 
 class Followed(NamedTuple):
@@ -254,7 +254,7 @@ class Followed(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="turns")
-def follow(system, base, t1, y0, *, step=None, solver=None, turns=TURNS) -> Followed:
+def follow(system, base, t1, y0, *, step, solver=None, turns=TURNS) -> Followed:
     """Simulate in time steps; compiled once for every kind of set-up."""
     method = ss.Exact(step=step, max_steps=turns, solver=solver)
     one = ss.simulate(system, base, t1=t1, y0=y0, method=method)
@@ -282,13 +282,10 @@ def crossings_of(case: Case, followed: Followed) -> tuple[np.ndarray, np.ndarray
     lasting = np.diff(np.append(begun, t1)) > 1e-14 * t1
     times, signs = begun[lasting], np.sign(np.asarray(followed.middle[2]))[lasting]
     changes = np.flatnonzero(signs[1:] * signs[:-1] < 0) + 1
-    jumps = {Steps: case.base, Jumping: getattr(case.base, "steps", None)}.get(type(case.base))
-    if jumps is not None:
-        away = np.min(np.abs(times[changes, None] - np.asarray(jumps.breaks)[None]), axis=1, initial=math.inf)
-        changes = changes[away > 1e-12 * t1]
-    sticks = filled(followed.simulation)
-    outside = ~np.any((sticks.start <= times[changes, None]) & (times[changes, None] <= sticks.end), axis=1)
-    changes = changes[outside]
+    at, sticks = times[changes, None], filled(followed.simulation)
+    jumps = np.asarray(case.base.jumps if hasattr(case.base, "jumps") else [])
+    inside = np.any((sticks.start <= at) & (at <= sticks.end), axis=1)
+    changes = changes[~inside & ~np.any(np.abs(at - jumps) <= 1e-12 * t1, axis=1)]
     return times[changes], np.asarray(followed.begin[0])[lasting][changes]
 
 
@@ -316,20 +313,16 @@ def errors_against(run: Run, case: Case, followed: Followed) -> Errors:
     sticks = np.array([stick[:3] for stick in run.sticks]).reshape(-1, 3)
     times = np.concatenate([found.start, found.end, crossed])
     exact_times = np.concatenate([sticks[:, 0], sticks[:, 1], run.crossings])
-    ended = np.array([run.state_at(t) for t in sticks[:, 1]]).reshape(-1, 2)
-    passed = np.array([run.state_at(t) for t in run.crossings]).reshape(-1, 2)
+    later = [run.state_at(t)[0] for t in [*sticks[:, 1], *run.crossings]]
     places = [np.asarray(states[0])[mask] for states in (followed.start, followed.end)]
     positions = np.concatenate([found.position, *places, where])
-    exact_positions = np.concatenate([sticks[:, 2], sticks[:, 2], ended[:, 0], passed[:, 0]])
+    exact_positions = np.concatenate([sticks[:, 2], sticks[:, 2], later])
     final = np.array([float(value) for value in one.final_state]) * [1, 1 / case.omega]
     exact_final = run.final_state * [1, 1 / case.omega]
     size = max(case.half_width, np.max(np.abs(exact_positions), initial=0), np.max(np.abs(exact_final)))
     clock = np.maximum(exact_times, 1 / case.omega)
-    return Errors(
-        float(np.max(np.abs(times - exact_times) / clock, initial=0)),
-        float(np.max(np.abs(positions - exact_positions), initial=0) / size),
-        float(np.max(np.abs(final - exact_final)) / size),
-    )
+    pairs = ((times, exact_times, clock), (positions, exact_positions, size), (final, exact_final, size))
+    return Errors(*(float(np.max(np.abs(got - exact) / scale, initial=0)) for got, exact, scale in pairs))
 
 
 KINDS = {
