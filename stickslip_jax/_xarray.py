@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from ._status import Ending, Status
+from .systems.motor_cart import MotorCart
 
 if TYPE_CHECKING:
     import xarray
@@ -27,15 +28,23 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
             "sample": along("sample", range(len(sticks.count)), "number of the sample"),
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
-            "stick_position": along("stick", sticks.position, "position of the mass when the stick starts", "m"),
+            "stick_position": along("stick", sticks.position, *_position(ensemble.system)),
             "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
             "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
             "slip_count": along("sample", totals.slips, "number of slips"),
             "stick_time": along("sample", totals.stick_time, "total stick time", "s"),
+            "doubts": along("sample", totals.doubts, "number of events that the last digits decide"),
             "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
         },
         attrs={"Conventions": "CF-1.11"},
     )
+
+
+def _position(system: Any) -> tuple[str, str]:
+    """What the position of a stick is, and its unit."""
+    if isinstance(system, MotorCart):
+        return "motor angle during the stick", "rad"
+    return "position of the mass when the stick starts", "m"
 
 
 def _flags(codes) -> dict[str, Any]:

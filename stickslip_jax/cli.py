@@ -4,12 +4,14 @@ Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 
 """
 
 import contextlib
+import gc
 import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from typing import Any, NoReturn
+from functools import partial
+from typing import Any
 
 import jax
 
@@ -41,7 +43,7 @@ def _answer(tokens: Sequence[str]) -> int:
     except ImportError as error:
         return _fail(error, 1)
     try:
-        with _termination_raised():
+        with _stops_raised():
             return _run(tokens)
     except StudyError as error:
         return _fail(error, 2)
@@ -62,8 +64,9 @@ def _run(tokens: Sequence[str]) -> int:
     if command is None:
         return 0
     options = command.options
-    config = read_config(command.config, {name: getattr(options, name) for name in OPTIONS})
-    if options.print_config:
+    given = {name: getattr(options, name) for name in OPTIONS}
+    config = read_config(command.config, given, example=options.print_example)
+    if options.print_config or options.print_example is not None:
         print(config.to_toml(), end="")
         return 0
     _prepare_jax(config.run.dtype)
@@ -93,20 +96,40 @@ def _fail(reason: Any, code: int) -> int:
 
 
 @contextlib.contextmanager
-def _termination_raised() -> Iterator[None]:
-    """Let a request to terminate (from a batch system, say) clean up as Ctrl-C does."""
+def _stops_raised() -> Iterator[None]:
+    """Let Ctrl-C, and a request to terminate (from a batch system, say), clean up: both raise, and are not lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-
-    def stop(number: int, frame: Any) -> NoReturn:
-        raise _Terminated
-
-    usual = signal.signal(signal.SIGTERM, stop)
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGTERM, partial(_stop, _Terminated))
+    if usual[signal.SIGINT] is signal.default_int_handler:  # not where Ctrl-C is ignored
+        signal.signal(signal.SIGINT, partial(_stop, KeyboardInterrupt))
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, usual)
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
+    # Python drops what is raised in callbacks of its garbage collector, and such a callback of JAX is often the first
+    # thing to run after a long compilation: there, try again a little later.
+    if _inside_callback_of_gc(frame):
+        later = threading.Timer(0.05, os.kill, (os.getpid(), number))
+        later.daemon = True
+        later.start()
+        return
+    raise reason
+
+
+def _inside_callback_of_gc(frame: Any) -> bool:
+    callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
+    while frame is not None:
+        if frame.f_code in callbacks:
+            return True
+        frame = frame.f_back
+    return False
 
 
 if __name__ == "__main__":

@@ -2,6 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
+
+import stickslip_jax as ss
+
 SMALL = """
 [run]
 t1 = 20.0
@@ -42,7 +46,7 @@ BAD_CONFIGS = {
     ),
     "law in lower case": ('[base]\nlaw = "squarewave"', ["did you mean SquareWave?"]),
     "law that is none": ("[base]\nlaw = 3", ["law in [base]", "RandomSteps", "3"]),
-    "unknown system": ('[system]\nmodel = "MotorCart"', ["model in [system]", "'MassSpring'", '"MotorCart"']),
+    "unknown system": ('[system]\nmodel = "MotorCrat"', ["model in [system]", '"MotorCrat"', "mean MotorCart?"]),
     "missing key": ('[base]\nlaw = "RandomSteps"\nspeed = 1.0', ["[base] lacks interval", "RandomSteps"]),
     "text for a number": ('[system]\nmass = "1"', ["mass in [system]", "a number", '"1"']),
     "true for a number": ("[system]\nmass = true", ["mass in [system]", "a number", "true"]),
@@ -87,7 +91,139 @@ BAD_CONFIGS = {
     ),
     "lengths that differ": (
         '[base]\nlaw = "PiecewiseConstant"\ntimes = [0, 2]\nvelocities = [1]',
-        ["in [base]", "same length", "2 and 1"],
+        ["in [base]", "same length", "(2,) and (1,)"],
     ),
     "no TOML": ("[system\nmass = 1", ["not valid TOML", "line 1"]),
 }
+
+
+HARMONIC = 'law = "Harmonic"\namplitude = 0.5\nangular_frequency = 1.5\n'
+_CART, _JUMPS = '[system]\nmodel = "MotorCart"\n', '[base]\nlaw = "WithJumps"\n[base.jumps]\n'
+_STRIBECK = '[system.friction]\nlaw = "Stribeck"\nmu = 0.3\n'
+_RECORDED = '[base]\nlaw = "Recorded"\n'
+BAD_SYSTEMS_AND_BASES = {
+    "key of the other system": (_CART + "mass = 3.0", ["mass", "[system] of the model MotorCart", "model MassSpring"]),
+    "start of a cart for a mass": (
+        "[run]\ninitial_angle = 1.0",
+        ["initial_angle in [run] of the model MassSpring", "belongs in [run] of the model MotorCart"],
+    ),
+    "start of a mass for a cart": (
+        _CART + "[run]\ninitial_position = 1.0",
+        ["initial_position in [run] of the model MotorCart", "belongs in [run] of the model MassSpring"],
+    ),
+    "solver for a cart": (_CART + '[run]\nsolver = "Tsit5"', ["solver in [run]", "of the model MassSpring"]),
+    "first rest of a mass": ("[run]\ncount_initial_rest = true", ["count_initial_rest", "model MotorCart"]),
+    "voltage for a mass": (
+        '[base]\nlaw = "SourceVoltage"',
+        ["law in [base] must be a motion of the base", "MassSpring", '"SourceVoltage"', "drives a MotorCart"],
+    ),
+    "motion for a cart": (
+        _CART + '[base]\nlaw = "PoissonSwitching"',
+        ['law in [base] must be "SourceVoltage"', "MotorCart", '"PoissonSwitching"'],
+    ),
+    "another equation": (_CART + 'equation = "right"', ["equation in [system]", "'physical' or 'printed'"]),
+    "model that is none": ("[system]\nmodel = 3", ["model in [system]", "MassSpring, MotorCart", "3"]),
+    "range as a list": ("[run]\ninitial_position = [0, 1]", ["initial_position in [run]", "{ low = ..., high = ... }"]),
+    "range that falls": (
+        "[run]\ninitial_position = { low = 1, high = 0 }",
+        ["in [run.initial_position]", "high must be above low = 1.0", "0.0"],
+    ),
+    "half a range": ("[run]\ninitial_position = { low = 1 }", ["[run.initial_position] lacks high"]),
+    "range misspelt": ("[run]\ninitial_position = { low = 1, hihg = 2 }", ["hihg", "did you mean high?"]),
+    "range of texts": ('[run]\ninitial_position = { low = "1", high = 2 }', ["low in [run.initial_position]", '"1"']),
+    "friction twice": ("[system]\nmu = 0.3\n" + _STRIBECK, ["in [system], mu and [system.friction]"]),
+    "unknown friction": ('[system.friction]\nlaw = "Stribek"', ["law in [system.friction]", "did you mean Stribeck?"]),
+    "unknown key of a friction": (
+        _STRIBECK + "mu_static = 0.4\nstribek_speed = 1.0",
+        ["stribek_speed in [system.friction] of the law Stribeck", "did you mean stribeck_speed?"],
+    ),
+    "friction that lacks a key": (_STRIBECK, ["[system.friction] lacks mu_static", "which Stribeck needs"]),
+    "static below kinetic": (
+        "[system.friction]\nmu = 0.3\nmu_static = 0.2",
+        ["in [system.friction]", "mu_static must be at least mu = 0.3", "0.2"],
+    ),
+    "table misspelt": ("[system.frictoin]\nmu = 1", ["frictoin in [system]", "did you mean friction?"]),
+    "table outside its section": ("[friction]\nmu = 1", ["[friction]", "did you mean [system.friction]?"]),
+    "table of another law": ("[base.motion]\n" + HARMONIC, ["motion in [base]", "motion belongs", "law WithJumps"]),
+    "force that is none": ("[system]\nforce = 3", ["force must be a section [system.force] of keys", "3"]),
+    "force without a law": ("[system.force]\namplitude = 3", ["[system.force] lacks law", "Harmonic, SumOf"]),
+    "force that jumps": ('[system.force]\nlaw = "SquareWave"', ["law in [system.force]", '"SquareWave"']),
+    "jumps without a motion": (_JUMPS, ["[base] lacks [base.motion]", "WithJumps"]),
+    "jumps that do not": (
+        _JUMPS + 'law = "Harmonic"\n[base.motion]\n' + HARMONIC,
+        ["law in [base.jumps]", "SquareWave"],
+    ),
+    "unknown key of jumps": (_JUMPS + "raet = 1.0\n[base.motion]\n" + HARMONIC, ["raet in [base.jumps]", "mean rate?"]),
+    "phase given and drawn": (
+        f"[base]\n{HARMONIC}phase = 0.3\nrandom_phase = true",
+        ["in [base]", "phase must be left out", "random_phase"],
+    ),
+    "amplitudes without frequencies": (
+        '[base]\nlaw = "SumOfHarmonics"\namplitudes = [1.0]\nangular_frequencies = [1.0, 2.0]',
+        ["in [base]", "amplitudes", "same length"],
+    ),
+    "record without a source": (_RECORDED, ["in [base]", "either file, or times and values"]),
+    "record with half a source": (_RECORDED + "times = [0, 1]", ["in [base]", "either file, or times and values"]),
+    "record with two sources": (
+        _RECORDED + 'file = "case.toml"\ntimes = [0, 1]\nvalues = [0, 1]',
+        ["in [base]", "either file, or times and values"],
+    ),
+    "sign between no columns": (
+        _RECORDED + 'times = [0, 1]\nvalues = [0, 1]\ndelimiter = ";"',
+        ["in [base]", "delimiter must be left out", '";"'],
+    ),
+    "record that turns back": (
+        _RECORDED + "times = [0, 1, 1]\nvalues = [0, 1, 2]",
+        ["in [base]", "times must increase"],
+    ),
+    "no such record": (_RECORDED + 'file = "none.csv"', ["in [base]", "file must be", '"none.csv"', "looked in is"]),
+    "column that is none": (
+        _RECORDED + 'file = "case.toml"\ntime_column = 1.5',
+        ["in [base]", "time_column must", "1.5"],
+    ),
+    "two signs between columns": (_RECORDED + 'file = "case.toml"\ndelimiter = ";;"', ["delimiter must", "whitespace"]),
+    "no such accelerogram": (
+        '[base]\nlaw = "GroundAcceleration"\nfile = "none.at2"',
+        ["in [base]", "file must be", '"none.at2"'],
+    ),
+    "accelerogram not given": ('[base]\nlaw = "GroundAcceleration"', ["[base] lacks file", "GroundAcceleration needs"]),
+    "too coarse an accelerogram": (
+        '[base]\nlaw = "KanaiTajimi"\nrms = 1.0\ninterval = 1.0',
+        ["in [base]", "interval must be at most"],
+    ),
+    "zero step": ("[run]\nstep = 0.0", ["step in [run]", "greater than 0"]),
+    "no steps": ("[run]\nmax_steps = 0", ["max_steps in [run]", "greater than or equal to 1"]),
+    "unknown solver": ('[run]\nsolver = "Euler"', ["solver in [run]", "'Dopri8'", '"Euler"']),
+    "negative damping": ("[system]\ndamping = -1.0", ["damping in [system]", "greater than or equal to 0"]),
+}
+"""Likewise, of what `BAD_CONFIGS` leaves out."""
+
+
+TIMES = np.linspace(0.0, 12.0, 25)
+VALUES = np.round(0.6 * np.sin(1.3 * TIMES), 3)
+G, TONES = 9.80665, ([0.5, 0.2], [1.5, 4.0])
+_AT2 = """PEER NGA STRONG MOTION DATABASE RECORD
+A test, 1/1/2000, nowhere, 90
+ACCELERATION TIME SERIES IN UNITS OF G
+NPTS= 25, DT= .5000 SEC
+"""
+
+
+def write_records(folder: Path) -> None:
+    """Files that hold `VALUES` at `TIMES`: tables, an accelerogram, and one that is none."""
+    rows = [f"{t},{2 * v},{v}" for t, v in zip(TIMES, VALUES, strict=True)]
+    values = "\n".join(map(str, VALUES)) + "\n"
+    late = "\n".join(f"{t + 1} {v}" for t, v in zip(TIMES, VALUES, strict=True)) + "\n"
+    files = {
+        "record.csv": "\n".join(["time,twice,value", *rows]) + "\n",
+        "late.txt": late,
+        "record.AT2": _AT2 + values,
+        "velocity.AT2": _AT2.replace("ACCELERATION", "VELOCITY") + values,
+    }
+    for name, text in files.items():
+        (folder / name).write_text(text)
+
+
+def mass_spring(friction: ss.FrictionLaw | None = None, **more) -> ss.MassSpring:
+    """The mass and spring that a study has unless it says otherwise."""
+    return ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0) if friction is None else friction, **more)

@@ -1,11 +1,13 @@
 """The ``stickslip`` command: output, exit codes, and that nothing is left of a failure."""
 
+import gc
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from typing import get_args
 
 import pytest
 import xarray as xr
@@ -13,7 +15,9 @@ from study_support import BAD_CONFIGS, SMALL, config_file
 
 import stickslip_jax as ss
 from stickslip_jax import cli
+from stickslip_jax.study.examples import EXAMPLES
 from stickslip_jax.study.folder import CONFIG, DATA
+from stickslip_jax.study.options import Example
 from stickslip_jax.study.reading import read_config
 from stickslip_jax.study.run import STATISTICS
 
@@ -66,6 +70,14 @@ def test_printed_configuration_is_one_to_start_from(capsys, tmp_path):
     assert os.listdir() == [path.name]
 
 
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_printed_example_is_one_to_start_from(capsys, tmp_path, name):
+    assert cli.main(["study", "--print-example", name, "--seed", "7"]) == 0
+    path = config_file(tmp_path, capsys.readouterr().out)
+    assert read_config(path) == read_config(None, {"seed": 7}, example=name)
+    assert os.listdir() == [path.name]
+
+
 @pytest.mark.parametrize("case", ["unknown key", "unknown law", "negative mass", "text for a number", "no TOML"])
 def test_bad_configuration_is_refused(capsys, tmp_path, case):
     text, expected = BAD_CONFIGS[case]
@@ -93,6 +105,8 @@ def test_bad_configuration_is_refused(capsys, tmp_path, case):
         (["study", "--out", "null\0character"], "cannot be written"),
         (["study", "no\nsuch.toml"], "no such file"),
         (["study", "a.toml", "b.toml"], "b.toml"),
+        (["study", "--print-example", "cart"], "--print-example"),
+        (["study", "a.toml", "--print-example", "motor-cart"], "a.toml and --print-example motor-cart were both given"),
         (["stdy"], 'Did you mean "study"?'),
         (["--unknown"], "--unknown"),
     ],
@@ -165,6 +179,28 @@ def test_failure_in_the_middle_leaves_all_as_it_was(capsys, tmp_path, monkeypatc
         assert (tmp_path / "result" / DATA).read_text() == "old"
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_stop_that_arrives_in_the_garbage_collection_is_not_lost(capsys, tmp_path, monkeypatch, number, code):
+    """What is raised there is dropped by Python; JAX has such a callback, which runs after every long compilation."""
+    stops = [number]
+
+    def collecting(phase, info):
+        if stops:
+            os.kill(os.getpid(), stops.pop())
+
+    def simulate(*_, **__):
+        gc.collect()
+        time.sleep(5)
+        pytest.fail("not stopped")
+
+    monkeypatch.setattr("stickslip_jax.study.run.simulate_ensemble", simulate)
+    gc.callbacks.append(collecting)
+    try:
+        assert "no result was written" in _refused(capsys, ["study", config_file(tmp_path)], code)
+    finally:
+        gc.callbacks.remove(collecting)
+
+
 # --- as a process of its own
 
 
@@ -195,7 +231,10 @@ def test_float32_is_a_choice(tmp_path):
 def test_bad_input_ends_the_process_with_code_2(tmp_path):
     done = _subprocess("study", config_file(tmp_path, "[system]\nmas = 1.0"))
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"stickslip: {tmp_path}/case.toml: unknown key mas in [system]; did you mean mass?\n"
+    assert (
+        done.stderr
+        == f"stickslip: {tmp_path}/case.toml: unknown key mas in [system] of the model MassSpring; did you mean mass?\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -231,12 +270,18 @@ import stickslip_jax
 from stickslip_jax.cli import main
 assert main(["study", "--help"]) == 0
 assert main(["study", "--print-config"]) == 0
+for name in ("harmonic-base", "base-isolation", "motor-cart"):
+    assert main(["study", "--print-example", name]) == 0
 assert main(["study", "--samples", "0"]) == 2
 assert not {"xarray", "h5netcdf", "matplotlib.pyplot"} & set(sys.modules)
 stickslip_jax.enable_fast_cpu()  # raises RuntimeError if JAX has started
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_every_example_can_be_asked_for():
+    assert list(get_args(Example)) == list(EXAMPLES)
 
 
 def test_missing_extra_is_named():

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
-from study_support import BAD_CONFIGS, SMALL, config_file
+from study_support import BAD_CONFIGS, BAD_SYSTEMS_AND_BASES, SMALL, config_file
 
 import stickslip_jax as ss
 from stickslip_jax.study.config import OutputConfig, RunConfig, StudyConfig
@@ -98,9 +98,9 @@ def test_options_replace_the_file(tmp_path):
     assert read_config(config_file(tmp_path), dict.fromkeys(OPTIONS)) == read_config(config_file(tmp_path))
 
 
-@pytest.mark.parametrize("case", BAD_CONFIGS)
+@pytest.mark.parametrize("case", [*BAD_CONFIGS, *BAD_SYSTEMS_AND_BASES])
 def test_bad_configuration_is_one_sentence_that_names_file_and_key(tmp_path, case):
-    text, expected = BAD_CONFIGS[case]
+    text, expected = (BAD_CONFIGS | BAD_SYSTEMS_AND_BASES)[case]
     path = config_file(tmp_path, text)
     with pytest.raises(StudyError) as caught:
         read_config(path)
@@ -236,7 +236,7 @@ def test_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
 
 
 def test_every_variable_has_units_and_a_name(dataset):
-    assert len(dataset.data_vars) == 8 + 2 * len(STATISTICS)
+    assert len(dataset.data_vars) == 9 + 2 * len(STATISTICS)
     for variable in dataset.variables.values():
         assert variable.attrs["units"]
         assert variable.attrs["long_name"]
@@ -287,7 +287,7 @@ def test_figures_are_images(study):
 
 
 def test_figures_show_sample_0(study):
-    one = beginning_of_sample_0(study.config)
+    one = beginning_of_sample_0(study.config, study.ensemble)
     ensemble = study.ensemble.sticks
     complete = np.asarray(one.sticks.mask) & (np.asarray(one.sticks.ending) != ss.Ending.HORIZON)
     assert complete.sum() > 2

@@ -9,5 +9,14 @@ from .histories import time_history
 from .portraits import phase_portrait
 from .saving import save
 from .shares import stick_share
+from .stick_maps import stick_joint_histogram, stick_map
 
-__all__ = ["phase_portrait", "save", "stick_durations", "stick_share", "time_history"]
+__all__ = [
+    "phase_portrait",
+    "save",
+    "stick_durations",
+    "stick_joint_histogram",
+    "stick_map",
+    "stick_share",
+    "time_history",
+]

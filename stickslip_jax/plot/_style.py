@@ -9,6 +9,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
+from .. import _checks
+
 STICK = "#D55E00"
 """Sticks have this colour in every figure, and nothing else has."""
 MASS = "#000000"
@@ -32,17 +34,21 @@ def axes_or_new(ax: Any, size: tuple[float, float]) -> Axes:
     return ax
 
 
-def two_axes_or_new(ax: Any, size: tuple[float, float]) -> tuple[Axes, Axes]:
-    """The two axes in `ax`, or those of a new figure, one below the other with a common time axis.
+def axes_below_or_new(ax: Any, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:
+    """The axes in `ax`, one for each of `names`, or those of a new figure, one below the other with a common time axis.
 
-    `size` in inches. Raises ValueError if `ax` does not hold two matplotlib Axes.
+    `size` in inches. Raises ValueError if `ax` does not hold as many matplotlib Axes.
     """
     if ax is None:
-        _, ax = plt.subplots(2, 1, sharex=True, figsize=size, layout="constrained")
+        figure, ax = plt.subplots(len(names), 1, sharex=True, figsize=size, layout="constrained")
+        figure.align_ylabels(ax)
     axes = list(ax) if isinstance(ax, Sequence) or hasattr(ax, "__array__") else []
-    if len(axes) != 2 or not all(isinstance(one, Axes) for one in axes):
-        raise ValueError(f"Argument ax must hold two matplotlib Axes (position, velocity), but {ax!r} was given.")
-    return axes[0], axes[1]
+    if len(axes) != len(names) or not all(isinstance(one, Axes) for one in axes):
+        number = {2: "two", 3: "three"}[len(names)]
+        raise ValueError(
+            f"Argument ax must hold {number} matplotlib Axes ({', '.join(names)}), but {_checks.show(ax)} was given."
+        )
+    return tuple(axes)
 
 
 def legend_above(ax: Axes, *others: Axes, columns: int = 3) -> None:
@@ -54,3 +60,14 @@ def legend_above(ax: Axes, *others: Axes, columns: int = 3) -> None:
     ax.legend(
         handles.values(), handles.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False
     )
+
+
+def angle_axis(ax: Axes, period: float) -> str:
+    """Make the abscissa one `period`, pi or 2 pi (rad), with ticks at its quarters. Returns the period's name."""
+    names = {
+        True: ("0", r"$\pi/2$", r"$\pi$", r"$3\pi/2$", r"$2\pi$"),
+        False: ("0", r"$\pi/4$", r"$\pi/2$", r"$3\pi/4$", r"$\pi$"),
+    }[period > 4]
+    ax.set_xlim(0, period)
+    ax.set_xticks([quarter * period / 4 for quarter in range(5)], names)
+    return names[-1]

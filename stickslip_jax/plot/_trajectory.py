@@ -8,31 +8,38 @@ import numpy as np
 
 from .. import _checks
 from .._status import Status
+from ..base_motion.laws import BangBangLaw
+from ..base_motion.piecewise import VelocitySteps
 from ..simulate import Simulation
+from ..systems.mass_spring import MassSpring
+from ._band import stick_band
 
 _POINTS_PER_TURN = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
+_POINTS_PER_KNOT = 6  # at least; a time step of the simulation is 1/16 of the shortest period or less
 _MOST_POINTS = 100_000
-
-_evaluate = jax.jit(Simulation.evaluate)
+_FEWEST_SLOTS = 8192
 
 
 class Piece(NamedTuple):
-    """The trajectory between two neighbouring events: all slip or all stick, on one base velocity.
+    """The trajectory between two neighbouring events: all slip or all stick, the base velocity without a jump.
 
-    Arrays (points,): `times` in s, `position` in m, `velocity` in m/s. `base_velocity` in m/s.
+    Arrays (points,): `times` in s; `state`: position (m) and velocity (m/s), of a `MotorCart` angle (rad), angular
+    velocity (rad/s) and current (A); `base_velocity` in m/s; `lowest` and `highest` position (m) or current (A) that
+    friction can hold. Where one of them jumps, a time stands twice.
     """
 
     times: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    base_velocity: float
+    state: tuple[np.ndarray, ...]
+    base_velocity: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
     sticks: bool
 
 
 def check_simulation(one: Any) -> None:
     """Check that `one` is a single finished simulation with known numbers; raises ValueError otherwise."""
     if not isinstance(one, Simulation):
-        raise ValueError(f"Argument one must be a result of simulate, but {one!r} was given.")
+        raise ValueError(f"Argument one must be a result of simulate, but {_checks.show(one)} was given.")
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(one)):
         raise ValueError("Argument one must hold numbers, but one traced by a JAX transformation was given.")
     if np.ndim(one.status) > 0:
@@ -63,48 +70,105 @@ def check_window(one: Simulation, window: Any) -> tuple[float, float]:
     return begin, end
 
 
+def has_steady_base(one: Simulation) -> bool:
+    """Whether a mass and spring ran on a base whose velocity is constant between jumps."""
+    return isinstance(one.system, MassSpring) and isinstance(one.base, (VelocitySteps, BangBangLaw))
+
+
 def pieces_of(one: Simulation, window: tuple[float, float]) -> list[Piece]:
     """The pieces of the trajectory inside the window (s), in order of time."""
     mask = np.asarray(one.sticks.mask)
     starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
-    # As the simulation counted time: a jump that ends a stick is the same instant as its end, to the last bit.
-    switches = np.asarray(one.switching_times)
-    cuts = _cuts(window, np.concatenate([starts, ends, switches]))
-    middles = (cuts[:-1] + cuts[1:]) / 2
+    knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
+    middles = (knots[:-1] + knots[1:]) / 2
     sticks = np.searchsorted(starts, middles, side="right") > np.searchsorted(ends, middles, side="right")
-    base_velocities = np.asarray(one.base.velocities)[np.searchsorted(switches, middles, side="right") - 1]
-    grids = _grids(cuts, sticks, float(one.system.angular_frequency))
-    position, velocity = _states(one, np.concatenate(grids))
-    splits = np.cumsum([len(grid) for grid in grids])[:-1]
-    rows = zip(grids, np.split(position, splits), np.split(velocity, splits), base_velocities, sticks, strict=True)
-    return [Piece(times, x, v, float(base), bool(stuck)) for times, x, v, base, stuck in rows]
+    numbers = _numbers(one, np.diff(knots), sticks)
+    times = _grid(knots, numbers)
+    lasts = np.cumsum(numbers + 1) - 1
+    firsts = lasts - numbers
+    # The base's motion up to a jump just before it, and inside the window where it jumps at an end but for round-off.
+    base_times = times.copy()
+    base_times[lasts] = np.nextafter(times[lasts], times.dtype.type(0))
+    base_times[[0, -1]] = times[0] + round_off, times[-1] - round_off
+    state, *others = _follow(one, times, base_times)
+    velocity = others[0]
+
+    # Cut where the mode changes, where a stick ends and another begins, and where the base velocity jumps.
+    jumps = np.abs(velocity[firsts[1:]] - velocity[lasts[:-1]])
+    jumped = jumps > 1024 * np.finfo(velocity.dtype).eps * np.max(np.abs(velocity))
+    begins = np.concatenate([[True], (sticks[1:] != sticks[:-1]) | np.isin(knots[1:-1], starts) | jumped])
+    parts = [np.split(values, firsts[begins][1:]) for values in (times, *state, *others)]
+    rows = zip(*parts, sticks[begins], strict=True)
+    size = len(state)
+    return [Piece(row[0], row[1 : 1 + size], *row[1 + size : -1], sticks=bool(row[-1])) for row in rows]
 
 
-def joined(pieces: list[Piece], name: str) -> np.ndarray:
+def values_of(piece: Piece, name: str | int) -> np.ndarray:
+    """The values `name` of a piece: one of its names, or the number of a part of the state."""
+    return piece.state[name] if isinstance(name, int) else getattr(piece, name)
+
+
+def joined(pieces: list[Piece], name: str | int) -> np.ndarray:
     """The values `name` of all pieces one after the other, with a NaN between them where the line is to break."""
     if not pieces:
         return np.zeros(0)
-    return np.concatenate([values for piece in pieces for values in (getattr(piece, name), [np.nan])])[:-1]
+    return np.concatenate([values for piece in pieces for values in (values_of(piece, name), [np.nan])])[:-1]
 
 
-def _cuts(window: tuple[float, float], events: np.ndarray) -> np.ndarray:
-    """The window's ends and the events between them, s; events on an end but for round-off are left out."""
-    begin, end = window
-    round_off = min(256 * float(np.finfo(events.dtype).eps) * end, (end - begin) / 4)
-    inside = events[(events > begin + round_off) & (events < end - round_off)]
-    return np.unique(np.concatenate([window, inside]))
+def _knots(one: Simulation, window: tuple[float, float], events: np.ndarray) -> tuple[np.ndarray, float]:
+    """The window's ends and, between them, events and beginnings of time steps (s) without repetition; the round-off.
+
+    Those on an end but for round-off are left out, and some of very many time steps.
+    """
+    # As the simulation counted time: a jump that ends a stick is the same instant as its end, to the last bit.
+    steps = np.asarray(one.switching_times)
+    begin, end = (steps.dtype.type(time) for time in window)
+    round_off = min(256 * float(np.finfo(steps.dtype).eps) * end, (end - begin) / 4)
+    steps, events = (
+        np.unique(times[(times > begin + round_off) & (times < end - round_off)]) for times in (steps, events)
+    )
+    if not has_steady_base(one) and len(steps) > _MOST_POINTS:
+        # One of each group of equal size, at a varying place: a fast oscillation must not look like a slow one.
+        groups = np.arange(_MOST_POINTS)
+        steps = steps[((groups + np.modf(groups * 0.618034)[0]) * (len(steps) / _MOST_POINTS)).astype(int)]
+    return np.unique(np.concatenate([[begin, end], steps, events]).astype(steps.dtype)), round_off
 
 
-def _grids(cuts: np.ndarray, sticks: np.ndarray, omega: float) -> list[np.ndarray]:
-    """Times (s) at which to evaluate each piece, both ends included; a stick is a straight line between its ends."""
-    step = max(2 * np.pi / _POINTS_PER_TURN, omega * (cuts[-1] - cuts[0]) / _MOST_POINTS)
-    numbers = np.where(sticks, 2, np.ceil(omega * np.diff(cuts) / step).astype(int) + 1)
-    return [np.linspace(a, b, max(2, n)) for a, b, n in zip(cuts[:-1], cuts[1:], numbers, strict=True)]
+def _numbers(one: Simulation, lengths: np.ndarray, sticks: np.ndarray) -> np.ndarray:
+    """Into how many parts to cut the time between neighbouring knots, which lasts `lengths` (s)."""
+    numbers = np.full(len(lengths), _POINTS_PER_KNOT)
+    if isinstance(one.system, MassSpring):
+        turns = float(one.system.angular_frequency) * lengths.astype(float) / (2 * np.pi)
+        numbers = np.maximum(numbers, np.ceil(np.minimum(_POINTS_PER_TURN * turns, _MOST_POINTS)).astype(int))
+    if has_steady_base(one):
+        numbers = np.where(sticks, 1, numbers)  # a straight line
+    share = _MOST_POINTS / numbers.sum()
+    return numbers if share >= 1 else np.maximum(1, (numbers * share).astype(int))
 
 
-def _states(one: Simulation, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Position (m) and velocity (m/s) at `times` (s). Filled up to a power of two, so that few sizes are compiled."""
-    room = 1 << int(np.ceil(np.log2(len(times))))
-    filled = np.concatenate([times, np.full(room - len(times), times[-1])])
-    position, velocity = _evaluate(one, jnp.asarray(filled, one.sticks.start.dtype))
-    return np.asarray(position)[: len(times)], np.asarray(velocity)[: len(times)]
+def _grid(knots: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Times (s) from each knot to the next in `numbers` equal parts; all knots but the first and last stand twice."""
+    offsets = np.repeat(np.cumsum(numbers + 1) - (numbers + 1), numbers + 1)
+    parts = (np.arange(len(offsets)) - offsets) / np.repeat(numbers, numbers + 1)
+    begins, ends = np.repeat(knots[:-1], numbers + 1), np.repeat(knots[1:], numbers + 1)
+    return np.where(parts == 1, ends, begins + (ends - begins) * parts).astype(knots.dtype)
+
+
+def _follow(one: Simulation, times: np.ndarray, base_times: np.ndarray) -> tuple[Any, ...]:
+    """The state at `times` (s); at `base_times` the base velocity (m/s), and the lowest and highest that can stick."""
+    number = len(times)
+    # Filled up to a power of two, so that few sizes are compiled.
+    room = max(_FEWEST_SLOTS, 1 << int(np.ceil(np.log2(len(times)))))
+    filled, base_filled = (
+        jnp.asarray(np.concatenate([values, np.full(room - number, values[-1])]), one.sticks.start.dtype)
+        for values in (times, base_times)
+    )
+    state = one.evaluate(filled)
+    followed = (state, *_follow_base(one, base_filled, state))
+    return jax.tree.map(lambda values: np.asarray(values)[:number], followed)
+
+
+@jax.jit
+def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    velocity, acceleration = jax.jvp(one.base_velocity, (times,), (jnp.ones_like(times),))
+    return velocity, *stick_band(one, times, state, velocity, acceleration)

@@ -1,32 +1,45 @@
-"""The path of the mass in the plane of position and velocity."""
+"""The path of the mass in the plane of position and velocity, of the motor in that of angle and angular velocity."""
 
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
+from ..base_motion.ground import GroundMotion
 from ..simulate import Simulation
+from ..systems.mass_spring import MassSpring
+from ..systems.motor_cart import MotorCart
 from . import _style
-from ._trajectory import Piece, check_simulation, check_window, joined, pieces_of
+from ._trajectory import Piece, check_simulation, check_window, has_steady_base, joined, pieces_of
 
 _POSITION, _SCALED = "position", "position_times_omega"
+_TURN = 2 * np.pi
+
+Group = tuple[str, Callable[[Piece], bool], dict[str, Any]]
+"""Label of some pieces, which they are, and how they look."""
 
 
 def _slip(sign: int) -> Callable[[Piece], bool]:
-    return lambda piece: not piece.sticks and np.sign(piece.base_velocity) == sign
+    return lambda piece: not piece.sticks and np.sign(piece.base_velocity[0]) == sign
 
 
-_GROUPS: tuple[tuple[str, Callable[[Piece], bool], dict[str, Any]], ...] = (
+# On a base at rest a stick is a point: markers at its ends, as wide as the line, make it seen.
+_STICK: Group = (
+    "stick",
+    lambda piece: piece.sticks,
+    {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
+)
+_BY_BASE: tuple[Group, ...] = (
     ("slip, base forward", _slip(1), {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
     ("slip, base backward", _slip(-1), {"color": _style.BACKWARD, "lw": _style.SLIP_WIDTH}),
     ("slip, base at rest", _slip(0), {"color": _style.AT_REST, "lw": _style.SLIP_WIDTH}),
-    # On a base at rest a stick is a point: a marker as wide as the line makes it seen.
-    (
-        "stick",
-        lambda piece: piece.sticks,
-        {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
-    ),
+    _STICK,
+)
+_ALIKE: tuple[Group, ...] = (
+    ("slip", lambda piece: not piece.sticks, {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
+    _STICK,
 )
 
 
@@ -39,33 +52,87 @@ def phase_portrait(
 ) -> Axes:
     """Draw velocity against position, as in Lima and Sampaio (conference paper), figures 3 to 5.
 
-    Slip is gray where the base moves forward, black where it moves backward (pale blue where it rests); sticks are
-    thick and coloured. Crosses mark the two centres of the slip arcs, ``x = +- mu n / k`` at rest.
+    Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray where the base moves forward,
+    black where it moves backward (pale blue where it rests); elsewhere it is gray. Crosses mark the two centres of the
+    slip arcs, ``x = +- mu n / k`` at rest, where there are any: with a constant friction coefficient, no force, and no
+    ground motion. Of a `MotorCart`, the angular velocity is drawn against the angle modulo 2 pi; its sticks are points.
 
     - `one`: a finished result of `simulate`, one trajectory.
     - `ax`: where to draw; by default the axes of a new figure.
     - `window`: first and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
-    - `abscissa`: "position" (m), or "position_times_omega" (m/s), in which slip arcs are circles, as in the paper.
+    - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
+      which undamped slip arcs are circles, as in the paper.
 
     Returns the axes. Raises ValueError for anything else than the above.
     """
     check_simulation(one)
     window = check_window(one, window)
-    if abscissa not in (_POSITION, _SCALED):
-        raise ValueError(f"Argument abscissa must be {_POSITION!r} or {_SCALED!r}, but {abscissa!r} was given.")
+    choices = (_POSITION,) if isinstance(one.system, MotorCart) else (_POSITION, _SCALED)
+    if abscissa not in choices:
+        names = " or ".join(map(repr, choices))
+        raise ValueError(
+            f"Argument abscissa must be {names} for a {type(one.system).__name__}, but {abscissa!r} was given."
+        )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
-    scale = float(one.system.angular_frequency) if abscissa == _SCALED else 1.0
     pieces = pieces_of(one, window)
-
-    for label, belongs, look in _GROUPS:
-        chosen = [piece for piece in pieces if belongs(piece)]
-        if chosen:
-            ax.plot(scale * joined(chosen, "position"), joined(chosen, "velocity"), label=label, **look)
-    centres = scale * float(one.system.stick_half_width) * np.array([-1, 1])
-    ax.plot(centres, [0, 0], ls="none", marker="x", ms=8, mew=2, color=_style.BASE, label=r"centres, $x = \pm \mu n/k$")
-    ax.set_xlabel(r"position times frequency $\omega x$ (m/s)" if abscissa == _SCALED else "position $x$ (m)")
-    ax.set_ylabel(r"velocity $\dot x$ (m/s)")
-    if abscissa == _SCALED:
-        ax.set_aspect("equal", adjustable="datalim")
+    if isinstance(one.system, MotorCart):
+        _draw_motor(ax, pieces)
+    else:
+        _draw_mass(ax, one, one.system, pieces, abscissa)
     _style.legend_above(ax, columns=2)
     return ax
+
+
+def _draw_mass(ax: Axes, one: Simulation, system: MassSpring, pieces: list[Piece], abscissa: str) -> None:
+    """Velocity against position, the latter times omega if `abscissa` says so."""
+    scale = float(system.angular_frequency) if abscissa == _SCALED else 1.0
+    for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
+        chosen = [piece for piece in pieces if belongs(piece)]
+        if chosen:
+            ends = np.cumsum([len(piece.times) + 1 for piece in chosen]) - 2
+            starts = ends + 1 - [len(piece.times) for piece in chosen]
+            marked = np.union1d(starts, ends).tolist()
+            ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
+    if system.friction.constant and system.force is None and not isinstance(one.base, GroundMotion):
+        centre = float(system.friction.kinetic(jnp.zeros(())) * system.normal_force / system.stiffness)
+        look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
+        ax.plot(scale * centre * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
+    whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
+    ax.set_xlabel(
+        f"position{whose} times frequency $\\omega x$ (m/s)" if abscissa == _SCALED else f"position $x${whose} (m)"
+    )
+    ax.set_ylabel(f"velocity $\\dot x${whose} (m/s)")
+    if abscissa == _SCALED:
+        ax.set_aspect("equal", adjustable="datalim")
+
+
+def _draw_motor(ax: Axes, pieces: list[Piece]) -> None:
+    """Angular velocity against the angle modulo 2 pi."""
+    slips = [piece for piece in pieces if not piece.sticks]
+    sticks = [piece for piece in pieces if piece.sticks]
+    if slips:
+        label, _, look = _ALIKE[0]
+        ax.plot(*_wrapped(joined(slips, 0), joined(slips, 1)), label=label, **look)
+    if sticks:
+        angles, speeds = np.transpose([[values[0] for values in piece.state[:2]] for piece in sticks])
+        look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
+        ax.plot(np.mod(angles, _TURN), speeds, label="stick", **look)
+    turn = _style.angle_axis(ax, _TURN)
+    ax.set_xlabel(rf"angle $\alpha$ modulo {turn} (rad)")
+    ax.set_ylabel(r"angular velocity $\dot\alpha$ (rad/s)")
+
+
+def _wrapped(angle: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A line with its angle modulo 2 pi, led up to the edge, and broken, where it goes from one turn to another."""
+    turn = np.floor(angle / _TURN)
+    at = np.flatnonzero(np.abs(np.diff(turn)) > 0)  # NaN, where the line is broken already, compares false
+    edge = _TURN * np.maximum(turn[at], turn[at + 1])
+    part = (edge - angle[at]) / (angle[at + 1] - angle[at])
+    between = speed[at] + part * (speed[at + 1] - speed[at])
+    forward = turn[at + 1] > turn[at]
+    leaving, entering = np.where(forward, _TURN, 0), np.where(forward, 0, _TURN)
+    x = np.insert(
+        angle - _TURN * turn, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
+    )
+    y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
+    return x, y

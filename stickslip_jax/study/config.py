@@ -1,156 +1,93 @@
-"""What a study is made of: sections of a TOML file, as pydantic models.
+"""What a study is made of: the sections of a TOML file, as pydantic models."""
 
-One class for each law and system, told apart by its tag (``law``, ``model``): to offer another, add its class here and
-to the union. Types are strict: neither the string "1" nor true is a number; nan and infinity are refused.
-"""
+import math
+from typing import Any, Literal
 
-import json
-from typing import Annotated, Any, Literal
+import diffrax
+from pydantic import Field, field_validator, model_validator
 
-import jax.numpy as jnp
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from ..dynamics.method import Exact
+from .bases_config import BaseConfig, SourceVoltageConfig
+from .sections import (
+    Section,
+    Start,
+    UniformConfig,
+    kinds_in,
+    start_value,
+    tag_of,
+    toml_blocks,
+    toml_value,
+)
+from .systems_config import MassSpringConfig, MotorCartConfig, SystemConfig
 
-from ..base_motion.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
-from ..systems.friction import Coulomb
-from ..systems.mass_spring import MassSpring
-
-
-class Section(BaseModel):
-    """A section of the file. Raises pydantic's ValidationError for unknown keys, wrong types and wrong values."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
-
-
-def _default_tag(key: str, name: str) -> BeforeValidator:
-    """Let a table without the tag `key` mean the kind called `name`."""
-    return BeforeValidator(lambda table: {key: name, **table} if isinstance(table, dict) else table)
-
-
-class MassSpringConfig(Section):
-    """Section ``[system]``: a mass on a spring."""
-
-    model: Literal["MassSpring"] = Field(default="MassSpring", description="the kind of system")
-    mass: float = Field(default=1.0, gt=0, description="kg")
-    stiffness: float = Field(default=4.0, gt=0, description="N/m")
-    normal_force: float = Field(default=1.0, gt=0, description="N")
-    mu: float = Field(default=1.0, ge=0, description="friction coefficient")
-
-    def build(self) -> MassSpring:
-        """The system as the simulation takes it."""
-        return MassSpring(self.mass, self.stiffness, self.normal_force, Coulomb(self.mu))
-
-
-_LAW = "PoissonSwitching, SquareWave, RandomSteps, Constant or PiecewiseConstant"
-_SPEED = "m/s"
-
-
-class PoissonSwitchingConfig(Section):
-    """Section ``[base]`` with the law `PoissonSwitching`."""
-
-    law: Literal["PoissonSwitching"] = Field(default="PoissonSwitching", description=_LAW)
-    speed: float = Field(default=1.0, gt=0, description=_SPEED)
-    rate: float = Field(default=1.0, gt=0, description="mean number of switches per second, 1/s")
-    first_sign: Literal["random", "positive", "negative"] = Field(
-        default="random", description="of the velocity: random, positive or negative"
-    )
-
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it."""
-        return PoissonSwitching(self.speed, self.rate, self.first_sign)
-
-
-class SquareWaveConfig(Section):
-    """Section ``[base]`` with the law `SquareWave`."""
-
-    law: Literal["SquareWave"] = Field(description=_LAW)
-    speed: float = Field(gt=0, description=_SPEED)
-    period: float = Field(gt=0, description="s")
-
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it."""
-        return SquareWave(self.speed, self.period)
-
-
-class RandomStepsConfig(Section):
-    """Section ``[base]`` with the law `RandomSteps`."""
-
-    law: Literal["RandomSteps"] = Field(description=_LAW)
-    speed: float = Field(gt=0, description=_SPEED)
-    interval: float = Field(gt=0, description="time between draws of the velocity, s")
-    levels: list[float] = Field(default=[-1.0, 1.0], description="the velocities are speed times these")
-    probabilities: list[float] | None = Field(default=None, description="of the levels; not given: equal odds")
-
-    @model_validator(mode="after")
-    def _levels_fit(self) -> "RandomStepsConfig":
-        self.build()
-        return self
-
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it. Raises ValueError for levels and probabilities that do not fit."""
-        odds = None if self.probabilities is None else tuple(self.probabilities)
-        return RandomSteps(self.speed, self.interval, tuple(self.levels), odds)
-
-
-class ConstantConfig(Section):
-    """Section ``[base]`` with the law `Constant`."""
-
-    law: Literal["Constant"] = Field(description=_LAW)
-    speed: float = Field(description="signed, m/s")
-
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it."""
-        return Constant(self.speed)
-
-
-class PiecewiseConstantConfig(Section):
-    """Section ``[base]`` with the law `PiecewiseConstant`."""
-
-    law: Literal["PiecewiseConstant"] = Field(description=_LAW)
-    times: list[float] = Field(min_length=1, description="start of each interval, s; the first is 0")
-    velocities: list[float] = Field(min_length=1, description="during each interval, m/s")
-
-    @model_validator(mode="after")
-    def _times_fit(self) -> "PiecewiseConstantConfig":
-        # Repeats the law's own checks: its arrays would start JAX before its settings are known.
-        if len(self.times) != len(self.velocities):
-            raise ValueError(
-                f"times and velocities must have the same length, but have {len(self.times)} and "
-                f"{len(self.velocities)} entries."
-            )
-        if self.times[0] != 0:
-            raise ValueError(f"times must begin with 0, but {self.times[0]} was given first.")
-        for before, after in zip(self.times, self.times[1:], strict=False):
-            if after <= before:
-                raise ValueError(f"times must increase, but {after} follows {before}.")
-        return self
-
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it (starts JAX). Raises ValueError if float32 cannot tell times apart."""
-        return PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
-
-
-SystemConfig = Annotated[MassSpringConfig, _default_tag("model", "MassSpring")]
-BaseConfig = Annotated[
-    PoissonSwitchingConfig | SquareWaveConfig | RandomStepsConfig | ConstantConfig | PiecewiseConstantConfig,
-    Field(discriminator="law"),
-    _default_tag("law", "PoissonSwitching"),
-]
+_OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
 
 
 class RunConfig(Section):
-    """Section ``[run]``: how much is simulated, from where, and how."""
+    """Section ``[run]``: how much is simulated, and how. The systems add where it starts from."""
 
     t1: float = Field(default=200.0, gt=0, description="duration of each sample, s")
     samples: int = Field(default=10_000, ge=1, le=2**31, description="number of samples")
     seed: int = Field(default=0, ge=0, lt=2**32, description="of the random numbers")
-    initial_position: float = Field(default=0.0, description="m")
-    initial_velocity: float = Field(default=1.0, description="m/s")
     keep: Literal["sticks", "statistics"] = Field(
         default="sticks", description="sticks: store every stick; statistics: only sums (for very many samples)"
     )
     dtype: Literal["float64", "float32"] = Field(default="float64", description="float64 or float32")
     threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
     chunk: int | None = Field(default=None, ge=1, description="samples simulated per call; not given: chosen for speed")
+    step: float | None = Field(default=None, gt=0, description="time step, s; not given: as the time scales demand")
+    max_steps: int | None = Field(
+        default=None, ge=1, description="time steps allowed to one sample; not given: more than enough"
+    )
+
+    def method(self) -> Exact:
+        """The method as the simulation takes it."""
+        return Exact(self.step, self.max_steps)
+
+    def y0(self) -> tuple[Any, ...]:
+        """The initial state as the simulation takes it."""
+        raise NotImplementedError
+
+
+class MassSpringRunConfig(RunConfig):
+    """Section ``[run]`` of a `MassSpring`."""
+
+    initial_position: Start = Field(default=0.0, description=f"m, {_OR_RANDOM}")
+    initial_velocity: Start = Field(default=1.0, description="m/s, likewise")
+    solver: Literal["Tsit5", "Dopri5", "Dopri8"] | None = Field(
+        default=None, description="Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms where there are any"
+    )
+
+    def method(self) -> Exact:
+        """The method as the simulation takes it."""
+        return Exact(self.step, self.max_steps, None if self.solver is None else getattr(diffrax, self.solver)())
+
+    def y0(self) -> tuple[Any, ...]:
+        """The initial state as the simulation takes it."""
+        return start_value(self.initial_position), start_value(self.initial_velocity)
+
+
+class MotorCartRunConfig(RunConfig):
+    """Section ``[run]`` of a `MotorCart`; the defaults are the paper's."""
+
+    t1: float = Field(default=2.0, gt=0, description="duration of each sample, s")
+    initial_angle: Start = Field(default=UniformConfig(low=0.0, high=2 * math.pi), description=f"rad, {_OR_RANDOM}")
+    initial_angular_velocity: Start = Field(default=0.0, description="rad/s, likewise")
+    initial_current: Start = Field(default=0.0, description="A, likewise")
+    count_initial_rest: bool = Field(
+        default=False, description="whether a stick that begins at t = 0 counts as the first"
+    )
+
+    def y0(self) -> tuple[Any, ...]:
+        """The initial state as the simulation takes it."""
+        return tuple(map(start_value, (self.initial_angle, self.initial_angular_velocity, self.initial_current)))
+
+
+RUNS: dict[type[Section], type[RunConfig]] = {
+    MassSpringConfig: MassSpringRunConfig,
+    MotorCartConfig: MotorCartRunConfig,
+}
+"""The section ``[run]`` of each system."""
 
 
 class OutputConfig(Section):
@@ -161,34 +98,53 @@ class OutputConfig(Section):
 
 
 class StudyConfig(Section):
-    """A whole study. The default is the oscillator of Lima and Sampaio's conference paper under Poisson switching."""
+    """A whole study. The default is the oscillator of Lima and Sampaio's conference paper under Poisson switching.
+
+    What is usual depends on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s.
+    """
 
     system: SystemConfig = MassSpringConfig()
-    base: BaseConfig = PoissonSwitchingConfig()
-    run: RunConfig = RunConfig()
+    base: BaseConfig = Field(default_factory=dict, validate_default=True)
+    run: MassSpringRunConfig | MotorCartRunConfig = Field(default_factory=dict, validate_default=True)
     output: OutputConfig = OutputConfig()
+
+    @field_validator("base", mode="before")
+    @classmethod
+    def _usual_base(cls, table: Any, info: Any) -> Any:
+        if not isinstance(table, dict) or "law" in table:
+            return table
+        motor = isinstance(info.data.get("system"), MotorCartConfig)
+        return {"law": "SourceVoltage" if motor else "PoissonSwitching", **table}
+
+    @field_validator("run", mode="before")
+    @classmethod
+    def _run_of_the_system(cls, table: Any, info: Any) -> RunConfig:
+        if "system" not in info.data:  # the system's own mistakes are told
+            return MassSpringRunConfig()
+        kind = RUNS[type(info.data["system"])]
+        if type(table) is RunConfig:
+            table = table.model_dump(exclude_unset=True)
+        return kind.model_validate(table, context=info.context)
+
+    @model_validator(mode="after")
+    def _base_drives_the_system(self) -> "StudyConfig":
+        law, model = toml_value(tag_of(type(self.base))), tag_of(type(self.system))
+        motor, voltage = isinstance(self.system, MotorCartConfig), isinstance(self.base, SourceVoltageConfig)
+        if motor and not voltage:
+            raise ValueError(
+                f'law in [base] must be "SourceVoltage", because model in [system] is {model}, but {law} was given.'
+            )
+        if voltage and not motor:
+            raise ValueError(
+                f"law in [base] must be a motion of the base, because model in [system] is {model}, but {law} was "
+                "given, which drives a MotorCart."
+            )
+        return self
 
     def to_toml(self) -> str:
         """The complete study as a TOML file, with units as comments; reading it gives the same study."""
-        blocks = []
-        for name in type(self).model_fields:
-            section = getattr(self, name)
-            lines = [_toml_line(key, getattr(section, key), info) for key, info in type(section).model_fields.items()]
-            blocks.append("\n".join([f"[{name}]", *lines]))
-        return "\n\n".join(blocks) + "\n"
-
-
-def toml_value(value: Any) -> str:
-    """A number, string, truth value or list of them as TOML writes it; anything else as Python does."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, list):
-        return f"[{', '.join(toml_value(entry) for entry in value)}]"
-    return repr(value)
-
-
-def _toml_line(key: str, value: Any, info: Any) -> str:
-    written = f"# {key} =" if value is None else f"{key} = {toml_value(value)}"
-    return f"{written:<32}  # {info.description}"
+        motor = isinstance(self.system, MotorCartConfig)
+        laws = [law for law, kind in kinds_in(BaseConfig).items() if (kind is SourceVoltageConfig) == motor]
+        kinds = {"system": kinds_in(SystemConfig), "base": laws}
+        blocks = [toml_blocks(getattr(self, name), name, kinds.get(name, ())) for name in type(self).model_fields]
+        return "\n\n".join(block for part in blocks for block in part) + "\n"

@@ -1,49 +1,64 @@
 """The figures of a study, drawn by `stickslip_jax.plot`."""
 
+import dataclasses
 import math
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
-
-import jax
+from typing import Any
 
 from .._status import Status
+from ..base_motion.random import RandomPhase
 from ..ensemble_result import Ensemble
 from ..simulate import Simulation, simulate
+from ..statistics.first_sticks import FirstSticks
+from ..systems.motor_cart import MotorCart
 from .config import StudyConfig
 from .folder import PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
 
 _PERIODS_SHOWN = 16  # of the free oscillation: more would run into each other
-_LARGEST_CAPACITY = 2**22
+_VOLTAGE_PERIODS_SHOWN = 6
 
 
-def draw_figures(config: StudyConfig, ensemble: Ensemble, folder: Path) -> None:
-    """Draw the beginning of sample 0, and the durations of all sticks if they were kept, as PNG files in `folder`."""
+def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSticks | None, folder: Path) -> None:
+    """Draw the beginning of sample 0 and, if sticks were kept, what `_of_all_sticks` tells, as PNG files in `folder`.
+
+    `first_sticks`: of every sample of a `MotorCart`; else None.
+    """
     from .. import plot  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
 
-    one = beginning_of_sample_0(config)
+    one = beginning_of_sample_0(config, ensemble)
     if int(one.status) == Status.FINISHED:
         title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
         plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
         plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
     if ensemble.flat_sticks is not None:
-        title = f"Stick durations in {ensemble.samples} samples"
-        plot.save(plot.stick_durations(ensemble), folder / STICK_DURATIONS, title=title)
+        for file, (title, draw) in _of_all_sticks(ensemble, first_sticks).items():
+            plot.save(draw(), folder / file, title=f"{title} in {ensemble.samples} samples")
 
 
-def beginning_of_sample_0(config: StudyConfig) -> Simulation:
+def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict[str, tuple[str, Callable[[], Any]]]:
+    """The figures of the sticks of all samples, by file (one of `RESULT_FILES`): title, and what draws it."""
+    from .. import plot  # noqa: PLC0415 - as above
+
+    return {STICK_DURATIONS: ("Stick durations", lambda: plot.stick_durations(ensemble))}
+
+
+def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
     """Sample 0 of the ensemble with all its events, up to an instant that a figure can show."""
-    run, system, law = config.run, config.system.build(), config.base.build()
-    t1 = min(run.t1, _PERIODS_SHOWN * 2 * math.pi / float(system.angular_frequency))
-    y0 = (run.initial_position, run.initial_velocity)
-    key = jax.random.fold_in(jax.random.key(run.seed), 0)
-    capacity = law.capacity(t1)
+    t1 = min(ensemble.t1, _time_shown(ensemble.system, ensemble.law))
+    method = dataclasses.replace(config.run.method(), max_steps=None)
+    for covered in (t1, 2 * t1, 4 * t1):
+        # A base motion up to another time begins likewise: only the beginning need be drawn, and more if need be.
+        base, y0 = dataclasses.replace(ensemble, t1=covered).realisation(0)
+        one = simulate(ensemble.system, base, t1=t1, y0=y0, method=method)
+        if int(one.status) != Status.BASE_TOO_SHORT:
+            break
+    return one
 
-    @partial(jax.jit, static_argnames="capacity")
-    def sample_0(capacity: int) -> Simulation:
-        return simulate(system, law.sample(key, t1, capacity=capacity), t1=t1, y0=y0)
 
-    while True:
-        one = sample_0(capacity=capacity)
-        if int(one.status) != Status.BASE_TOO_SHORT or capacity > _LARGEST_CAPACITY:
-            return one
-        capacity *= 2
+def _time_shown(system: Any, law: Any) -> float:
+    """How long a time a figure can show, s."""
+    if isinstance(system, MotorCart):
+        voltage = law.signal if isinstance(law, RandomPhase) else law
+        return _VOLTAGE_PERIODS_SHOWN * float(voltage.shortest_period)
+    return _PERIODS_SHOWN * 2 * math.pi / float(system.angular_frequency)

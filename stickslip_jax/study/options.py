@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
@@ -20,6 +20,7 @@ def _whole_number(kind: type, tokens: Sequence[Any]) -> int:
 
 
 _Whole = Annotated[int | None, Parameter(converter=_whole_number)]
+Example = Literal["harmonic-base", "base-isolation", "motor-cart"]
 _Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 
 
@@ -53,6 +54,9 @@ class Options:
         Show a progress bar, or not (default: only on a terminal).
     print_config
         Print the complete configuration, a file to start from, and run nothing.
+    print_example
+        Print the configuration of an example, likewise: a mass on a base that oscillates (harmonic-base), a building on
+        sliding isolators in an earthquake (base-isolation), or a cart driven by a motor (motor-cart).
     """
 
     samples: _Whole = None
@@ -67,6 +71,7 @@ class Options:
     quiet: _Switch = False
     progress: bool | None = None
     print_config: _Switch = False
+    print_example: Example | None = None
 
 
 @dataclass(frozen=True)
@@ -108,6 +113,10 @@ def _study(config: Path | None = None, /, *, options: Annotated[Options, Paramet
     ----------
     config
         TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
-        a base that switches at random.
+        a base that switches at random. Files that it names are relative to its folder.
     """
+    if config is not None and options.print_example is not None:
+        raise StudyError(
+            f"{config} and --print-example {options.print_example} were both given; leave out one of them."
+        )
     return Command(config, options)

@@ -6,6 +6,7 @@ from typing import Any
 
 from .._status import Status
 from ..statistics.estimates import Estimate, format_with_error
+from .config import MotorCartRunConfig
 from .run import Study
 
 
@@ -15,11 +16,13 @@ def table(study: Study) -> str:
     rows = [("statistic", "value", "standard error", "unit"), *(_row(each) for each in study.statistics.values())]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = [
-        f"{run.samples} samples of {study.config.base.law} on [0, {run.t1:g}] s ({run.dtype}, seed {run.seed})",
+        f"{run.samples} samples of {study.config.system.title}, {study.config.base.title}, on [0, {run.t1:g}] s "
+        f"({run.dtype}, seed {run.seed})",
         "",
         *(f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}  {d}" for a, b, c, d in rows),
         "",
         *_endings(study),
+        *_first_sticks(study),
         *(["In float32 event times are good to about 2e-6 of t1."] if run.dtype == "float32" else []),
         f"Time: {ensemble.compile_seconds:.3g} s to compile, {ensemble.run_seconds:.3g} s to run "
         f"on {ensemble.threads} thread{'s' if ensemble.threads > 1 else ''}.",
@@ -42,6 +45,9 @@ def as_json(study: Study) -> str:
     }
     content["samples"] = ensemble.samples
     content["not_finished"] = {status.name: count for status, count in _not_finished(study).items()}
+    content["in_doubt"] = ensemble.doubtful
+    if study.first_sticks is not None:
+        content["first_sticks"] = study.first_sticks.count
     content["seconds"] = {"compile": ensemble.compile_seconds, "run": ensemble.run_seconds}
     content["files"] = [str(study.directory / name) for name in study.files]
     return json.dumps(content, indent=2, allow_nan=False)
@@ -55,14 +61,25 @@ def _row(estimate: Estimate) -> tuple[str, str, str, str]:
 
 
 def _endings(study: Study) -> list[str]:
-    samples = study.ensemble.samples
+    samples, doubtful = study.ensemble.samples, study.ensemble.doubtful
     failed = _not_finished(study)
-    if not failed:
-        return [f"All {samples} samples reached t1."]
-    return [
+    lines = [
         f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
         for status, count in failed.items()
-    ]
+    ] or [f"All {samples} samples reached t1."]
+    if study.ensemble.key_words is None and samples > 1:
+        lines.append(f"Nothing is random here: all {samples} samples are the same.")
+    if doubtful:
+        lines.append(f"In doubt: {doubtful} of {samples} samples, where the last digits decide about an event.")
+    return lines
+
+
+def _first_sticks(study: Study) -> list[str]:
+    if study.first_sticks is None:
+        return []
+    run = study.config.run
+    rest = "" if isinstance(run, MotorCartRunConfig) and run.count_initial_rest else ", rest at t = 0 not counted"
+    return [f"A first stick was found in {study.first_sticks.count} of {study.ensemble.samples} samples{rest}."]
 
 
 def _not_finished(study: Study) -> dict[Status, int]:

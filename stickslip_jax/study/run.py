@@ -1,9 +1,11 @@
 """Run a study: simulate its ensemble, estimate its statistics, and store both with figures."""
 
+import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +20,8 @@ from ..statistics.estimates import (
     mean_stick_duration,
     stick_fraction,
 )
-from .config import RunConfig, StudyConfig
+from ..statistics.first_sticks import FirstSticks, first_stick
+from .config import MotorCartRunConfig, RunConfig, StudyConfig
 from .errors import StudyError
 from .figures import draw_figures
 from .folder import CONFIG, DATA, RESULT_FILES, result_folder
@@ -36,11 +39,15 @@ STATISTICS = {
 
 @dataclass(frozen=True)
 class Study:
-    """A study that has been run and stored: its statistics by name, and the files in `directory`."""
+    """A study that has been run and stored: its statistics by name, and the files in `directory`.
+
+    `first_sticks`: of every sample of a `MotorCart`, if the sticks were kept; else None.
+    """
 
     config: StudyConfig
     ensemble: Ensemble
     statistics: Mapping[str, Estimate]
+    first_sticks: FirstSticks | None
     directory: Path
     files: tuple[str, ...]
 
@@ -52,7 +59,7 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
     - `progress`: as in `simulate_ensemble`.
 
     On any failure nothing is left behind. Raises StudyError for an output directory that holds a result or cannot be
-    written, a dtype that JAX is not set to, and arguments that `simulate_ensemble` refuses; OSError if writing fails.
+    written, a dtype that JAX is not set to, and what `simulate` refuses; OSError if writing fails.
     """
     _check_dtype(config.run)
     directory = Path(config.output.directory).expanduser()
@@ -60,32 +67,70 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
         warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # as the configuration asks
         ensemble = simulate(config, progress)
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
-        write_netcdf(folder / DATA, config, ensemble, statistics)
+        first = _first_sticks(config, ensemble)
+        write_netcdf(folder / DATA, config, ensemble, statistics, first)
         (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
         if config.output.figures:
-            draw_figures(config, ensemble, folder)
+            draw_figures(config, ensemble, first, folder)
         files = tuple(name for name in RESULT_FILES if (folder / name).exists())
-    return Study(config, ensemble, statistics, directory, files)
+    return Study(config, ensemble, statistics, first, directory, files)
 
 
 def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
-    """The ensemble that `config` describes. Raises StudyError for arguments that `simulate_ensemble` refuses."""
+    """The ensemble that `config` describes.
+
+    Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
+    refuses; all before anything is simulated.
+    """
     run = config.run
     try:
         return simulate_ensemble(
-            config.system.build(),
-            config.base.build(),
+            _built(config.system, "system"),
+            _built(config.base, "base"),
             t1=run.t1,
             samples=run.samples,
             key=jax.random.key(run.seed),
-            y0=(run.initial_position, run.initial_velocity),
+            y0=run.y0(),
+            method=run.method(),
             keep=run.keep,
             threads=run.threads,
             chunk=run.chunk,
             progress=progress,
         )
     except ValueError as error:
-        raise StudyError(str(error).removeprefix("Argument ")) from error
+        raise StudyError(_in_words_of_the_file(str(error))) from error
+
+
+def _built(section: Any, name: str) -> Any:
+    """What `section` describes, as the simulation takes it."""
+    try:
+        return section.build()
+    except (ValueError, OSError) as error:
+        said = re.sub(r"\AArguments? (path\b)?", lambda found: "file" if found[1] else "", str(error))
+        raise StudyError(f"in [{name}], {said}") from error
+
+
+def _first_sticks(config: StudyConfig, ensemble: Ensemble) -> FirstSticks | None:
+    if ensemble.flat_sticks is None or not isinstance(config.run, MotorCartRunConfig):
+        return None
+    return first_stick(ensemble, count_initial_rest=config.run.count_initial_rest)
+
+
+_NAMES = {
+    "base": "[base]",
+    "force": "[system.force]",
+    "keep": "keep in [run]",
+    "law": "[base]",
+    "samples": "samples in [run]",
+    "step": "step in [run]",
+    "t1": "t1 in [run]",
+}
+
+
+def _in_words_of_the_file(said: str) -> str:
+    """What `simulate_ensemble` says of its arguments, with the sections and keys that they come from."""
+    said = re.sub(r"\AArguments? (\w+)", lambda found: _NAMES.get(found[1], found[1]), said)
+    return said.replace("use method=Exact(solver=diffrax.Dopri8())", 'set solver = "Dopri8" in [run]')
 
 
 def _check_dtype(run: RunConfig) -> None:

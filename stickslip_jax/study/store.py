@@ -12,22 +12,35 @@ import numpy as np
 import xarray as xr
 
 from .. import __version__
-from .._status import Status
+from .._status import Ending, Status
 from ..ensemble_result import Ensemble
 from ..statistics.estimates import Estimate
+from ..statistics.first_sticks import FirstSticks
 from .config import StudyConfig
 
 
-def write_netcdf(path: Path, config: StudyConfig, ensemble: Ensemble, statistics: Mapping[str, Estimate]) -> None:
+def write_netcdf(
+    path: Path,
+    config: StudyConfig,
+    ensemble: Ensemble,
+    statistics: Mapping[str, Estimate],
+    first_sticks: FirstSticks | None = None,
+) -> None:
     """Write the data set of a study to `path`, a NetCDF 4 file. Raises OSError if that fails."""
-    dataset_of_study(config, ensemble, statistics).to_netcdf(path, engine="h5netcdf")
+    dataset_of_study(config, ensemble, statistics, first_sticks).to_netcdf(path, engine="h5netcdf")
 
 
-def dataset_of_study(config: StudyConfig, ensemble: Ensemble, statistics: Mapping[str, Estimate]) -> Any:
+def dataset_of_study(
+    config: StudyConfig,
+    ensemble: Ensemble,
+    statistics: Mapping[str, Estimate],
+    first_sticks: FirstSticks | None = None,
+) -> Any:
     """An ``xarray.Dataset``: what ``ensemble.to_xarray()`` gives (if the sticks were kept) and the statistics.
 
-    Each statistic is a variable, its standard error another, ``<name>_standard_error``, both with ``units`` and
-    ``long_name``; the attributes say what was simulated, by which versions, and how many samples did not finish.
+    `first_sticks` become variables along ``sample``, ``first_stick_<column>``, NaN where there is none. Each statistic
+    is a variable, its standard error another, ``<name>_standard_error``. All have ``units`` and ``long_name``; the
+    attributes say what was simulated, by which versions, and how many samples did not finish.
     """
     dataset = xr.Dataset() if ensemble.flat_sticks is None else ensemble.to_xarray()
     for name, estimate in statistics.items():
@@ -36,8 +49,21 @@ def dataset_of_study(config: StudyConfig, ensemble: Ensemble, statistics: Mappin
         dataset[name] = ((), estimate.value, about)
         about = {"long_name": f"standard error of the {estimate.name}", "units": estimate.unit}
         dataset[error] = ((), estimate.standard_error, about)
+    if first_sticks is not None:
+        for name, column in _first_stick_columns(first_sticks).items():
+            dataset[f"first_stick_{name}"] = column
     dataset.attrs.update({"title": "Ensemble of stick-slip motions", **_provenance(config, ensemble)})
     return dataset
+
+
+def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray, dict[str, Any]]]:
+    endings = {"flag_values": [-1, *map(int, Ending)], "flag_meanings": " ".join(["NONE", *Ending.__members__])}
+    return {
+        "start": ("sample", first.start, {"long_name": "time at which the first stick starts", "units": "s"}),
+        "duration": ("sample", first.duration, {"long_name": "duration of the first stick", "units": "s"}),
+        "angle": ("sample", first.position, {"long_name": "motor angle during the first stick", "units": "rad"}),
+        "ending": ("sample", first.ending, {"long_name": "why the first stick ended", "units": "1", **endings}),
+    }
 
 
 def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
@@ -55,6 +81,7 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
         "date_created": datetime.now(UTC).isoformat(timespec="seconds"),
         "configuration": config.to_toml(),
         "samples_finished": ensemble.finished,
+        "samples_in_doubt": ensemble.doubtful,
         "compile_seconds": ensemble.compile_seconds,
         "run_seconds": ensemble.run_seconds,
         "threads_used": ensemble.threads,
@@ -65,6 +92,12 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
     if ensemble.key_words is not None:
         attributes["key_words"] = np.array(ensemble.key_words, np.uint32)
     for section in ("system", "base", "run"):
-        for key, value in getattr(config, section).model_dump(exclude_none=True).items():
-            attributes[f"{section}_{key}"] = value
+        attributes |= _flat(section, getattr(config, section).model_dump(exclude_none=True))
     return attributes
+
+
+def _flat(name: str, value: Any) -> dict[str, Any]:
+    """`value` as attributes called `name` or, of a table, ``<name>_<key>``; NetCDF has no truth values."""
+    if isinstance(value, dict):
+        return {key: entry for part in value for key, entry in _flat(f"{name}_{part}", value[part]).items()}
+    return {name: int(value) if isinstance(value, bool) else value}
