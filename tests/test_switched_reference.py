@@ -28,17 +28,17 @@ FREE = Case(1.0, 1.0, 1.0, coulomb(0.4), Steps((1000.0,), (0.0,)), 20.0, (3.0, 0
 
 def test_leine_orbit():
     """A solver flow (order 8): events and states to 1e-9."""
-    sticks = filled(LEINE.follow().simulation)
+    sticks = filled(LEINE.follow(step=None).simulation)
     assert len(sticks.start) == 5
     np.testing.assert_allclose(sticks.duration[:4], LEINE_STICK, atol=1e-9)
     np.testing.assert_allclose(sticks.start[1:] - sticks.end[:-1], LEINE_SLIP, atol=1e-9)
     np.testing.assert_allclose(np.diff(sticks.start), LEINE_PERIOD, atol=1e-9)
     np.testing.assert_allclose(sticks.position, -0.54100635387, atol=1e-9)
-    end, velocity = LEINE.follow().simulation.evaluate(sticks.end[:4])
+    end, velocity = LEINE.follow(step=None).simulation.evaluate(sticks.end[:4])
     np.testing.assert_allclose(end, 1, atol=1e-9)
     np.testing.assert_allclose(velocity, 0.2, atol=1e-9)
     periods = LEINE_PERIOD * np.arange(5)
-    np.testing.assert_allclose(LEINE.follow().simulation.evaluate(periods)[0], LEINE.y0[0], atol=1e-9)
+    np.testing.assert_allclose(LEINE.follow(step=None).simulation.evaluate(periods)[0], LEINE.y0[0], atol=1e-9)
 
 
 def test_forced_mass_on_a_moving_base():

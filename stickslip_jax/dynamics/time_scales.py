@@ -10,12 +10,14 @@ from .._types import Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.random import RandomPhase
 from ..base_motion.smooth import Signal
+from ..systems.mass_spring import MassSpring
 from ..systems.motor_cart import MotorCart
 from .oscillator_model import has_closed_form
 
 # Steps for each shortest time: by default, and at least. What is smooth has at most two extrema in a sixth of its
 # period; a Runge-Kutta step wants more; the cart's mechanical time constant is no period.
 _PERIOD, _SOLVED, _CONSTANT = (16.0, 6.0), (48.0, 12.0), (7.0, 4.0)
+_FRICTION = (6.0, 1.0)
 _DECAY = (1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
 
 
@@ -62,9 +64,18 @@ def _scales(system: Any, drive: Drive, method: Any) -> dict[str, tuple[Any, tupl
     force = system.force
     return {
         "natural period": (natural, parts),
+        "time in which the slip speed passes the scale of the friction law": (_passing_time(system), _FRICTION),
         "shortest period of the force": (force.shortest_period if isinstance(force, Signal) else math.inf, parts),
         "shortest period of the base motion": (_period(drive.smooth), parts),
     }
+
+
+def _passing_time(system: MassSpring) -> Any:
+    """How long the largest friction takes to change the speed by the scale over which the friction law changes, s."""
+    scale, held = system.friction.speed_scale, system.friction.static * system.normal_force
+    if scale is None or (not _checks.is_traced(held) and held == 0):
+        return math.inf
+    return scale * system.mass / held
 
 
 def _period(smooth: Signal | RandomPhase | None) -> Any:

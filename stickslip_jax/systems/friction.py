@@ -1,6 +1,7 @@
 """Friction laws: the friction coefficient of a stick, and that of a slip by its relative speed."""
 
 import abc
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -21,6 +22,11 @@ class FrictionLaw(eqx.Module):
     """
 
     constant: ClassVar[bool] = False
+
+    @property
+    def speed_scale(self) -> Any:
+        """The relative speed (m/s) over which the coefficient changes; infinity if it does not, None if not known."""
+        return math.inf if self.constant else None
 
     @property
     @abc.abstractmethod
@@ -76,6 +82,12 @@ class VelocityWeakening(FrictionLaw):
     def static(self) -> Scalar:
         return self.mu_static
 
+    @property
+    def speed_scale(self) -> Any:
+        if not _checks.is_traced(self.weakening) and self.weakening == 0:
+            return math.inf
+        return 1 / self.weakening
+
     def kinetic(self, speed: FloatArray) -> Any:
         return self.mu_static / (1 + self.weakening * speed)
 
@@ -107,6 +119,10 @@ class Stribeck(FrictionLaw):
     @property
     def static(self) -> Scalar:
         return self.mu_static
+
+    @property
+    def speed_scale(self) -> Any:
+        return self.stribeck_speed
 
     def kinetic(self, speed: FloatArray) -> Any:
         ratio = speed / self.stribeck_speed
@@ -144,6 +160,12 @@ class FrictionCurve(FrictionLaw):
     @property
     def static(self) -> Scalar:
         return self.curve(jnp.zeros(())) if self.mu_static is None else self.mu_static
+
+    @property
+    def speed_scale(self) -> Any:
+        """By the slope at rest: the speed at which the tangent would have changed the coefficient by all of itself."""
+        at_rest, slope = jax.jvp(lambda speed: jnp.asarray(self.curve(speed)), (jnp.zeros(()),), (jnp.ones(()),))
+        return at_rest / jnp.maximum(jnp.abs(slope), 1e-9 * at_rest)
 
     def kinetic(self, speed: FloatArray) -> Any:
         return self.curve(speed)

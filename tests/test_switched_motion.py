@@ -1,0 +1,223 @@
+"""Energy, invariants, transformations and derivatives of the switched engine."""
+
+from functools import partial
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference.event_driven import simulate_mass_spring
+
+import stickslip_jax as ss
+
+T1 = 30.0
+STEPS = ss.Exact(step=0.3, max_steps=512)
+
+
+def build(
+    mu=0.4, mu_static=0.5, damping=0.3, stiffness=1.0, push=1.0, swing=1.0, frequency=1.0, phase=0.0, x=2.0, p=0.0
+):
+    """A forced, damped mass on a base that oscillates: system, base and start."""
+    system = ss.MassSpring(
+        1.0, stiffness, 1.0, ss.Coulomb(mu, mu_static), damping, ss.Harmonic(push, 0.7, 0.2, offset=0.1)
+    )
+    return system, ss.Harmonic(swing, frequency, phase, offset=0.7), (x, p)
+
+
+@partial(jax.jit, static_argnames="slots")
+def watched(values, slots=2):
+    """Starts, ends and positions of the first sticks, and the final state."""
+    system, base, y0 = build(**values)
+    one = ss.simulate(system, base, t1=T1, y0=y0, method=STEPS)
+    sticks = one.sticks
+    events = jnp.concatenate([sticks.start[:slots], sticks.end[:slots], sticks.position[:slots]])
+    return jnp.concatenate([events, jnp.stack(one.final_state)])
+
+
+def exact(values, slots=2):
+    """The same by the reference."""
+    system, base, y0 = build(**values)
+    force, friction = system.force, system.friction
+    run = simulate_mass_spring(
+        mass=1.0, stiffness=system.stiffness, damping=system.damping, normal_force=1.0,
+        mu_static=friction.mu_static, mu_kinetic=friction.mu,
+        base_velocity=lambda t, _: base.offset + base.amplitude * np.cos(base.angular_frequency * t + base.phase),
+        base_acceleration=lambda t, _: (
+            -base.amplitude * base.angular_frequency * np.sin(base.angular_frequency * t + base.phase)
+        ),
+        force=lambda t, _: force.offset + force.amplitude * np.cos(0.7 * t + 0.2),
+        t1=T1, y0=y0, max_step=0.2,
+    )  # fmt: skip
+    rows = np.array([stick[:3] for stick in run.sticks[:slots]])
+    return np.concatenate([rows.T.ravel(), run.final_state])
+
+
+POINT = dict.fromkeys(("stiffness", "push", "swing", "frequency"), 1.0) | {
+    "mu": 0.4, "mu_static": 0.5, "damping": 0.3, "phase": 0.0, "x": 2.0, "p": 0.0,
+}  # fmt: skip
+
+
+def test_derivatives_against_the_reference():
+    """Of event times, positions and the final state, forward and reverse, by fourth-order differences (error 1e-7)."""
+    point = {name: jnp.asarray(value) for name, value in POINT.items()}
+    np.testing.assert_allclose(watched(point), exact(POINT), rtol=1e-10, atol=1e-10)
+    forward, reverse = (jax.jit(jacobian(watched))(point) for jacobian in (jax.jacfwd, jax.jacrev))
+    step = 1e-4
+    for name in POINT:
+
+        def moved(times, name=name):
+            return exact(POINT | {name: POINT[name] + times * step})
+
+        difference = (8 * (moved(1) - moved(-1)) - (moved(2) - moved(-2))) / (12 * step)
+        np.testing.assert_allclose(forward[name], difference, rtol=5e-6, atol=5e-6, err_msg=name)
+        np.testing.assert_allclose(reverse[name], forward[name], rtol=1e-9, atol=1e-10, err_msg=name)
+
+
+def test_jit_vmap_and_float32():
+    starts = jnp.linspace(-2, 2, 5)
+    batch = jax.vmap(lambda x: watched(POINT | {"x": x}, slots=2))(starts)
+    np.testing.assert_allclose(batch[4], watched(POINT | {"x": 2.0}, slots=2), rtol=1e-12)
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
+        single = watched({name: jnp.float32(value) for name, value in POINT.items()})
+    assert single.dtype == jnp.float32
+    # 100 steps, each with a few units in the last place of t = 30: 100 * 30 * 6e-8.
+    np.testing.assert_allclose(single, watched(POINT), atol=2e-4)
+
+
+def test_gradients_are_finite_where_nothing_sticks():
+    gradient = jax.grad(lambda mu: watched(POINT | {"mu": mu, "mu_static": mu, "p": 50.0}, slots=1)[-1])(0.01)
+    assert np.isfinite(gradient)
+
+
+def energy_error(system, base, y0, **method):
+    """Energy gained less the work of force, damper and friction, by quadrature over the steps; and the work done."""
+    one = ss.simulate(system, base, t1=T1, y0=y0, method=ss.Exact(**method))
+    knots = np.unique(np.concatenate([np.asarray(one.switching_times), [T1]]))
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    times = knots[:-1, None] + np.diff(knots)[:, None] * (nodes + 1) / 2
+    x, p = (np.asarray(values) for values in one.evaluate(times))
+    v = np.asarray(one.base_velocity(times))
+    a = np.asarray(jax.vmap(base.rate)(jnp.asarray(times.ravel()))).reshape(times.shape)
+    push = np.asarray(jax.vmap(system.force.value)(jnp.asarray(times.ravel()))).reshape(times.shape)
+    starts, ends = (np.asarray(values)[np.asarray(one.sticks.mask)] for values in (one.sticks.start, one.sticks.end))
+    middle = (knots[:-1] + knots[1:]) / 2
+    stuck = (np.searchsorted(starts, middle) > np.searchsorted(ends, middle))[:, None]
+    slip = -np.sign(p - v) * np.asarray(system.friction.kinetic(jnp.abs(jnp.asarray(p - v))))
+    rub = np.where(stuck, a + system.damping * v + system.stiffness * x - push, slip)
+    power = (push - system.damping * p + rub) * p
+    work, spent = (
+        np.sum(values * weights / 2 * np.diff(knots)[:, None]) for values in (power, np.abs(push * p) + np.abs(rub * p))
+    )
+
+    def stored(state):
+        return 0.5 * system.stiffness * float(state[0]) ** 2 + 0.5 * float(state[1]) ** 2
+
+    return abs(stored(one.final_state) - stored(y0) - work) / spent
+
+
+def test_energy_closes_to_round_off():
+    """Closed-form flow: what remains is round-off of 100 steps, a few hundred units in the last place."""
+    system, base, y0 = build()
+    assert energy_error(system, base, y0) < 1e-13
+
+
+def test_energy_closes_to_the_order_of_the_flow():
+    system, base, y0 = build()
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.VelocityWeakening(0.5, 1.0), system.damping, system.force)
+    coarse, fine = (energy_error(system, base, y0, step=h, solver=diffrax.Bosh3()) for h in (0.1, 0.05))
+    assert energy_error(system, base, y0) < 1e-9
+    assert fine < coarse / 2**2.5
+
+
+coefficients = st.floats(0.05, 2.0)
+
+
+@settings(max_examples=40)
+@given(
+    mu=coefficients, extra=st.floats(0, 1), damping=st.floats(0.01, 3), push=st.floats(0, 3), swing=st.floats(0, 3),
+    frequency=st.floats(0.2, 3), phase=st.floats(0, 6), x=st.floats(-5, 5), p=st.floats(-3, 3),
+)  # fmt: skip
+def test_invariants(mu, extra, damping, push, swing, frequency, phase, x, p):
+    """Sticks are in order and apart, on the base and within the band; slips are off the base; the end is the end."""
+    values = {"mu": mu, "mu_static": mu * (1 + extra), "damping": damping, "push": push, "swing": swing}
+    values |= {"frequency": frequency, "phase": phase, "x": x, "p": p, "stiffness": 1.0}
+    start, end, mask, at_start, at_middle, at_end, needed, off, status, final, last = followed(values)
+    mask = np.asarray(mask)
+    times = np.stack([start, end], axis=1)[mask].ravel()
+    assert int(status) == ss.Status.FINISHED
+    assert np.all(np.diff(times) >= 0)
+    assert np.all((times >= 0) & (times <= T1))
+    size = 5 + abs(x) + abs(p) + 10 * (push + swing + mu)
+    for relative in (at_start, at_middle, at_end):
+        assert np.all(np.abs(relative[mask]) < 1e-10 * size)
+    assert np.all(np.abs(needed[:, mask]) <= mu * (1 + extra) + 1e-9 * size)
+    assert np.all(off > 0)
+    np.testing.assert_allclose(final, last, rtol=1e-12, atol=1e-12 * size)
+
+
+@jax.jit
+def followed(values):
+    system, base, y0 = build(**values)
+    one = ss.simulate(system, base, t1=T1, y0=y0, method=ss.Exact(step=0.1, max_steps=2048))
+    start, end = (jnp.where(one.sticks.mask, times, 0) for times in (one.sticks.start, one.sticks.end))
+
+    def relative(times):
+        return one.evaluate(times)[1] - one.base_velocity(times)
+
+    def needed(times):
+        x, _ = one.evaluate(times)
+        v = one.base_velocity(times)
+        return (
+            jax.vmap(base.rate)(times) + system.damping * v + system.stiffness * x - jax.vmap(system.force.value)(times)
+        )
+
+    begun = one.switching_times
+    middle = (begun + jnp.append(begun[1:], T1)) / 2
+    inside = jnp.any((middle[:, None] >= start) & (middle[:, None] <= end) & one.sticks.mask, axis=1)
+    lasting = jnp.append(begun[1:], T1) - begun > 1e-6
+    off = jnp.where(~inside & lasting, jnp.abs(relative(middle)), 1.0)
+    spread = jnp.stack([needed(start + share * (end - start)) for share in (0.001, 0.3, 0.7, 0.999)])
+    return (
+        start, end, one.sticks.mask, relative(start), relative((start + end) / 2), relative(end), spread, off,
+        one.status, jnp.stack(one.final_state), jnp.stack(one.evaluate(T1)),
+    )  # fmt: skip
+
+
+def test_mirror_image():
+    """x, v and F turned round: the same events."""
+    system, base, y0 = build()
+    mirrored = ss.MassSpring(1.0, 1.0, 1.0, system.friction, system.damping, ss.Harmonic(-1.0, 0.7, 0.2, offset=-0.1))
+    one = ss.simulate(system, base, t1=T1, y0=y0, method=STEPS)
+    other = ss.simulate(mirrored, ss.Harmonic(-1.0, 1.0, offset=-0.7), t1=T1, y0=(-y0[0], -y0[1]), method=STEPS)
+    assert int(one.sticks.count) == 2
+    np.testing.assert_allclose(other.sticks.start, one.sticks.start, rtol=1e-13)
+    np.testing.assert_allclose(other.sticks.position, -one.sticks.position, rtol=1e-11)
+
+
+def test_ensemble_samples_are_simulations():
+    """Random phases and jumps together: each sample of an ensemble is the simulation of its own realisation."""
+    law = ss.WithJumps(ss.RandomPhase(ss.Harmonic(0.5, 1.3)), ss.PoissonSwitching(0.4, 0.5))
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3, 0.4), 0.1)
+    many = ss.simulate_ensemble(
+        system, law, t1=T1, samples=20, key=jax.random.key(4), y0=(ss.Uniform(-1.0, 1.0), 0.0), keep="sticks"
+    )
+    for number in (0, 7, 19):
+        base, y0 = many.realisation(number)
+        one = ss.simulate(system, base, t1=T1, y0=y0)
+        count = int(one.sticks.count)
+        assert count == many.flat_sticks.count[number]
+        assert int(one.slips.count) == many.totals.slips[number]
+        np.testing.assert_allclose(many.sticks.start[number, :count], one.sticks.start[:count], rtol=1e-10)
+
+
+def test_streamed_accelerograms_equal_sampled_ones():
+    system = ss.MassSpring(1.0, 20.0, 9.81, ss.Coulomb(0.05), 0.2)
+    many = ss.simulate_ensemble(system, ss.KanaiTajimi(1.5), t1=20.0, samples=4, key=jax.random.key(5), keep="sticks")
+    base, y0 = many.realisation(2)
+    one = ss.simulate(system, base, t1=20.0, y0=y0)
+    count = int(one.sticks.count)
+    assert count == many.flat_sticks.count[2] > 5
+    np.testing.assert_allclose(many.sticks.start[2, :count], one.sticks.start[:count], rtol=1e-9)
