@@ -184,20 +184,14 @@ def test_accuracy_at_the_default_step():
         assert_agrees(case, INTEGRATED, step=case.shortest_time / 48, turns=8192)
 
 
-@pytest.mark.parametrize("ratio", [5.0, 60.0])
-def test_heavy_damping(ratio):
-    """Damping ratios far above 1: a slip relaxes within ``mass / damping``, much faster than the natural period.
-
-    The package chooses the step, as it does for users.
-    """
-    for seed in range(5):
-        case = random_case("jumps", seed)
+@pytest.mark.parametrize("kind", ["harmonic", "jumps"])
+def test_heavy_damping(kind):
+    """Damping ratios far above 1: a slip relaxes within ``mass / damping``, much faster than the natural period."""
+    counts = []
+    for seed, ratio in enumerate([1.0, 1 + 1e-9, 3.0, 10.0, 30.0, 100.0]):
+        case = random_case(kind, 30 + seed)
+        mu = float(case.rub.law.mu) * max(1, ratio / 3)
+        mu_static = None if case.rub.law.mu_static is None else 1.3 * mu
         damping = 2 * math.sqrt(case.mass * case.stiffness) * ratio
-        rub = coulomb(float(case.rub.law.mu) * ratio)
-        case = case._replace(damping=damping, rub=rub)
-        assert_agrees(case, step=default_step(case))
-
-
-def default_step(case: Case) -> float:
-    """The step that the package would take."""
-    return float(step_for(case.system, drive_of(case.base.package), ss.Exact()))
+        counts.append(assert_agrees(case._replace(damping=damping, rub=coulomb(mu, mu_static))))
+    assert np.sum(counts, axis=0).min() >= 5
