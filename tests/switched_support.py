@@ -14,10 +14,8 @@ from support import filled, padded
 
 import stickslip_jax as ss
 
-TURNS = 2048
-"""Turns of the loop allowed to one trajectory; with the same number everywhere, set-ups of one kind compile once."""
-SLOTS, POINTS = 24, 24
-"""Intervals of every base motion that jumps, and points of every record."""
+# Turns of the loop, intervals of every base that jumps, points of every record: the same everywhere, to compile once.
+TURNS, SLOTS, POINTS = 2048, 24, 24
 
 
 class Tones(NamedTuple):
@@ -325,7 +323,7 @@ def errors_against(run: Run, case: Case, followed: Followed) -> Errors:
     return Errors(*(float(np.max(np.abs(got - exact) / scale, initial=0)) for got, exact, scale in pairs))
 
 
-KINDS = {
+KINDS = {  # of random set-ups: friction law, base motion, force, and whether there is damping
     "harmonic": ("static", "tone", "tone", True),
     "undamped": ("plain", "tone", "tone", False),
     "sums": ("static", "tones", "tones", True),
@@ -338,25 +336,20 @@ KINDS = {
     "steps": ("static", "steps", "tone", False),
     "record and jumps": ("plain", "line and steps", "line", True),
 }
-"""Kinds of random set-ups: friction law, base motion, force, and whether there is damping."""
-SOLVED = ("weakening", "stribeck", "hump")
-"""Those whose slips have no closed form."""
+SOLVED = ("weakening", "stribeck", "hump")  # whose slips have no closed form
 
 
 def random_case(kind: str, seed: int) -> Case:
-    """A random set-up of one of the `KINDS`: base speeds of 0.2 to 4, forces up to 2 of the system's own scales."""
-    source = np.random.default_rng([seed, *kind.encode()])
+    source = np.random.default_rng([seed, *kind.encode()])  # base speeds of 0.2 to 4, forces up to 2 of own scales
     mass, stiffness, normal_force, mu = np.exp(source.uniform(-1, 1, 4)).tolist()
     omega, a = math.sqrt(stiffness / mass), mu * normal_force / stiffness
     speed, push = a * omega * math.exp(source.uniform(-1.6, 1.4)), mu * normal_force * source.uniform(0.1, 2)
     t1 = 2 * math.pi / omega * source.uniform(6, 9)
-    draw = _Draw(source, omega, t1)
-    law, base, force, damped = KINDS[kind]
+    draw, (law, base, force, damped) = _Draw(source, omega, t1), KINDS[kind]
     start = (float(a * source.uniform(-3, 3)), float(speed * source.uniform(-1.5, 1.5)))
     damping = 2 * math.sqrt(mass * stiffness) * source.uniform(0.01, 0.3) if damped else None
-    scale = 4 * push / mass if base == "shaking" else speed
-    rub, motion, load = draw.rub(law, mu, speed), draw.part(base, scale), draw.part(force, push, of_force=True)
-    return Case(mass, stiffness, normal_force, rub, motion, t1, start, damping, load)
+    rub, motion = draw.rub(law, mu, speed), draw.part(base, 4 * push / mass if base == "shaking" else speed)
+    return Case(mass, stiffness, normal_force, rub, motion, t1, start, damping, draw.part(force, push, of_force=True))
 
 
 class _Draw(NamedTuple):
