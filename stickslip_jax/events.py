@@ -63,16 +63,14 @@ class Slips(eqx.Module):
         return self.mask.sum(axis=-1)
 
 
-def sticks_in_order(start, end, position, ending, slots: int | None = None) -> Sticks:
+def sticks_in_order(start, end, position, ending) -> Sticks:
     """Gather one trajectory's records so that the sticks come first; differentiable, fixed size.
 
-    Arrays of shape (records,); `ending` is negative where there is no stick. `slots`: how many sticks to keep room for,
-    as many as there are records by default.
+    Arrays of shape (records,); `ending` is negative where there is no stick.
     """
-    size = ending.shape[0]
     stuck = ending >= 0
-    (order,) = jnp.nonzero(stuck, size=size if slots is None else slots, fill_value=0)
-    mask = jnp.arange(order.shape[0]) < stuck.sum()
+    (order,) = jnp.nonzero(stuck, size=ending.shape[0], fill_value=0)
+    mask = jnp.arange(ending.shape[0]) < stuck.sum()
 
     def fill(values, padding):
         return jnp.where(mask, values[order], padding)

@@ -26,7 +26,7 @@ from .dynamics.interval_engine import (
 )
 from .dynamics.method import Exact
 from .dynamics.switched_engine import State
-from .dynamics.switched_run import TURNS_PER_STICK, Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
+from .dynamics.switched_run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
 from .events import Sticks, sticks_in_order
 from .set_up import checked_step
 from .systems.mass_spring import MassSpring
@@ -153,6 +153,5 @@ def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[An
 def _follow_steps(system, drive, solver, t1, y0, step, *, turns, dtype) -> Run:
     done = run_trajectory(system, drive, solver, t1, y0, step, turns=turns, dtype=dtype)
     lane = done.lane
-    sticks = sticks_in_order(*done.records, slots=turns // TURNS_PER_STICK + 1)
     path = StepPath(system, drive, solver, done.beginnings)
-    return Run(sticks, lane.totals, done.status, lane.t, lane.y, lane.doubts, path)
+    return Run(sticks_in_order(*done.records), lane.totals, done.status, lane.t, lane.y, lane.doubts, path)

@@ -221,3 +221,14 @@ def test_streamed_accelerograms_equal_sampled_ones():
     count = int(one.sticks.count)
     assert count == many.flat_sticks.count[2] > 5
     np.testing.assert_allclose(many.sticks.start[2, :count], one.sticks.start[:count], rtol=1e-9)
+
+
+@pytest.mark.parametrize("max_steps", [None, 256])
+def test_room_for_a_stick_in_every_interval(max_steps):
+    """Each jump of the base ends a stick and the next begins before the next jump: none is dropped."""
+    base = ss.PiecewiseConstant(0.05 * np.arange(80), np.resize([0.0, 0.01], 80))
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(1.0), damping=0.01)
+    one = ss.simulate(system, base, t1=4.0, method=ss.Exact(max_steps=max_steps))
+    assert int(one.status) == ss.Status.FINISHED
+    assert int(one.totals.sticks) == int(one.sticks.count) == 80
+    assert np.all(one.sticks.end[:80] == pytest.approx(0.05 * np.arange(1, 81), rel=1e-12))

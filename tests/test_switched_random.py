@@ -21,8 +21,6 @@ from switched_support import (
 )
 
 import stickslip_jax as ss
-from stickslip_jax.base_motion.drive import drive_of
-from stickslip_jax.dynamics.time_scales import step_for
 
 # The reference is good to about 1e-11, its own tests show. Where slips have closed forms the package's error is
 # round-off, 1e-16, over the steepness of an arrival; the worst of 1,200 set-ups was 3e-12.
@@ -187,11 +185,11 @@ def test_accuracy_at_the_default_step():
 @pytest.mark.parametrize("kind", ["harmonic", "jumps"])
 def test_heavy_damping(kind):
     """Damping ratios far above 1: a slip relaxes within ``mass / damping``, much faster than the natural period."""
-    counts = []
-    for seed, ratio in enumerate([1.0, 1 + 1e-9, 3.0, 10.0, 30.0, 100.0]):
+    sticks = 0
+    for seed, ratio in enumerate([1.0, 1 + 1e-9, 10.0, 60.0]):
         case = random_case(kind, 30 + seed)
         mu = float(case.rub.law.mu) * max(1, ratio / 3)
         mu_static = None if case.rub.law.mu_static is None else 1.3 * mu
         damping = 2 * math.sqrt(case.mass * case.stiffness) * ratio
-        counts.append(assert_agrees(case._replace(damping=damping, rub=coulomb(mu, mu_static))))
-    assert np.sum(counts, axis=0).min() >= 5
+        sticks += assert_agrees(case._replace(damping=damping, rub=coulomb(mu, mu_static)))[0]
+    assert sticks >= 20

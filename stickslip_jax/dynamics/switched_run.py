@@ -19,7 +19,6 @@ from .switched_engine import Lane, Pieces, State, advance, has_ended, start_lane
 
 _BLOCK = 32  # turns of the loop after which to see whether the trajectory has ended
 MOST_TURNS = 2**30  # they are counted in 32 bits
-TURNS_PER_STICK = 1  # at least: a base that jumps may end the next one in every turn
 
 
 class Beginnings(NamedTuple):
