@@ -14,7 +14,7 @@ study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 check-slow: $(READY)
 	$(BIN)/python -m pytest -m slow

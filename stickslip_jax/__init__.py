@@ -14,7 +14,7 @@ from .base_motion.reading import read_acceleration_csv, read_at2, read_recorded_
 from .base_motion.recorded import Recorded
 from .base_motion.smooth import Harmonic, Signal, SumOfHarmonics
 from .base_motion.voltage import SourceVoltage
-from .dynamics.method import Exact
+from .dynamics.method import Exact, Regularized
 from .ensemble import simulate_ensemble
 from .ensemble_result import Ensemble
 from .events import Slips, Sticks
@@ -31,6 +31,7 @@ from .statistics.first_sticks import FirstSticks, first_stick
 from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart, stick_duration_bound
+from .systems.switched_system import SwitchedSystem
 
 __version__ = "0.1.0"
 
@@ -67,6 +68,7 @@ __all__ = [
     "RandomPhase",
     "RandomSteps",
     "Recorded",
+    "Regularized",
     "Signal",
     "Simulation",
     "Slips",
@@ -76,6 +78,7 @@ __all__ = [
     "Sticks",
     "Stribeck",
     "SumOfHarmonics",
+    "SwitchedSystem",
     "Uniform",
     "VelocitySteps",
     "VelocityWeakening",

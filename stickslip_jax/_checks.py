@@ -57,16 +57,16 @@ def state(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     """Check that ``value`` holds finite numbers, one for each part of ``meaning``, and return them."""
     entries = list(value) if isinstance(value, (tuple, list)) or np.ndim(value) == 1 else []
     if len(entries) != len(meaning):
+        count = _COUNTS.get(len(meaning), len(meaning))
         raise ValueError(
-            f"Argument {name} must be {_COUNTS[len(meaning)]} numbers ({', '.join(meaning)}), but {show(value)} was "
-            "given."
+            f"Argument {name} must be {count} numbers ({', '.join(meaning)}), but {show(value)} was given."
         )
     for index, entry in enumerate(entries):
         numeric(f"{name}[{index}]", entry)
     return tuple(entries)
 
 
-_COUNTS = {2: "two", 3: "three"}
+_COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def _kind(ndim: int | None) -> str:

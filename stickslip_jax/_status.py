@@ -25,6 +25,8 @@ class Status(IntEnum):
     """The state became NaN or infinite, or one base interval was longer than 2^30 rad of the free oscillation."""
     OUT_OF_STEPS = 3
     """All time steps allowed were used before ``t1``: nothing after that instant was simulated."""
+    SOLVER_FAILED = 4
+    """The adaptive solver of regularised dynamics gave up before ``t1``: nothing after that instant was simulated."""
 
     @property
     def meaning(self) -> str:
@@ -37,4 +39,5 @@ _MEANINGS = {
     Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1",
     Status.NOT_FINITE: "the state became NaN or infinite, or a base interval spans more than 2^30 rad",
     Status.OUT_OF_STEPS: "all time steps allowed were used before t1 (see max_steps)",
+    Status.SOLVER_FAILED: "the adaptive solver gave up (try another solver, or other tolerances)",
 }

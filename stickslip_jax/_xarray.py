@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from ._status import Ending, Status
 from .systems.motor_cart import MotorCart
+from .systems.switched_system import SwitchedSystem
 
 if TYPE_CHECKING:
     import xarray
@@ -44,6 +45,9 @@ def _position(system: Any) -> tuple[str, str]:
     """What the position of a stick is, and its unit."""
     if isinstance(system, MotorCart):
         return "motor angle during the stick", "rad"
+    if isinstance(system, SwitchedSystem):
+        name, _, unit = system.state_names[0].rpartition(" in ")
+        return f"{name or unit} when the stick starts", unit if name else "1"
     return "position of the mass when the stick starts", "m"
 
 

@@ -10,19 +10,24 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from . import _checks
 from ._fast_cpu import fast_cpu_enabled
 from ._status import Status
 from ._types import Array
-from .base_motion.drive import is_random, words_for
+from .base_motion.drive import drive_of, is_random, words_for
 from .base_motion.laws import BangBangLaw
 from .base_motion.random import Uniform
-from .dynamics.chunks import open_chunk, record_chunk, summarise_chunk
+from .dynamics.chunks import open_chunk, record_chunk, solve_chunk, summarise_chunk
 from .dynamics.interval_lanes import IntervalEngine
 from .dynamics.lanes import BLOCK, Engine, Job, LaneResults, Records
-from .dynamics.method import EXACT, Exact
+from .dynamics.method import EXACT, Exact, Regularized
+from .dynamics.models import check_drive
+from .dynamics.regularized_lanes import AdaptiveBatch, FixedEngine
+from .dynamics.regularized_settings import as_arrays, fixed_steps, settled
+from .dynamics.regularized_solve import table_sizes
 from .dynamics.switched_lanes import SwitchedEngine
 from .dynamics.switched_run import turns_for
 from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals, sticks_of
@@ -38,6 +43,7 @@ from .set_up import (
 )
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
+_ADAPTIVE_LANES = 256  # of one batch: enough to hide the launches, few enough for the slowest not to hold up many
 _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: their records should stay in the cache
 
 
@@ -49,24 +55,24 @@ def simulate_ensemble(
     samples: int,
     key: Array | None = None,
     y0: Any = None,
-    method: Exact = EXACT,
+    method: Exact | Regularized = EXACT,
     keep: str = "statistics",
     threads: int | None = None,
     chunk: int | None = None,
     progress: bool | None = None,
 ) -> Ensemble:
-    """Simulate `samples` independent realisations of the base motion `law`, exactly.
+    """Simulate `samples` independent realisations of the base motion `law`.
 
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``: it depends on the key and i
     only, not on the number of samples, the chunk size or the threads. ``many.realisation(i)`` gives its base motion
     and initial state.
 
-    - `system`: what moves, a `MassSpring` or a `MotorCart`.
+    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
     - `law`: what drives it: a law such as `PoissonSwitching`, `RandomPhase` or `KanaiTajimi`, or anything that
       `simulate` takes. `t1`: duration, s.
     - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
-    - `method`: `Exact`, with the step for motions that are followed in time steps.
+    - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
     - `keep`: "statistics" keeps sums only (memory does not grow with `samples`); "sticks" keeps every stick.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
@@ -76,9 +82,9 @@ def simulate_ensemble(
     """
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep)
     threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
-    plan = _Plan.of(samples, threads, chunk)
+    plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     started = time.perf_counter()
-    simulate = _streamer(run, plan) if keep == "statistics" else _recorder(run, plan)
+    simulate = _simulator(run, plan, keep)
     simulate(0, 0)  # compiles, so that the threads need not race for it
     compiled = time.perf_counter()
 
@@ -87,6 +93,7 @@ def simulate_ensemble(
         system=system,
         law=law,
         t1=float(t1),
+        method=run.method,
         y0=run.y0,
         samples=samples,
         key_words=tuple(int(word) for word in np.asarray(run.words)) if run.is_random else None,
@@ -135,7 +142,8 @@ def _simulate_all(simulate: Callable[[int, int], _Part], plan: "_Plan", samples:
 class _Run(NamedTuple):
     """What is the same for every chunk."""
 
-    engine: Engine
+    engine: Engine | AdaptiveBatch
+    method: Exact | Regularized
     words: Array
     y0: tuple[Any, ...]
     is_random: bool
@@ -156,16 +164,22 @@ class _Run(NamedTuple):
         if keep not in ("statistics", "sticks"):
             raise ValueError(f"Argument keep must be 'statistics' or 'sticks', but {keep!r} was given.")
         y0 = state_of(system, y0, may_be_random=True)
-        engine = _engine(system, law, t1, y0, method)
+        dtype = working_dtype(stacklevel=4)
+        if isinstance(method, Regularized):
+            engine = _regularized(system, law, t1, y0, method, dtype)
+            method = engine.method
+        else:
+            engine = _engine(system, law, t1, y0, method)
         random = is_random(law) or any(isinstance(value, Uniform) for value in y0)
         if random and key is None:
             raise ValueError(
                 "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
             )
-        return cls(engine, words_for(law, key), y0, random, working_dtype(stacklevel=4))
+        return cls(engine, method, words_for(law, key), y0, random, dtype)
 
     def job(self, first: int, used_rows: int) -> Job:
         """Samples ``first ..`` in so many rows of lanes."""
+        assert isinstance(self.engine, Engine)
         return Job(self.engine, self.words, np.uint32(first), np.int32(used_rows))
 
 
@@ -180,6 +194,22 @@ def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact
     # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
     most = method.max_steps or 20 * turns_for(system, drive, t1, step)
     return SwitchedEngine(system, drive, method.solver, t1, y0, step, np.int32(min(most, 2**31 - 1)))
+
+
+def _regularized(
+    system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Regularized, dtype
+) -> FixedEngine | AdaptiveBatch:
+    """What simulates this by regularised dynamics."""
+    if isinstance(law, BangBangLaw):
+        law.checked_capacity(t1)
+    drive = drive_of(law, "law")
+    check_drive(system, drive, method)
+    check_length(system, law, t1)
+    method = settled(system, drive, method, dtype)
+    if method.step is None:
+        return AdaptiveBatch(system, drive, method, t1, y0)
+    most = method.max_steps or 2 * fixed_steps(system, drive, method, t1)
+    return FixedEngine(system, drive, method, t1, y0, np.int32(min(most, 2**31 - 1)))
 
 
 class _Plan(NamedTuple):
@@ -201,13 +231,48 @@ class _Plan(NamedTuple):
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
+        # In a small run most lanes would idle.
+        lanes = min(lanes, max(256, 1 << (-(-samples // threads) - 1).bit_length()))
         # Small runs are cut finer, so that every thread gets its share.
         fair = -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)
 
+    @classmethod
+    def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
+        """For adaptive steps: a lane each."""
+        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk)
+        lanes = min(most, -(-samples // threads) if chunk is None else samples)
+        return cls(lanes, 1, lanes, threads)
+
+
+def _simulator(run: _Run, plan: _Plan, keep: str) -> Callable[[int, int], _Part]:
+    """A function that simulates samples ``first .. first + number - 1``."""
+    if isinstance(run.engine, AdaptiveBatch):
+        return _solver(run, run.engine, plan, keep == "sticks")
+    return _streamer(run, plan) if keep == "statistics" else _recorder(run, plan)
+
+
+def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool) -> Callable[[int, int], _Part]:
+    """The same for adaptive steps."""
+    sizes, dtype = table_sizes(batch.system, batch.drive, batch.t1), run.dtype
+    system, drive, t1, y0 = as_arrays((batch.system, batch.drive, batch.t1, batch.y0), dtype)
+    arrays = AdaptiveBatch(system, drive, batch.method, t1, y0)
+    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": keep, "dtype": dtype}
+
+    def simulate(first: int, number: int) -> _Part:
+        results, records = solve_chunk(arrays, run.words, jnp.uint32(first), jnp.uint32(number), **how)
+        results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
+        if records is None:
+            return _Part(results)
+        columns = [np.asarray(column).T for column in records]
+        sticks = sticks_of(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
+        return _Part(results, FlatSticks.collect([sticks], np.equal(results.status, Status.FINISHED)))
+
+    return simulate
+
 
 def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
-    """A function that simulates samples ``first .. first + number - 1`` and keeps their totals."""
+    """A function that keeps totals."""
 
     def simulate(first: int, number: int) -> _Part:
         job = run.job(first, -(-number // plan.lanes))
@@ -218,7 +283,7 @@ def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
 
 
 def _recorder(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
-    """The same, keeping every stick."""
+    """A function that keeps every stick."""
     blocks = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes))
 
     def simulate(first: int, number: int) -> _Part:

@@ -86,6 +86,7 @@ class Ensemble:
     """Many simulated samples of one law.
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_words`: what was simulated.
+    - `method`: how; a `Regularized` method has its options filled in.
     - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
     - `doubtful`: how many samples had an instant at which the last digits decide whether there was an event (see
       `Simulation`); they are counted like the others.
@@ -98,6 +99,7 @@ class Ensemble:
     system: Any
     law: Any
     t1: float
+    method: Any
     y0: tuple[Any, ...]
     samples: int
     key_words: tuple[int, ...] | None

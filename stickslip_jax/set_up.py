@@ -13,12 +13,13 @@ from .base_motion.laws import BangBangLaw
 from .base_motion.piecewise import VelocitySteps
 from .base_motion.random import Uniform
 from .base_motion.smooth import UserMotion
-from .dynamics.method import Exact
+from .dynamics.method import Exact, Regularized
 from .dynamics.models import check_drive
 from .dynamics.time_scales import step_for
 from .systems.friction import Coulomb
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart
+from .systems.switched_system import SwitchedSystem, check_fields, check_motion
 
 _STATES = {
     MassSpring: ("position in m", "velocity in m/s"),
@@ -28,22 +29,30 @@ _STATES = {
 
 def check_system(system: Any) -> None:
     """Check that `system` is one that can be simulated. Raises ValueError otherwise."""
-    if not isinstance(system, tuple(_STATES)):
-        raise ValueError(f"Argument system must be a MassSpring or a MotorCart, but {_checks.show(system)} was given.")
+    if isinstance(system, SwitchedSystem):
+        check_fields(system)
+    elif not isinstance(system, tuple(_STATES)):
+        raise ValueError(
+            "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "
+            f"{_checks.show(system)} was given."
+        )
 
 
 def check_method(method: Any) -> None:
-    """Check that `method` is `Exact`. Raises ValueError otherwise."""
-    if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
+    """Check that `method` is `Exact` or `Regularized`. Raises ValueError otherwise."""
+    if not isinstance(method, (Exact, Regularized)):
+        raise ValueError(
+            f"Argument method must be Exact(...) or Regularized(width), but {_checks.show(method)} was given."
+        )
 
 
 def state_of(system: Any, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
     """The initial state of `system`, checked; zeros if it is None."""
-    meaning = next(names for kind, names in _STATES.items() if isinstance(system, kind))
-    if y0 is None:
-        return (0.0,) * len(meaning)
-    numbers = y0
+    if isinstance(system, SwitchedSystem):
+        meaning = system.state_names
+    else:
+        meaning = next(names for kind, names in _STATES.items() if isinstance(system, kind))
+    numbers = y0 = (0.0,) * len(meaning) if y0 is None else y0
     if isinstance(y0, (tuple, list)) and any(isinstance(value, Uniform) for value in y0):
         if not may_be_random:
             raise ValueError(
@@ -51,7 +60,9 @@ def state_of(system: Any, y0: Any, *, may_be_random: bool = False) -> tuple[Any,
                 "states."
             )
         numbers = tuple(value.low if isinstance(value, Uniform) else value for value in y0)
-    _checks.state("y0", numbers, meaning)
+    numbers = _checks.state("y0", numbers, meaning)
+    if isinstance(system, SwitchedSystem):
+        check_motion(system, numbers)
     return tuple(y0)
 
 
@@ -87,10 +98,11 @@ def check_length(system: Any, base: Any, t1: Scalar) -> None:
             )
 
 
-def interval_engine_applies(system: Any, base: Any, method: Exact) -> bool:
+def interval_engine_applies(system: Any, base: Any, method: Exact | Regularized) -> bool:
     """Whether the closed forms over whole base intervals hold: decided by what the arguments are, not their numbers."""
     return (
-        isinstance(system, MassSpring)
+        isinstance(method, Exact)
+        and isinstance(system, MassSpring)
         and isinstance(base, (VelocitySteps, BangBangLaw))
         and isinstance(system.friction, Coulomb)
         and system.friction.mu_static is None

@@ -13,12 +13,14 @@ from . import _checks
 from ._status import Status
 from ._types import AnyArray, FloatArray, Scalar
 from .dynamics.interval_engine import Totals
-from .dynamics.method import EXACT, Exact
+from .dynamics.method import EXACT, Exact, Regularized
 from .events import Slips, Sticks, slips_between
 from .paths import Path, follow_intervals, follow_steps
+from .regularized_paths import follow_regularized
 from .set_up import check_method, check_system, interval_engine_applies, one_realisation, state_of, working_dtype
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart
+from .systems.switched_system import SwitchedSystem
 
 
 class Simulation(eqx.Module):
@@ -35,12 +37,13 @@ class Simulation(eqx.Module):
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
     - `switching_times`: the instants at which the base velocity jumps (or may; of a trajectory in time steps: at which
       its steps begin), s.
-    - `system`, `base`, `t1`: what was simulated.
+    - `system`, `base`, `t1`, `method`: what was simulated, and how; a `Regularized` method has its options filled in.
     """
 
-    system: MassSpring | MotorCart
+    system: MassSpring | MotorCart | SwitchedSystem
     base: Any
     t1: Scalar
+    method: Exact | Regularized
     sticks: Sticks
     totals: Totals
     status: Int[Array, "*batch"]
@@ -109,23 +112,23 @@ class Simulation(eqx.Module):
 
 
 def simulate(
-    system: MassSpring | MotorCart,
+    system: MassSpring | MotorCart | SwitchedSystem,
     base: Any,
     *,
     t1: Scalar,
     y0: Any = None,
-    method: Exact = EXACT,
+    method: Exact | Regularized = EXACT,
 ) -> Simulation:
-    """Simulate one realisation exactly, every stick recorded. Pure: works under jit, vmap, jvp, grad.
+    """Simulate one realisation, every stick recorded. Pure: works under jit, vmap, jvp, grad.
 
-    - `system`: what moves, a `MassSpring` or a `MotorCart`.
+    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
     - `base`: what drives it: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
       `Harmonic`, `SumOfHarmonics`, `Recorded`, `WithJumps`, or an object with ``velocity(t)`` and ``acceleration(t)``,
       m/s and m/s^2); a `GroundAcceleration`; for a `MotorCart` a `SourceVoltage`.
     - `t1`: duration, s.
     - `y0`: initial state: position (m) and velocity (m/s); for a `MotorCart` angle (rad), angular velocity (rad/s) and
       current (A). Zeros by default.
-    - `method`: `Exact`, with the step for motions that are followed in time steps.
+    - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
 
     Returns a `Simulation`; look at its `status`. There are slots for all sticks that can happen. Raises ValueError for
     arguments outside these bounds, and for a step too long for the shortest time scale.
@@ -136,11 +139,13 @@ def simulate(
     y0 = state_of(system, y0)
     base = one_realisation(system, base, t1)
     dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(base) if eqx.is_inexact_array(leaf)))
-    if interval_engine_applies(system, base, method):
+    if isinstance(method, Regularized):
+        method, run = follow_regularized(system, base, method, t1, y0, dtype)
+    elif interval_engine_applies(system, base, method):
         run: Any = follow_intervals(system, base, t1, y0, dtype)
     else:
         run = follow_steps(system, base, method, t1, y0, dtype)
-    return Simulation(system, base, t1, *run)
+    return Simulation(system, base, t1, method, *run)
 
 
 @partial(jax.jit, static_argnums=2)

@@ -25,6 +25,7 @@ ROWS = (
     "events",
     "set_up",
     "paths",
+    "regularized_paths",
     "simulate",
     "_xarray",
     "ensemble_result",

@@ -202,7 +202,7 @@ def test_bad_arguments(one, many, annotations_unchecked):
         (maps, ([0.1],), {}, "result must be a result of simulate_ensemble or of simulate, or of first_stick"),
         (maps, (few,), {}, 'keep="sticks"'),
         (maps, (first,), {}, "system must be given with FirstSticks"),
-        (maps, (first,), {"system": "cart"}, "system must be a MassSpring or a MotorCart"),
+        (maps, (first,), {"system": "cart"}, "system must be a MassSpring, a MotorCart"),
         (maps, (many,), {"system": MASS}, "system must be the MotorCart that was simulated"),
         (maps, (many,), {"bound": 0.5}, "bound must be a SourceVoltage"),
         (maps, (first,), {"system": MASS, "bound": many.law}, "bound .*given for a MotorCart only"),

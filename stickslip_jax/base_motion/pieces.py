@@ -80,3 +80,11 @@ def next_feed(law: PieceLaw, feed: Feed, dtype) -> Feed:
     value, slope = (jnp.asarray(number, dtype) for number in (value, slope))
     piece = Piece(feed.piece.end, feed.piece.end + duration, value, slope)
     return Feed(feed.words, feed.number + np.uint32(1), memory, piece, ~(duration > 0))
+
+
+def added(t: FloatArray, pieces: tuple[Piece, ...]) -> tuple[FloatArray, FloatArray]:
+    """Value at `t` and slope of the sum of some pieces."""
+    value, slope = jnp.zeros_like(t), jnp.zeros_like(t)
+    for piece in pieces:
+        value, slope = value + piece.value + piece.slope * (t - piece.begin), slope + piece.slope
+    return value, slope

@@ -14,7 +14,10 @@ from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics
 from ..base_motion.voltage import SourceVoltage
 from ..systems.mass_spring import MassSpring
 from ..systems.motor_cart import MotorCart
+from ..systems.switched_system import SwitchedSystem
 from .cart_model import CartModel
+from .general_model import GeneralModel
+from .method import Exact
 from .oscillator_model import OscillatorModel, has_closed_form
 from .solver_model import SolverOscillatorModel
 from .switched_engine import Streams, SwitchedModel
@@ -27,6 +30,8 @@ def model_of(system: Any, smooth: Signal | None, solver: Any) -> SwitchedModel:
     if isinstance(system, MotorCart):
         assert isinstance(smooth, SourceVoltage)
         return CartModel(system, smooth)
+    if isinstance(system, SwitchedSystem):
+        return GeneralModel(system, smooth, diffrax.Dopri8() if solver is None else solver)
     if solver is None and has_closed_form(system):
         return OscillatorModel(system, smooth)
     return SolverOscillatorModel(system, smooth, diffrax.Dopri8() if solver is None else solver)
@@ -34,7 +39,7 @@ def model_of(system: Any, smooth: Signal | None, solver: Any) -> SwitchedModel:
 
 def streams_of(system: Any, drive: Drive) -> Streams:
     """The parts of drive and force that come in pieces."""
-    force = getattr(system, "force", None)
+    force = system.force if isinstance(system, MassSpring) else None
     return Streams(drive.base, drive.ground, (force,) if isinstance(force, Recorded) else ())
 
 
@@ -47,12 +52,21 @@ def check_drive(system: Any, drive: Drive, method: Any) -> None:
                 "Argument base of a MotorCart must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), but another "
                 "motion was given."
             )
-        if method.solver is not None:
+        if isinstance(method, Exact) and method.solver is not None:
             raise ValueError("Argument solver must be None for a MotorCart, which has an integrator of its own.")
         return
     if isinstance(voltage, SourceVoltage):
-        raise ValueError("Argument base of a MassSpring must be a base motion, but a SourceVoltage was given.")
-    if method.solver is None:
+        raise ValueError(
+            f"Argument base of a {type(system).__name__} must be a base motion, but a SourceVoltage was given."
+        )
+    if isinstance(system, SwitchedSystem):
+        if drive.ground:
+            raise ValueError(
+                f"Argument base of a {type(system).__name__} must be a base velocity, but a ground acceleration was "
+                "given; write what the acceleration of the ground does into rates, as a function of time."
+            )
+        return
+    if isinstance(method, Exact) and method.solver is None:
         _check_resonance(system)
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from .._types import BoolArray, FloatArray
-from ..base_motion.pieces import Piece
+from ..base_motion.pieces import added
 from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics
 from ..numerics.elementary import sincos
 from ..systems.mass_spring import MassSpring
@@ -35,9 +35,9 @@ class OscillatorModel(SwitchedModel):
     smooth: Signal | None
 
     def inputs(self, t: FloatArray, pieces: Pieces) -> OscillatorInputs:
-        base, base_slope = _added(t, pieces.base)
-        ground, ground_slope = _added(t, pieces.ground)
-        force, force_slope = _added(t, pieces.force)
+        base, base_slope = added(t, pieces.base)
+        ground, ground_slope = added(t, pieces.ground)
+        force, force_slope = added(t, pieces.force)
         mass = self.system.mass
         return OscillatorInputs(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
 
@@ -57,28 +57,28 @@ class OscillatorModel(SwitchedModel):
         travel = h * (inputs.base + 0.5 * h * inputs.base_slope)
         if self.smooth is not None:
             travel = travel + self.smooth.integral(inputs.t, h)
-        return y[0] + travel, self._base(inputs, h)[0]
+        return y[0] + travel, self.base_motion(inputs, h)[0]
 
     def rates(self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
         m, k, c = self._constants()
-        velocity, acceleration = self._base(inputs, tau)
+        velocity, acceleration = self.base_motion(inputs, tau)
         rub = sign * self._coefficient(sign * (y[1] - velocity)) * self.system.normal_force
-        slip = (self._force(inputs, tau) - _times(c, y[1]) - k * y[0] - rub) / m
+        slip = (self.load_at(inputs, tau) - _times(c, y[1]) - k * y[0] - rub) / m
         return y[1], jnp.where(sign == 0, acceleration, slip)
 
     def at_rest(self, inputs: OscillatorInputs, y: State) -> BoolArray:
-        r = y[1] - self._base(inputs, jnp.zeros_like(y[0]))[0]
+        r = y[1] - self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
         noise = NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[0]))
         return jnp.abs(r) <= noise
 
     def slip_sign(self, inputs: OscillatorInputs, y: State) -> FloatArray:
-        return jnp.sign(y[1] - self._base(inputs, jnp.zeros_like(y[0]))[0])
+        return jnp.sign(y[1] - self.base_motion(inputs, jnp.zeros_like(y[0]))[0])
 
     def guard(
         self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         m, k, c = self._constants()
-        velocity, acceleration = self._base(inputs, tau)
+        velocity, acceleration = self.base_motion(inputs, tau)
         holds = self._holds()
         per_held = jnp.where(holds > 0, 1 / jnp.where(holds > 0, holds, 1), 0)
         share = self._needed(inputs, tau, y) * per_held
@@ -92,13 +92,13 @@ class OscillatorModel(SwitchedModel):
 
     def guard_scale(self, inputs: OscillatorInputs, y: State, sign: FloatArray) -> FloatArray:
         m, k, _ = self._constants()
-        velocity = self._base(inputs, jnp.zeros_like(y[0]))[0]
+        velocity = self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
         omega = jnp.sqrt(k / m)
         slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + self._holds() / k)
         return jnp.where(sign == 0, 2.0, slip)
 
     def on_base(self, inputs: OscillatorInputs, y: State) -> State:
-        return y[0], self._base(inputs, jnp.zeros_like(y[0]))[0]
+        return y[0], self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
 
     def can_stick(self, inputs: OscillatorInputs, y: State) -> BoolArray:
         return jnp.abs(self._needed(inputs, jnp.zeros_like(y[0]), y)) <= self._holds()
@@ -124,7 +124,7 @@ class OscillatorModel(SwitchedModel):
     def _holds(self) -> FloatArray:
         return jnp.asarray(self.system.friction.static * self.system.normal_force)
 
-    def _base(self, inputs: OscillatorInputs, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def base_motion(self, inputs: OscillatorInputs, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Velocity and acceleration of the base."""
         velocity, acceleration = inputs.base + tau * inputs.base_slope, inputs.base_slope
         if self.smooth is None:
@@ -132,7 +132,7 @@ class OscillatorModel(SwitchedModel):
         t = inputs.t + tau
         return velocity + self.smooth.value(t), acceleration + self.smooth.rate(t)
 
-    def _force(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
+    def load_at(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
         load = inputs.load + tau * inputs.load_slope
         return load + self.system.force.value(inputs.t + tau) if isinstance(self.system.force, Signal) else load
 
@@ -143,8 +143,8 @@ class OscillatorModel(SwitchedModel):
     def _needed(self, inputs: OscillatorInputs, tau: FloatArray, y: State) -> FloatArray:
         """The friction force that a stick needs, ``m v' + c v + k x - F``, N (Lima and Sampaio 2017, eq. 3)."""
         m, k, c = self._constants()
-        velocity, acceleration = self._base(inputs, tau)
-        return m * acceleration + _times(c, velocity) + k * y[0] - self._force(inputs, tau)
+        velocity, acceleration = self.base_motion(inputs, tau)
+        return m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(inputs, tau)
 
     def _response(self, inputs: OscillatorInputs, tau: FloatArray, rub: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The particular solution, position and velocity, for the load and the rubbing force."""
@@ -188,14 +188,6 @@ def _rotation(beta: Any, omega_squared: Any, h: FloatArray) -> tuple[FloatArray,
     cosine = jnp.where(under, decay * cosine, (slow + fast) / 2)
     sine = jnp.where(under, decay * sine, (slow - fast) / 2) / w
     return jnp.where(small, decay * series[0], cosine), jnp.where(small, decay * series[1], sine)
-
-
-def _added(t: FloatArray, pieces: tuple[Piece, ...]) -> tuple[FloatArray, FloatArray]:
-    """Value at `t` and slope of the sum of some pieces."""
-    value, slope = jnp.zeros_like(t), jnp.zeros_like(t)
-    for piece in pieces:
-        value, slope = value + piece.value + piece.slope * (t - piece.begin), slope + piece.slope
-    return value, slope
 
 
 def _times(c: Any, value: Any) -> Any:

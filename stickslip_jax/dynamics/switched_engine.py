@@ -204,7 +204,7 @@ def advance(
     rates = model.rates(inputs, h, y1, lane.sign)
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
-    live = ~(lane.t >= t1) & ~_spent(lane)
+    live = ~(lane.t >= t1) & ~is_spent(lane)
     moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), doubts=lane.doubts + doubt)
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, look.where)
@@ -220,13 +220,7 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     """Settle the mode after an event or at the end of a piece, and note the stick that ended."""
     ended = at_stop & (lane.t < t1)
     was_stick = lane.sign == 0
-    feeds, jumped = lane.feeds, jnp.zeros((), bool)
-    for index, law in enumerate(streams.all):
-        over = ended & (lane.feeds[index].piece.end <= lane.t)
-        following = next_feed(law, lane.feeds[index], lane.t.dtype)
-        picked = jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), following, lane.feeds[index])
-        feeds = (*feeds[:index], picked, *feeds[index + 1 :])
-        jumped = jumped | (over & law.jumps)
+    feeds, jumped = next_feeds(streams, lane.feeds, lane.t, ended)
     inputs = model.inputs(lane.t, streams.pieces(feeds))
 
     on_base = model.on_base(inputs, lane.y)
@@ -265,6 +259,21 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     ), record
 
 
+def next_feeds(
+    streams: Streams, feeds: tuple[Feed, ...], t: FloatArray, ended: BoolArray
+) -> tuple[tuple[Feed, ...], BoolArray]:
+    """The pieces under way after time `t`, where a step `ended` that may have come to the end of some, and whether a
+    base velocity jumped.
+    """
+    following, jumped = [], jnp.zeros((), bool)
+    for law, feed in zip(streams.all, feeds, strict=True):
+        over = ended & (feed.piece.end <= t)
+        new = next_feed(law, feed, t.dtype)
+        following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, feed))
+        jumped = jumped | (over & law.jumps)
+    return tuple(following), jumped
+
+
 def _settle(model, inputs, y, sign, jumped):
     """The mode of a mass in the state `y`, found from nothing but its relative velocity, or kept in a stick."""
     resting = model.at_rest(inputs, y) | ((sign == 0) & ~jumped)
@@ -278,18 +287,21 @@ def status_of_lane(lane: Lane, t1: FloatArray) -> IntArray:
     finite = jnp.isfinite(lane.t + t1)
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
-    unfinished = jnp.where(_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
+    unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
     code = jnp.where(lane.t < t1, unfinished, Status.FINISHED)
     return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
 
 
 def has_ended(lane: Lane, t1: FloatArray, most_turns: IntArray) -> BoolArray:
     """Whether nothing more will happen: the horizon, the end of the base motion, a NaN, or too many turns."""
-    finite = jnp.isfinite(lane.y[0]) & jnp.isfinite(lane.y[1])
-    return ~(lane.t < t1) | _spent(lane) | (lane.turns >= most_turns) | ~finite
+    finite = jnp.ones((), bool)
+    for value in lane.y:
+        finite = finite & jnp.isfinite(value)
+    return ~(lane.t < t1) | is_spent(lane) | (lane.turns >= most_turns) | ~finite
 
 
-def _spent(lane: Lane) -> BoolArray:
+def is_spent(lane: Any) -> BoolArray:
+    """Whether some part of the drive has come to its end."""
     spent = jnp.zeros((), bool)
     for feed in lane.feeds:
         spent = spent | feed.spent

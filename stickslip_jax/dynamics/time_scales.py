@@ -12,6 +12,7 @@ from ..base_motion.random import RandomPhase
 from ..base_motion.smooth import Signal
 from ..systems.mass_spring import MassSpring
 from ..systems.motor_cart import MotorCart
+from ..systems.switched_system import SwitchedSystem
 from .oscillator_model import has_closed_form
 
 # Steps for each shortest time: by default, and at least. What is smooth has at most two extrema in a sixth of its
@@ -19,6 +20,7 @@ from .oscillator_model import has_closed_form
 _PERIOD, _SOLVED, _CONSTANT = (16.0, 6.0), (48.0, 12.0), (7.0, 4.0)
 _FRICTION = (6.0, 1.0)
 _DECAY = (1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
+_OWN = "shortest time of the system"
 
 
 def step_for(system: Any, drive: Drive, method: Any) -> Scalar:
@@ -33,7 +35,7 @@ def step_for(system: Any, drive: Drive, method: Any) -> Scalar:
     if method.step is None and unknown:
         raise ValueError(
             f"Argument method must give the step, Exact(step=...), but the {unknown[0]} is not known; or give what "
-            "you wrote a property shortest_period (s)."
+            f"you wrote a property {'shortest_time' if unknown[0] == _OWN else 'shortest_period'} (s)."
         )
     if method.step is None:
         steps = [time / parts[0] for time, parts in known.values()]
@@ -58,6 +60,11 @@ def _scales(system: Any, drive: Drive, method: Any) -> dict[str, tuple[Any, tupl
             "mechanical time constant": (system.shortest_time, _CONSTANT),
             "electrical time constant": (system.inductance / system.resistance, _DECAY),
             "period of the voltage": (_period(drive.smooth), _SOLVED),
+        }
+    if isinstance(system, SwitchedSystem):
+        return {
+            _OWN: (system.shortest_time, _SOLVED),
+            "shortest period of the base motion": (_period(drive.smooth), _SOLVED),
         }
     parts = _PERIOD if has_closed_form(system) and method.solver is None else _SOLVED
     natural = 2 * math.pi * (system.mass / system.stiffness) ** 0.5

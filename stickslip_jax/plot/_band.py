@@ -25,6 +25,7 @@ def stick_band(
         most = one.system.largest_friction_torque / one.system.motor_constant * jnp.abs(jnp.sin(state[0]))
         return -most, most
     system = one.system
+    assert isinstance(system, MassSpring)
     load = _force(system, times) - system.mass * (acceleration + _ground_acceleration(one.base, times))
     if system.damping is not None:
         load = load - system.damping * velocity

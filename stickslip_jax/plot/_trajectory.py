@@ -12,6 +12,7 @@ from ..base_motion.laws import BangBangLaw
 from ..base_motion.piecewise import VelocitySteps
 from ..simulate import Simulation
 from ..systems.mass_spring import MassSpring
+from ..systems.switched_system import SwitchedSystem
 from ._band import stick_band
 
 _POINTS_PER_TURN = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
@@ -46,6 +47,11 @@ def check_simulation(one: Any) -> None:
         raise ValueError(
             f"Argument one must hold one trajectory, but a batch of shape {np.shape(one.status)} was given; "
             "take one out with jax.tree.map(lambda values: values[i], batch)."
+        )
+    if isinstance(one.system, SwitchedSystem):
+        raise ValueError(
+            f"Argument one must be of a MassSpring or a MotorCart, but one of a {type(one.system).__name__} was given; "
+            "draw the states that one.evaluate(times) returns."
         )
     if one.status != Status.FINISHED:
         raise ValueError(

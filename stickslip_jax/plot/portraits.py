@@ -77,7 +77,7 @@ def phase_portrait(
     pieces = pieces_of(one, window)
     if isinstance(one.system, MotorCart):
         _draw_motor(ax, pieces)
-    else:
+    elif isinstance(one.system, MassSpring):
         _draw_mass(ax, one, one.system, pieces, abscissa)
     _style.legend_above(ax, columns=2)
     return ax

@@ -15,6 +15,7 @@ from ..simulate import Simulation
 from ..statistics.first_sticks import FirstSticks
 from ..systems.mass_spring import MassSpring
 from ..systems.motor_cart import MotorCart, stick_duration_bound
+from ..systems.switched_system import SwitchedSystem
 from . import _style
 from ._sticks import complete_sticks, edges_of_bins
 
@@ -153,8 +154,13 @@ def _checked_system(system: Any, known: Any) -> MassSpring | MotorCart:
             "system=ensemble.system."
         )
     if system is None:
-        return known
+        system = known
     check_system(system)
+    if isinstance(system, SwitchedSystem):
+        raise ValueError(
+            f"Argument result must be of a MassSpring or a MotorCart, but one of a {type(system).__name__} was given; "
+            "stick_durations draws those of any system."
+        )
     if known is not None and type(known) is not type(system):
         raise ValueError(
             f"Argument system must be the {type(known).__name__} that was simulated, but {_checks.show(system)} was "

@@ -24,6 +24,11 @@ class FrictionLaw(eqx.Module):
     constant: ClassVar[bool] = False
 
     @property
+    def holds_more(self) -> bool:
+        """Whether a stick may hold more than a slip at vanishing speed meets, ``static > kinetic(0)``."""
+        return True
+
+    @property
     def speed_scale(self) -> Any:
         """The relative speed (m/s) over which the coefficient changes; infinity if it does not, None if not known."""
         return math.inf if self.constant else None
@@ -58,6 +63,10 @@ class Coulomb(FrictionLaw):
             _static_at_least("mu", self.mu, self.mu_static)
 
     @property
+    def holds_more(self) -> bool:
+        return self.mu_static is not None
+
+    @property
     def static(self) -> Scalar:
         return self.mu if self.mu_static is None else self.mu_static
 
@@ -77,6 +86,10 @@ class VelocityWeakening(FrictionLaw):
     def __check_init__(self):
         _checks.non_negative("mu_static", self.mu_static)
         _checks.non_negative("weakening", self.weakening, "s/m")
+
+    @property
+    def holds_more(self) -> bool:
+        return False
 
     @property
     def static(self) -> Scalar:
@@ -115,6 +128,10 @@ class Stribeck(FrictionLaw):
         if self.exponent < 1:
             raise ValueError(f"Argument exponent must be at least 1, but {self.exponent} was given.")
         _checks.non_negative("viscous", self.viscous, "s/m")
+
+    @property
+    def holds_more(self) -> bool:
+        return False
 
     @property
     def static(self) -> Scalar:
@@ -156,6 +173,10 @@ class FrictionCurve(FrictionLaw):
         _checks.non_negative("curve(0)", at_rest)
         if self.mu_static is not None:
             _static_at_least("curve(0)", at_rest, self.mu_static)
+
+    @property
+    def holds_more(self) -> bool:
+        return self.mu_static is not None
 
     @property
     def static(self) -> Scalar:

@@ -1,0 +1,107 @@
+"""What a regularised simulation takes where the user leaves it open: thresholds and tolerances by scales."""
+
+import math
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+
+from .._types import Array, Scalar
+from ..base_motion.drive import Drive
+from ..base_motion.random import RandomPhase
+from ..base_motion.voltage import SourceVoltage
+from ..systems.mass_spring import MassSpring
+from ..systems.motor_cart import MotorCart
+from .method import Regularized
+from .regularized_solve import table_sizes
+from .switch import Switch
+from .time_scales import step_for
+
+_MOST_ADAPTIVE_STEPS = 16384
+
+
+def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularized:
+    """`method` with every option filled in, its numbers as arrays of `dtype`.
+
+    Raises ValueError where an option is needed because the system's scales are not known.
+    """
+    width = jnp.asarray(method.width, dtype)
+    speed, deceleration = scales_of_contact(system)
+    for name, known in {"threshold": speed, "minimum_duration": deceleration}.items():
+        if getattr(method, name) is None and known is None:
+            raise ValueError(
+                f"Argument method must give the {name}, Regularized(..., {name}=...), because the velocities of a "
+                f"{type(system).__name__} are not known; or give it the properties speed_scale and shortest_time."
+            )
+    threshold = Switch(width, method.shape).creep(jnp.asarray(speed)) if method.threshold is None else method.threshold
+    duration = method.minimum_duration
+    if duration is None:
+        # Without friction nothing sticks, and anything will do.
+        duration = 10 * threshold / jnp.where(jnp.asarray(deceleration) > 0, deceleration, 1)
+        duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
+    adaptive = method.step is None
+    atol = method.rtol * _state_scales(system, drive, dtype) if method.atol is None else method.atol
+    return Regularized(
+        width,
+        method.shape,
+        step=None if adaptive else jnp.asarray(method.step, dtype),
+        solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
+        rtol=jnp.asarray(method.rtol, dtype),
+        atol=jnp.asarray(atol, dtype),
+        max_steps=_MOST_ADAPTIVE_STEPS if adaptive and method.max_steps is None else method.max_steps,
+        threshold=jnp.asarray(threshold, dtype),
+        minimum_duration=jnp.asarray(duration, dtype),
+        adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
+    )
+
+
+def fixed_steps(system: Any, drive: Drive, method: Regularized, t1: Scalar) -> int:
+    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each piece.
+
+    Raises ConcretizationTypeError if JAX is tracing a number that it depends on, ValueError for a step that is too long
+    for the shortest time scale.
+    """
+    step = step_for(system, drive, method)
+    return math.ceil(float(t1) / float(step)) + sum(table_sizes(system, drive, t1)) + 1
+
+
+def scales_of_contact(system: Any) -> tuple[Any, Any]:
+    """A velocity (m/s) and a deceleration (m/s^2) that are typical of the system's sticks and slips; None if not known.
+
+    The deceleration is that by the largest friction alone. The velocity is what the spring makes of it (motor: what
+    friction takes from its speed).
+    """
+    if isinstance(system, MassSpring):
+        held = system.friction.static * system.normal_force
+        return held / jnp.sqrt(jnp.asarray(system.mass * system.stiffness, float)), held / system.mass
+    if isinstance(system, MotorCart):
+        torque, arm = system.largest_friction_torque, system.eccentricity
+        return arm * torque * system.resistance / system.motor_constant**2, arm * torque / system.motor_inertia
+    speed, time = system.speed_scale, system.shortest_time
+    return speed, None if speed is None or time is None else speed / time
+
+
+def _state_scales(system: Any, drive: Drive, dtype) -> Array:
+    """The typical size of each state, by which errors are judged where the state itself is small."""
+    if isinstance(system, MassSpring):
+        speed, _ = scales_of_contact(system)
+        scales = (speed / system.angular_frequency, speed)
+    elif isinstance(system, MotorCart):
+        voltage = drive.smooth.signal if isinstance(drive.smooth, RandomPhase) else drive.smooth
+        assert isinstance(voltage, SourceVoltage)
+        most = abs(voltage.mean) + abs(voltage.amplitude)
+        scales = (1.0, most / system.motor_constant, most / system.resistance)
+    else:
+        scales = (1.0,) * len(system.state_names)
+    values = jnp.stack([jnp.asarray(scale, dtype) for scale in scales])
+    return jnp.where(values > 0, values, 1)
+
+
+def as_arrays(tree: Any, dtype) -> Any:
+    """Plain numbers in `tree` as arrays, so that other numbers need no recompilation."""
+
+    def convert(leaf):
+        return jnp.asarray(leaf, dtype) if isinstance(leaf, (int, float)) and not isinstance(leaf, bool) else leaf
+
+    return jax.tree.map(convert, tree)
