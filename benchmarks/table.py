@@ -9,6 +9,7 @@ from pathlib import Path
 README = Path(__file__).with_name("README.md")
 BEGIN, END = "<!-- table: written by `make bench` -->", "<!-- end of table -->"
 BEGIN_CART, END_CART = "<!-- motor and cart: written by `make bench` -->", "<!-- end of motor and cart -->"
+BEGIN_REGULARIZED, END_REGULARIZED = "<!-- regularised: written by `make bench` -->", "<!-- end of regularised -->"
 
 
 def heading(results: dict, rounds: int) -> str:
@@ -52,6 +53,38 @@ def cart_table(results: dict) -> str:
     return "\n".join(lines)
 
 
+def regularized_table(results: dict) -> str:
+    """What regularised dynamics costs, as a Markdown table; of each kind the cheapest within 1 % is set in bold."""
+    kinds = [
+        entry["extra_info"]["regularized"] for entry in results["benchmarks"] if "regularized" in entry["extra_info"]
+    ]
+    lines = [
+        heading(results, 3),
+        "",
+        "| method | error of the stick fraction | time of one trajectory | times the exact engine |",
+        "|---|---:|---:|---:|",
+    ]
+    for rows in kinds:
+        good = [row["trajectory_s"] for row in rows if row["error"] is not None and abs(row["error"]) <= 0.01]
+        for row in rows:
+            bold = "**" if row["trajectory_s"] == min(good, default=None) else ""
+            error = "" if row["error"] is None else f"{100 * row['error']:+.2f} %"
+            lines.append(
+                f"| {bold}{row['label']}{bold} | {error} | {_time(row['trajectory_s'])} | {row['times']:,.0f} |"
+            )
+    return "\n".join(lines)
+
+
+def _time(seconds: float) -> str:
+    return (
+        f"{1e6 * seconds:,.1f} us"
+        if seconds < 1e-3
+        else f"{1e3 * seconds:,.1f} ms"
+        if seconds < 1
+        else f"{seconds:,.0f} s"
+    )
+
+
 def _compilation(info: dict) -> str:
     return f"{info['compile_seconds']:.1f}" if info.get("compile_seconds", 0) > 0.05 else ""
 
@@ -60,7 +93,11 @@ def main(path: str) -> None:
     """Replace what stands between the markers."""
     results = json.loads(Path(path).read_text())
     text = README.read_text()
-    for begin, end, new in ((BEGIN, END, table(results)), (BEGIN_CART, END_CART, cart_table(results))):
+    for begin, end, new in (
+        (BEGIN, END, table(results)),
+        (BEGIN_CART, END_CART, cart_table(results)),
+        (BEGIN_REGULARIZED, END_REGULARIZED, regularized_table(results)),
+    ):
         before, after = text.split(begin)[0], text.split(end)[1]
         text = f"{before}{begin}\n{new}\n{end}{after}"
         print(new, end="\n\n")

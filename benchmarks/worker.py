@@ -1,7 +1,8 @@
 """A process that times JAX cases on request, because XLA's flags and float64 are settled once per process.
 
 It reads one line ``case rounds`` at a time and answers with one JSON line: compile seconds, the most memory used so far
-(bytes), and for each round the seconds and the work done: base intervals, or seconds of the motor and cart.
+(bytes), and for each round the seconds and the work done: base intervals, seconds of the motor and cart, or
+trajectories; of regularised dynamics, the relative error of the mean stick fraction too.
 """
 
 import argparse
@@ -11,6 +12,7 @@ import resource
 import sys
 import time
 
+import diffrax
 import jax
 import numpy as np
 
@@ -101,7 +103,57 @@ def _motor_cart(keep: str, threads: int):
     return run
 
 
+# How many trajectories to time, and the settings, from coarse to fine: (width, step, tolerance, solver).
+REGULARIZED = {
+    "fixed steps": [
+        (f"{shape}, width {width:g}, step {step:g}", 2048, {"width": width, "shape": shape, "step": step})
+        for shape, width, step in (
+            ("linear", 1e-3, 3e-2), ("linear", 1e-3, 1e-2), ("linear", 1e-4, 3e-2), ("linear", 1e-4, 1e-2),
+            ("tanh", 1e-3, 1e-2), ("tanh", 1e-4, 1e-2), ("tanh", 1e-5, 1e-2),
+        )
+    ],
+    "adaptive, Tsit5": [
+        (f"{shape}, width {width:g}, rtol {rtol:g}", 256,
+         {"width": width, "shape": shape, "rtol": rtol, "solver": diffrax.Tsit5(), "max_steps": 2**16})
+        for shape, width, rtol in (
+            ("linear", 1e-2, 1e-5), ("linear", 1e-3, 1e-5), ("linear", 1e-3, 1e-6), ("tanh", 1e-3, 1e-6),
+        )
+    ],
+    "adaptive, Kvaerno3": [
+        (f"{shape}, width {width:g}, rtol {rtol:g}", 128,
+         {"width": width, "shape": shape, "rtol": rtol, "max_steps": 2**16})
+        for shape, width, rtol in (("linear", 1e-3, 1e-4), ("linear", 1e-4, 1e-5), ("tanh", 1e-4, 1e-4))
+    ],
+}  # fmt: skip
+
+
+def _regularized(samples: int, settings: dict | None):
+    """Trajectories of the study by regularised dynamics (None: exact), and how far their stick fraction is off."""
+    method = EXACT if settings is None else ss.Regularized(**settings)
+
+    def simulate(number: int, method=method):
+        return ss.simulate_ensemble(
+            system(), LAW, t1=T1, samples=samples, key=jax.random.key(number), y0=START, threads=1, progress=False,
+            method=method,
+        )  # fmt: skip
+
+    def run(round_number: int) -> float:
+        many = simulate(round_number)
+        assert many.finished == samples
+        return samples
+
+    exact, got = (ss.stick_fraction(simulate(0, chosen)).value for chosen in (EXACT, method))
+    run.error = got / exact - 1
+    return run
+
+
 CASES = {
+    "exact": lambda: _regularized(40_000, None),
+    **{
+        f"{kind}; {label}": lambda samples=samples, settings=settings: _regularized(samples, settings)
+        for kind, entries in REGULARIZED.items()
+        for label, samples, settings in entries
+    },
     "motor and cart, statistics, 1 thread": lambda: _motor_cart("statistics", 1),
     "motor and cart, every stick, 1 thread": lambda: _motor_cart("sticks", 1),
     "motor and cart, every stick, 2 threads": lambda: _motor_cart("sticks", 2),
@@ -147,6 +199,7 @@ def main() -> None:
             timed.append((time.perf_counter() - started, intervals))
         memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         answer = {"compile_seconds": compile_seconds, "timed": timed, "memory": memory}
+        answer["error"] = getattr(ready[name], "error", None)
         print(json.dumps(answer), file=answers, flush=True)
 
 

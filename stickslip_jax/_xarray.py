@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from ._status import Ending, Status
+from .dynamics.method import Regularized
 from .systems.motor_cart import MotorCart
 from .systems.switched_system import SwitchedSystem
 
@@ -37,8 +38,22 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
             "doubts": along("sample", totals.doubts, "number of events that the last digits decide"),
             "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
         },
-        attrs={"Conventions": "CF-1.11"},
+        attrs={"Conventions": "CF-1.11", **_method(ensemble.method)},
     )
+
+
+def _method(method: Any) -> dict[str, Any]:
+    """How it was simulated, and what counted as a stick; SI units."""
+    if not isinstance(method, Regularized):
+        return {"method": "exact"}
+    numbers = {
+        "width": method.width,
+        "stick_threshold": method.threshold,
+        "stick_minimum_duration": method.minimum_duration,
+        "time_step": method.step,
+    }
+    known = {name: float(number) for name, number in numbers.items() if number is not None}
+    return {"method": "regularised", "shape": method.shape, **known}
 
 
 def _position(system: Any) -> tuple[str, str]:

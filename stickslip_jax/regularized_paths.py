@@ -94,8 +94,8 @@ def follow_regularized(
     """One trajectory, and the method with every option filled in."""
     drive = drive_of(base)
     check_drive(system, drive, method)
-    method = settled(system, drive, method, dtype)
-    steps = method.max_steps or _fixed_steps(system, drive, method, t1)
+    given, method = method, settled(system, drive, method, dtype)
+    steps = method.max_steps or _fixed_steps(system, drive, given, t1)
     sizes = table_sizes(system, drive, t1)
     system, drive, t1, y0 = as_arrays((system, drive, t1, y0), dtype)
     follow = _follow_adaptive if method.step is None else _follow_fixed

@@ -53,6 +53,12 @@ STUDIES = {
         ss.RandomPhase(ss.Harmonic(0.5, 1.5)),
         {},
     ),
+    "regularised": (
+        f'[base]\nlaw = "PoissonSwitching"\n{RUN}width = 1e-3\nshape = "linear"\nstep = 0.01\n',
+        mass_spring(),
+        ss.PoissonSwitching(1.0, 1.0),
+        {"method": ss.Regularized(1e-3, "linear", step=0.01)},
+    ),
     "jumps": (
         f'[system]\ndamping = 0.1\n[base]\nlaw = "WithJumps"\n[base.motion]\n{HARMONIC}[base.jumps]\nspeed = 0.5\n'
         f"{RUN}",

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import diffrax
 from pydantic import Field, field_validator, model_validator
 
-from ..dynamics.method import Exact
+from ..dynamics.method import Exact, Regularized
 from .bases_config import BaseConfig, SourceVoltageConfig
 from .sections import (
     Section,
@@ -39,10 +39,18 @@ class RunConfig(Section):
     max_steps: int | None = Field(
         default=None, ge=1, description="time steps allowed to one sample; not given: more than enough"
     )
+    width: float | None = Field(
+        default=None, gt=0, description="of regularised friction, m/s (with step: in fixed steps); not given: exact"
+    )
+    shape: Literal["tanh", "linear", "arctan", "rational"] = Field(
+        default="tanh", description="of regularised friction: tanh, linear, arctan or rational"
+    )
 
-    def method(self) -> Exact:
-        """The method as the simulation takes it."""
-        return Exact(self.step, self.max_steps)
+    def method(self, solver: Any = None) -> Exact | Regularized:
+        """The method as the simulation takes it; `solver`: for slips, or of regularised dynamics."""
+        if self.width is None:
+            return Exact(self.step, self.max_steps, solver)
+        return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
 
     def y0(self) -> tuple[Any, ...]:
         """The initial state as the simulation takes it."""
@@ -55,12 +63,13 @@ class MassSpringRunConfig(RunConfig):
     initial_position: Start = Field(default=0.0, description=f"m, {_OR_RANDOM}")
     initial_velocity: Start = Field(default=1.0, description="m/s, likewise")
     solver: Literal["Tsit5", "Dopri5", "Dopri8"] | None = Field(
-        default=None, description="Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms where there are any"
+        default=None,
+        description="Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms, with a width Kvaerno3",
     )
 
-    def method(self) -> Exact:
+    def method(self, solver: Any = None) -> Exact | Regularized:
         """The method as the simulation takes it."""
-        return Exact(self.step, self.max_steps, None if self.solver is None else getattr(diffrax, self.solver)())
+        return super().method(solver if self.solver is None else getattr(diffrax, self.solver)())
 
     def y0(self) -> tuple[Any, ...]:
         """The initial state as the simulation takes it."""
