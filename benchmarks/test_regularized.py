@@ -44,7 +44,7 @@ def test_regularized(benchmark, workers, kind):
 
 
 def test_small_steps(benchmark, workers):
-    """scipy's RK45 with a largest step of 1e-4 s, as MATLAB's ode45 in the papers."""
+    """RK45 of scipy with a largest step of 1e-4 s, as MATLAB's ode45 in the papers."""
     system, width = worker.system(), 1e-3
 
     def field(t, y):
