@@ -1,4 +1,4 @@
-"""The README's code runs and prints what the README says."""
+"""The code in README and documents runs and prints what they say."""
 
 import contextlib
 import io
@@ -7,15 +7,18 @@ from pathlib import Path
 
 import pytest
 
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = {"README.md": 4, "docs/regularized.md": 2}
+"""And how many pieces of code each holds."""
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_the_readme_prints_what_it_says():
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_documents_print_what_they_say(document):
     # The tests' process has started JAX already; its flags change speed, not results.
-    text = README.read_text(encoding="utf-8").replace("ss.enable_fast_cpu()", "None")
+    text = (ROOT / document).read_text(encoding="utf-8").replace("ss.enable_fast_cpu()", "None")
     parts = re.findall(r"```python\n(.*?)```\s+(?:[^`]*?```\n(.*?)```)?", text, flags=re.DOTALL)
-    assert len(parts) == 4
+    assert len(parts) == DOCUMENTS[document]
     names: dict = {}
     for code, promised in parts:
         printed = io.StringIO()

@@ -122,7 +122,9 @@ def test_refused(call, message):
 @pytest.mark.parametrize("simulate", [run, many])
 def test_a_step_too_long_for_the_natural_period(simulate):
     """The period is pi: no step may be longer than a sixth of it."""
-    message = r"\AArgument step must be at most 0\.5236 s, .* the natural period of 3\.142 s, but 0\.6 was given; .*\.\Z"
+    message = (
+        r"\AArgument step must be at most 0\.5236 s, .* the natural period of 3\.142 s, but 0\.6 was given; .*\.\Z"
+    )
     with pytest.raises(ValueError, match=message):
         simulate(ss.Regularized(0.1, step=0.6))
 

@@ -191,6 +191,7 @@ def test_two_masses_against_scipy():
         np.testing.assert_allclose(slopes[name], (high - low) / (2 * step), rtol=2e-5, atol=2e-5, err_msg=name)
 
 
+@pytest.mark.slow
 def test_the_cart_written_anew():
     """Three states, a nonlinear relative velocity, dead centres."""
     one = ss.simulate(Cart(), ss.Constant(0.0), t1=1.0, y0=(0.5, 0.0, 0.0), method=ss.Exact(step=2e-4))

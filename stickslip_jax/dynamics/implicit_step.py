@@ -57,13 +57,13 @@ def _stage(
     without, by_grip = _solve(matrix, [list(missing), [weight * value for value in push]])
 
     speed, per_grip = jax.jvp(
-        lambda state: contact.speed(inputs, tau, state), (_moved(expected, 1, without),), (by_grip,)
+        lambda state: contact.speed(inputs, tau, state), (_moved(expected, 1.0, without),), (by_grip,)
     )
     grip = _balance(switch, contact.friction, speed, -per_grip)
     change = tuple(a + grip * b for a, b in zip(without, by_grip, strict=True))
     _, turned = jax.jvp(free, (expected,), (change,))
     end_rates = tuple(r + t + grip * p for r, t, p in zip(rates, turned, push, strict=True))
-    return _moved(expected, 1, change), end_rates
+    return _moved(expected, 1.0, change), end_rates
 
 
 def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import AnyInteger, Array, BoolArray, FloatArray, Scalar
+from .._types import AnyInteger, Array, BoolArray, IntArray, Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.pieces import open_feed
 from ..base_motion.random import realised_state
@@ -150,7 +150,7 @@ def _realised(drive: Drive, words: Any, dtype) -> Signal | None:
     return jax.tree.map(lambda number: jnp.asarray(number, dtype), drive.realised(words, dtype))
 
 
-def _results(watch: Watch, status: FloatArray) -> LaneResults:
+def _results(watch: Watch, status: IntArray) -> LaneResults:
     return LaneResults(
         sticks=watch.totals.sticks,
         slips=count_slips(watch.totals, watch.at_start),

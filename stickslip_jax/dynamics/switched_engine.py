@@ -282,7 +282,7 @@ def _settle(model, inputs, y, sign, jumped):
     return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
 
 
-def status_of_lane(lane: Lane, t1: FloatArray) -> IntArray:
+def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that has ended, or will not be followed further."""
     finite = jnp.isfinite(lane.t + t1)
     for value in lane.y:
@@ -292,7 +292,7 @@ def status_of_lane(lane: Lane, t1: FloatArray) -> IntArray:
     return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
 
 
-def has_ended(lane: Lane, t1: FloatArray, most_turns: IntArray) -> BoolArray:
+def has_ended(lane: Any, t1: FloatArray, most_turns: IntArray) -> BoolArray:
     """Whether nothing more will happen: the horizon, the end of the base motion, a NaN, or too many turns."""
     finite = jnp.ones((), bool)
     for value in lane.y:
