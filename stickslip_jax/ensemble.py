@@ -208,8 +208,9 @@ def _regularized(
     method = settled(system, drive, method, dtype)
     if method.step is None:
         return AdaptiveBatch(system, drive, method, t1, y0)
-    most = method.max_steps or 2 * fixed_steps(system, drive, method, t1)
-    return FixedEngine(system, drive, method, t1, y0, np.int32(min(most, 2**31 - 1)))
+    # Twice what is expected, for samples of a random law with many jumps; a step that is too long is refused here.
+    expected = 2 * fixed_steps(system, drive, method, t1)
+    return FixedEngine(system, drive, method, t1, y0, np.int32(min(method.max_steps or expected, 2**31 - 1)))
 
 
 class _Plan(NamedTuple):

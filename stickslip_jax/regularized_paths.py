@@ -27,6 +27,7 @@ from .dynamics.regularized_solve import (
 )
 from .dynamics.stick_watch import Watch, hermite
 from .dynamics.switched_engine import State, has_ended, status_of_lane
+from .dynamics.time_scales import step_for
 from .events import sticks_in_order
 from .paths import Path, Run
 
@@ -95,6 +96,8 @@ def follow_regularized(
     drive = drive_of(base)
     check_drive(system, drive, method)
     given, method = method, settled(system, drive, method, dtype)
+    if given.step is not None:
+        step_for(system, drive, given)  # refuses one that is too long
     steps = method.max_steps or _fixed_steps(system, drive, given, t1)
     sizes = table_sizes(system, drive, t1)
     system, drive, t1, y0 = as_arrays((system, drive, t1, y0), dtype)
@@ -121,11 +124,12 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
     feeds = tuple(open_feed(law, _NO_WORDS, dtype) for law in streams.all)
     start = start_fixed(field, streams, criterion, feeds, y0, dtype)
 
+    most = jnp.asarray(steps, jnp.int32)
+
     def turn(lane, _):
-        lane, record, passage = advance_fixed(field, streams, criterion, t1, jnp.asarray(method.step), lane)
+        lane, record, passage = advance_fixed(field, streams, criterion, t1, jnp.asarray(method.step), most, lane)
         return lane, (record, passage)
 
-    most = jnp.asarray(steps, jnp.int32)
     lane, (records, passages) = scan_in_blocks(turn, start, steps, lambda lane, _: has_ended(lane, t1, most))
     tables = Tables.of(system, drive, _NO_WORDS, sizes, dtype)
     path = CubicPath.of(drive, tables, passages, lane.turns, lane.t, lane.y)

@@ -337,7 +337,7 @@ def test_a_system_written_by_hand(fixed):
         known = program("tanh", fixed)(item)
         given = {name: float(getattr(known.method, name)) for name in ("threshold", "minimum_duration")}
         pace = {"step": 0.02} if fixed else {"rtol": 1e-6, "atol": known.method.atol, "solver": TSIT}
-        method = ss.Regularized(width, **given, **pace, max_steps=STEPS)
+        method = ss.Regularized(width, "tanh", **given, **pace, max_steps=STEPS)
         own = ss.simulate(Own(), item.base, t1=5.0, y0=(1.0, 0.5), method=method)
         np.testing.assert_allclose(own.final_state, known.final_state, atol=1e-9)
         for values, expected in zip(sticks(own), sticks(known), strict=True):
@@ -350,7 +350,7 @@ def test_a_system_written_by_hand(fixed):
 def test_ensembles_of_fixed_steps():
     """Samples are simulations, whatever the chunks and threads; those that need more than 264 steps are given up."""
     system, law, t1 = case().system, ss.PoissonSwitching(0.5, 1.0), 5.2
-    method = ss.Regularized(0.05, step=0.02, max_steps=264)
+    method = ss.Regularized(0.05, "tanh", step=0.02, max_steps=264)
     options = {"t1": t1, "samples": 10, "key": jax.random.key(1), "method": method, "keep": "sticks"}
     options["y0"] = (ss.Uniform(-1.0, 1.0), 0.5)
     many, other = (ss.simulate_ensemble(system, law, chunk=c, threads=n, **options) for c, n in ((8, 1), (5, 2)))
@@ -376,7 +376,7 @@ def test_ensembles_of_fixed_steps():
 def test_carts():
     """Against scipy, and an ensemble against its samples."""
     system, law, width = ss.MotorCart(mu=0.5), ss.RandomPhase(ss.SourceVoltage(0.0, 2.0, 10.0)), 0.02
-    method, y0 = ss.Regularized(width, rtol=1e-7, solver=TSIT, max_steps=1024), (ss.Uniform(0.3, 1.2), 0.0, 0.0)
+    method, y0 = ss.Regularized(width, "tanh", rtol=1e-7, solver=TSIT, max_steps=1024), (ss.Uniform(0.3, 1.2), 0.0, 0.0)
     options = {"t1": 0.5, "method": method}
     many = ss.simulate_ensemble(system, law, samples=4, chunk=2, key=jax.random.key(2), y0=y0, keep="sticks", **options)
     for number in range(4):

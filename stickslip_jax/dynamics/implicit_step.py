@@ -2,7 +2,7 @@
 
 The singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander 1977; L-stable).
 Each stage is linear but for the friction: everything else is linearised where the stage is expected. What is left is
-one equation for the relative velocity, ``sigma + K grip(sigma) = sigma*``, whose left side grows (`_balance`). A step
+one equation for the relative velocity, ``sigma + K grip(sigma) = sigma*`` (`_balance`). A step
 may be far longer than the time in which friction acts over the width: it then ends in the stick, as it should, where a
 step linearised in friction too would jump over it to and fro.
 """
@@ -70,7 +70,8 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
     """The friction coefficient with its sign, where ``sigma + stiffness grip(sigma) = speed``.
 
     Newton's method from below, on the magnitude: `grip` is concave up to its largest value, so that no iterate
-    overshoots. The last step carries the derivative of the implicit function.
+    overshoots. Where a law that holds more in a stick leaves several solutions to a long step, that is the one of the
+    stick. The last step carries the derivative of the implicit function.
     """
     size, sign = jnp.abs(speed), jnp.where(speed < 0, -1.0, 1.0)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import numpy as np
 
 from .. import _checks
 from .._types import AnyArray, Scalar
@@ -49,14 +50,15 @@ class Regularized(eqx.Module):
 
     - `width`: the relative velocity over which friction changes its sign, m/s, positive. Of a `MotorCart`:
       ``eccentricity`` times angular velocity; of a `SwitchedSystem`: in the unit of its relative velocity.
-    - `shape`: "tanh", "linear" (up to one width, then constant), "arctan" (``2/pi atan``) or "rational"
-      (``s/sqrt(1 + s^2)``), of ``s = v_rel / width``.
+    - `shape`: "linear" (up to one width, then constant), "tanh", "rational" (``s/sqrt(1 + s^2)``) or "arctan"
+      (``2/pi atan``), of ``s = v_rel / width``. The first is the least wrong, and the cheapest; the others are smooth.
     - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Without it, diffrax
       chooses the steps.
     - `solver`: diffrax's solver of adaptive steps; by default ``Kvaerno3()``, which is implicit and takes any width.
       ``Tsit5()`` is explicit: cheaper while ``width`` is at least a thousandth of the system's velocities.
     - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
-      the scale of each state.
+      the scale of each state. The instants of sticks are read off between two steps: where they matter, take an `rtol`
+      far below the width over the system's velocities ("linear", whose corners a long step passes, 1e-8 or less).
     - `max_steps`: how many steps (tries included) one trajectory may take; by default 16384 adaptive ones, or as many
       fixed ones as ``t1`` holds. Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep at which a mass is
@@ -72,7 +74,7 @@ class Regularized(eqx.Module):
     """
 
     width: Scalar
-    shape: str = eqx.field(static=True, default="tanh")
+    shape: str = eqx.field(static=True, default="linear")
     step: Scalar | None = eqx.field(default=None, kw_only=True)
     solver: Any = eqx.field(static=True, default=None, kw_only=True)
     rtol: Scalar = eqx.field(default=1e-5, kw_only=True)
@@ -101,6 +103,8 @@ class Regularized(eqx.Module):
         _checks.positive("rtol", self.rtol)
         if self.atol is not None:
             _checks.numeric("atol", self.atol, ndim=None)
+            if not _checks.is_traced(self.atol) and np.any(np.asarray(self.atol) <= 0):
+                raise ValueError(f"Argument atol must be positive, but {_checks.show(self.atol)} was given.")
         self._check_solver()
 
     def _check_solver(self):

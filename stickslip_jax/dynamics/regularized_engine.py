@@ -82,11 +82,17 @@ def start_fixed(
 
 
 def advance_fixed(
-    field: Field, streams: Streams, criterion: Criterion, t1: FloatArray, step: FloatArray, lane: FixedLane
+    field: Field,
+    streams: Streams,
+    criterion: Criterion,
+    t1: FloatArray,
+    step: FloatArray,
+    most_steps: IntArray,
+    lane: FixedLane,
 ) -> tuple[FixedLane, StickRecord, Passage]:
     """One turn of the loop: the lane after it, the stick that ended in it, if any, and the step."""
     inputs = field.contact.inputs(lane.t, streams.pieces(lane.feeds))
-    live = (lane.t < t1) & ~is_spent(lane)
+    live = (lane.t < t1) & ~is_spent(lane) & (lane.turns < most_steps)
     stop = t1
     for feed in lane.feeds:
         stop = jnp.minimum(stop, feed.piece.end)

@@ -55,10 +55,11 @@ class FixedEngine(Engine):
     def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
         streams, criterion = streams_of(self.system, self.drive), criterion_of(self.method)
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.method.step, dtype)
+        most = jnp.asarray(self.most_steps, jnp.int32)
 
         def step_one(lane, smooth):
             field = field_of(self.system, smooth, self.method)
-            lane, stick, _ = advance_fixed(field, streams, criterion, t1, step, lane)
+            lane, stick, _ = advance_fixed(field, streams, criterion, t1, step, most, lane)
             return lane, (jnp.stack(stick[:3]), stick.ending)
 
         def turn(carry, _):

@@ -6,6 +6,7 @@ from typing import Any
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._types import Array, Scalar
 from ..base_motion.drive import Drive
@@ -41,7 +42,13 @@ def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularize
         duration = 10 * threshold / jnp.where(jnp.asarray(deceleration) > 0, deceleration, 1)
         duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
-    atol = method.rtol * _state_scales(system, drive, dtype) if method.atol is None else method.atol
+    scales = _state_scales(system, drive, dtype)
+    atol = method.rtol * scales if method.atol is None else method.atol
+    if np.shape(atol) not in ((), scales.shape):
+        raise ValueError(
+            f"Argument atol must be one number, or one for each of the {len(scales)} states, but an array of shape "
+            f"{np.shape(atol)} was given."
+        )
     return Regularized(
         width,
         method.shape,

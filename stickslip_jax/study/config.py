@@ -42,8 +42,8 @@ class RunConfig(Section):
     width: float | None = Field(
         default=None, gt=0, description="of regularised friction, m/s (with step: in fixed steps); not given: exact"
     )
-    shape: Literal["tanh", "linear", "arctan", "rational"] = Field(
-        default="tanh", description="of regularised friction: tanh, linear, arctan or rational"
+    shape: Literal["linear", "tanh", "rational", "arctan"] = Field(
+        default="linear", description="of regularised friction: linear, tanh, rational or arctan"
     )
 
     def method(self, solver: Any = None) -> Exact | Regularized:
