@@ -81,6 +81,7 @@ def test_all_sticks_of_a_long_run_against_the_reference():
     np.testing.assert_allclose(np.stack(one.evaluate(times)), exact, rtol=1e-6, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_printed_equation_is_another_motion():
     arguments = {"t1": 1.0, "y0": (0.7, 0.0, 0.0)}
     printed = ss.simulate(ss.MotorCart(mu=0.5, equation="printed"), VOLTAGE, **arguments)
@@ -90,6 +91,7 @@ def test_the_printed_equation_is_another_motion():
     assert abs(printed.final_state[0] - physical.final_state[0]) > 1e-2
 
 
+@pytest.mark.slow
 def test_convergence_in_the_step():
     """Runge-Kutta of order 8: the start of the first stick converges with slope 8, by least squares."""
     steps = np.array([2.4e-3, 2.0e-3, 1.6e-3, 1.3e-3])
@@ -232,6 +234,7 @@ def first(mu, angle, phase, inductance):
 POINT = (0.5, 3.7193706, 3.256997, 1.88e-4)
 
 
+@pytest.mark.slow
 def test_derivatives_of_event_times_against_the_reference():
     forward, reverse = (
         jax.jit(jax.jacfwd(first, (0, 1, 2, 3)))(*POINT),

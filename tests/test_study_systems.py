@@ -108,7 +108,10 @@ def check_against(study, many):
     assert read_config(study.directory / CONFIG) == study.config
 
 
-@pytest.mark.parametrize("case", STUDIES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=pytest.mark.slow) if case in ("records", "random start") else case for case in STUDIES],
+)
 def test_study_is_the_ensemble(tmp_path, case):
     text, system, law, more = STUDIES[case]
     arguments = {

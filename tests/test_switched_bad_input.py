@@ -70,7 +70,7 @@ def spring(**changed):
         (lambda: run(base=ss.KanaiTajimi(1.0)), r"base must be a realisation, but the random law KanaiTajimi was"),
         (lambda: run(base=ss.SourceVoltage()), r"base of a MassSpring must be a base motion, but a SourceVoltage was"),
         (lambda: run(base=3.0), r"base must be a base motion such as Harmonic"),
-        (lambda: run(method="exact"), r"method must be Exact\(...\), but 'exact' was given"),
+        (lambda: run(method="exact"), r"method must be Exact\(...\) or Regularized\(width\), but 'exact' was given"),
         (lambda: run(t1=1e12), r"t1 must be shorter: 1e\+12 s hold more than"),
         (
             lambda: run(spring(force=ss.Harmonic(1.0, 1.0))),

@@ -124,6 +124,7 @@ def test_energy_closes_to_round_off():
     assert energy_error(system, base, y0) < 1e-13
 
 
+@pytest.mark.slow
 def test_energy_closes_to_the_order_of_the_flow():
     system, base, y0 = build()
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.VelocityWeakening(0.5, 1.0), system.damping, system.force)
@@ -213,6 +214,7 @@ def test_ensemble_samples_are_simulations():
         np.testing.assert_allclose(many.sticks.start[number, :count], one.sticks.start[:count], rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_streamed_accelerograms_equal_sampled_ones():
     system = ss.MassSpring(1.0, 20.0, 9.81, ss.Coulomb(0.05), 0.2)
     many = ss.simulate_ensemble(system, ss.KanaiTajimi(1.5), t1=20.0, samples=4, key=jax.random.key(5), keep="sticks")

@@ -28,7 +28,8 @@ CLOSED = 1e-10
 # Where slips are integrated, the error is that of the solver (Dopri8) at this step, a part of the shortest period.
 PARTS, INTEGRATED = 192, 1e-8
 SEEDS = 7
-RARE = ("steps", "record and jumps", "stribeck")
+# Run by the slow test only: the other kinds hold all that they do.
+RARE = ("steps", "record and jumps", "stribeck", "hump", "sums", "undamped")
 
 
 def assert_agrees(case: Case, tolerance=CLOSED, **method) -> tuple[int, int]:
@@ -182,7 +183,8 @@ def test_accuracy_at_the_default_step():
         assert_agrees(case, INTEGRATED, step=case.shortest_time / 48, turns=8192)
 
 
-@pytest.mark.parametrize("kind", ["harmonic", pytest.param("jumps", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["harmonic", "jumps"])
 def test_heavy_damping(kind):
     """Damping ratios far above 1: a slip relaxes within ``mass / damping``, much faster than the natural period."""
     sticks = 0

@@ -210,6 +210,7 @@ def quick(mu, x=1.0, dtype=float):
     return one.final_state[0], (jnp.stack([one.sticks.start[0], one.sticks.end[0]]), one.sticks.count)
 
 
+@pytest.mark.slow
 def test_vmap_grad_and_float32():
     """Of lanes, one without friction: there nothing sticks, and derivatives are numbers still."""
     many = jax.jit(jax.vmap(jax.value_and_grad(quick, has_aux=True)))
