@@ -108,9 +108,13 @@ def check_against(study, many):
     assert read_config(study.directory / CONFIG) == study.config
 
 
+# Compiling each takes seconds; the others hold every kind of section.
+SLOWER = ("records", "random start", "jumps", "friction law")
+
+
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, marks=pytest.mark.slow) if case in ("records", "random start") else case for case in STUDIES],
+    [pytest.param(case, marks=pytest.mark.slow) if case in SLOWER else case for case in STUDIES],
 )
 def test_study_is_the_ensemble(tmp_path, case):
     text, system, law, more = STUDIES[case]

@@ -178,6 +178,7 @@ def exact(values):
     return np.concatenate([np.array(sticks[:3]).T.ravel(), y]), len(sticks)
 
 
+@pytest.mark.slow
 def test_two_masses_against_scipy():
     """Four states, friction that falls with the speed, between two masses that both move; and derivatives."""
     point = {name: jnp.asarray(value) for name, value in POINT.items()}
@@ -225,6 +226,7 @@ def test_vmap_grad_and_float32():
     np.testing.assert_allclose([rough, *times], [last[2], *events[2]], atol=2e-4)
 
 
+@pytest.mark.slow
 def test_ensemble_samples_are_simulations():
     law = ss.WithJumps(ss.RandomPhase(ss.Harmonic(0.5, 1.3)), ss.PoissonSwitching(0.4, 0.5))
     method, y0 = ss.Exact(solver=QUICK), (ss.Uniform(-1.0, 1.0), 0.0)
