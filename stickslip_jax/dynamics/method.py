@@ -55,7 +55,7 @@ class Regularized(eqx.Module):
     - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Without it, diffrax
       chooses the steps.
     - `solver`: diffrax's solver of adaptive steps; by default ``Kvaerno3()``, which is implicit and takes any width.
-      ``Tsit5()`` is explicit: cheaper while ``width`` is at least a thousandth of the system's velocities.
+      ``Tsit5()`` is explicit: cheaper while ``width`` is at least a hundredth of the system's velocities.
     - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
       the scale of each state. The instants of sticks are read off between two steps: where they matter, take an `rtol`
       far below the width over the system's velocities ("linear", whose corners a long step passes, 1e-8 or less).
