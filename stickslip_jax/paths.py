@@ -1,5 +1,6 @@
 """One trajectory by either engine, and the state along it: what a `Simulation` is made of."""
 
+import abc
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -39,17 +40,17 @@ class Path(eqx.Module):
     """What is needed to tell the state at any time."""
 
     @property
+    @abc.abstractmethod
     def times(self) -> Array:
         """When the pieces of the path begin, s."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def state(self, time: FloatArray) -> State:
         """The state at one time (s)."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def base_velocity(self, time: FloatArray) -> FloatArray:
         """The base velocity at one time (s), m/s."""
-        raise NotImplementedError
 
 
 class IntervalPath(Path):

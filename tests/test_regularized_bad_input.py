@@ -185,3 +185,12 @@ def test_numbers_of_every_kind_are_allowed():
         method = ss.Regularized(number, "linear", step=number, threshold=number, minimum_duration=number, atol=number)
         assert method.width == method.minimum_duration == 1
     assert ss.Regularized(0.1, minimum_duration=0.0).minimum_duration == 0
+
+
+def test_nothing_sticks_without_friction():
+    """Although a mass that starts with the base's velocity leaves it slowly."""
+    base, system = ss.PiecewiseConstant([0.0, 2.0], [1.0, -1.0]), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0))
+    one = ss.simulate(system, base, t1=5.0, y0=(0.0, 1.0), method=ss.Regularized(1e-3, step=0.01))
+    assert int(one.status) == ss.Status.FINISHED
+    assert int(one.sticks.count) == 0
+    assert float(one.stick_time) == 0

@@ -38,8 +38,9 @@ def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularize
     threshold = Switch(width, method.shape).creep(jnp.asarray(speed)) if method.threshold is None else method.threshold
     duration = method.minimum_duration
     if duration is None:
-        # Without friction nothing sticks, and anything will do.
-        duration = 10 * threshold / jnp.where(jnp.asarray(deceleration) > 0, deceleration, 1)
+        # Without friction nothing sticks, however slowly it passes.
+        slows = jnp.asarray(deceleration) > 0
+        duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), jnp.finfo(dtype).max)
         duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
     scales = _state_scales(system, drive, dtype)
