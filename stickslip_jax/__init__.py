@@ -19,8 +19,11 @@ from .ensemble import simulate_ensemble
 from .ensemble_result import Ensemble
 from .events import Slips, Sticks
 from .simulate import Simulation, simulate
+from .statistics.bootstrap import bootstrap_interval
+from .statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
+from .statistics.distribution import Distribution, Histogram
+from .statistics.estimate import Estimate
 from .statistics.estimates import (
-    Estimate,
     mean_slip_count,
     mean_slip_duration,
     mean_stick_count,
@@ -28,6 +31,8 @@ from .statistics.estimates import (
     stick_fraction,
 )
 from .statistics.first_sticks import FirstSticks, first_stick
+from .statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
+from .statistics.stick_statistics import OrderStatistics, StickStatistics
 from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart, stick_duration_bound
@@ -49,8 +54,11 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "BangBangLaw",
+    "ConditionalMeans",
     "Constant",
+    "Convergence",
     "Coulomb",
+    "Distribution",
     "Ending",
     "Ensemble",
     "Estimate",
@@ -60,9 +68,14 @@ __all__ = [
     "FrictionLaw",
     "GroundAcceleration",
     "Harmonic",
+    "Histogram",
+    "HistogramConvergence",
+    "JointDistribution",
+    "JointHistogram",
     "KanaiTajimi",
     "MassSpring",
     "MotorCart",
+    "OrderStatistics",
     "PiecewiseConstant",
     "PoissonSwitching",
     "RandomPhase",
@@ -75,6 +88,7 @@ __all__ = [
     "SourceVoltage",
     "SquareWave",
     "Status",
+    "StickStatistics",
     "Sticks",
     "Stribeck",
     "SumOfHarmonics",
@@ -83,8 +97,11 @@ __all__ = [
     "VelocitySteps",
     "VelocityWeakening",
     "WithJumps",
+    "bootstrap_interval",
+    "convergence",
     "enable_fast_cpu",
     "first_stick",
+    "histogram_convergence",
     "mean_slip_count",
     "mean_slip_duration",
     "mean_stick_count",

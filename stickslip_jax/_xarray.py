@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from ._status import Ending, Status
 from .dynamics.method import Regularized
-from .systems.motor_cart import MotorCart
-from .systems.switched_system import SwitchedSystem
+from .statistics.source import position_of
 
 if TYPE_CHECKING:
     import xarray
@@ -30,7 +29,7 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
             "sample": along("sample", range(len(sticks.count)), "number of the sample"),
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
-            "stick_position": along("stick", sticks.position, *_position(ensemble.system)),
+            "stick_position": along("stick", sticks.position, *position_of(ensemble.system)),
             "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
             "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
             "slip_count": along("sample", totals.slips, "number of slips"),
@@ -54,16 +53,6 @@ def _method(method: Any) -> dict[str, Any]:
     }
     known = {name: float(number) for name, number in numbers.items() if number is not None}
     return {"method": "regularised", "shape": method.shape, **known}
-
-
-def _position(system: Any) -> tuple[str, str]:
-    """What the position of a stick is, and its unit."""
-    if isinstance(system, MotorCart):
-        return "motor angle during the stick", "rad"
-    if isinstance(system, SwitchedSystem):
-        name, _, unit = system.state_names[0].rpartition(" in ")
-        return f"{name or unit} when the stick starts", unit if name else "1"
-    return "position of the mass when the stick starts", "m"
 
 
 def _flags(codes) -> dict[str, Any]:

@@ -15,12 +15,12 @@ import numpy as np
 
 from . import _checks
 from ._fast_cpu import fast_cpu_enabled
-from ._status import Status
+from ._gather import sticks_of
 from ._types import Array
 from .base_motion.drive import drive_of, is_random, words_for
 from .base_motion.laws import BangBangLaw
 from .base_motion.random import Uniform
-from .dynamics.chunks import open_chunk, record_chunk, solve_chunk, summarise_chunk
+from .dynamics.chunks import chunks_of, solve_chunk
 from .dynamics.interval_lanes import IntervalEngine
 from .dynamics.lanes import BLOCK, Engine, Job, LaneResults, Records
 from .dynamics.method import EXACT, Exact, Regularized
@@ -30,8 +30,8 @@ from .dynamics.regularized_settings import as_arrays, fixed_steps, settled
 from .dynamics.regularized_solve import table_sizes
 from .dynamics.switched_lanes import SwitchedEngine
 from .dynamics.switched_run import turns_for
-from .ensemble_result import FEATURES, Ensemble, FlatSticks, SampleTotals, sticks_of
-from .numerics.moments import Moments
+from .ensemble_parts import Gathering, Part
+from .ensemble_result import Ensemble
 from .set_up import (
     check_length,
     check_method,
@@ -57,6 +57,7 @@ def simulate_ensemble(
     y0: Any = None,
     method: Exact | Regularized = EXACT,
     keep: str = "statistics",
+    orders: int = 10,
     threads: int | None = None,
     chunk: int | None = None,
     progress: bool | None = None,
@@ -73,7 +74,9 @@ def simulate_ensemble(
     - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
-    - `keep`: "statistics" keeps sums only (memory does not grow with `samples`); "sticks" keeps every stick.
+    - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
+      `samples`); "sticks" keeps every stick besides; "totals" sums only stick time, sticks and slips, in half the time.
+    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
 
@@ -81,14 +84,15 @@ def simulate_ensemble(
     statistic. Raises ValueError for arguments outside these bounds.
     """
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep)
+    orders = _checks.whole_number("orders", orders)
     threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     started = time.perf_counter()
-    simulate = _simulator(run, plan, keep)
+    simulate = _simulator(run, plan, keep, orders)
     simulate(0, 0)  # compiles, so that the threads need not race for it
     compiled = time.perf_counter()
 
-    tally = _simulate_all(simulate, plan, samples, progress)
+    gathering = _simulate_all(simulate, plan, samples, keep, progress)
     return Ensemble(
         system=system,
         law=law,
@@ -98,45 +102,22 @@ def simulate_ensemble(
         samples=samples,
         key_words=tuple(int(word) for word in np.asarray(run.words)) if run.is_random else None,
         dtype=str(np.dtype(run.dtype)),
-        moments=tally.moments,
-        status_counts={status: int(tally.counts[status]) for status in Status},
-        doubtful=tally.doubtful,
-        totals=_join_totals(tally.kept) if keep == "sticks" else None,
-        flat_sticks=_join_sticks(tally.kept) if keep == "sticks" else None,
+        **gathering.found(),
         threads=min(plan.threads, -(-samples // plan.samples_per_task)),
         compile_seconds=compiled - started,
         run_seconds=time.perf_counter() - compiled,
     )
 
 
-class _Part(NamedTuple):
-    """A simulated piece of the ensemble: results of consecutive samples, and their sticks one after the other."""
-
-    results: LaneResults
-    sticks: FlatSticks | None = None
-
-
-class _Tally(NamedTuple):
-    """What the ensemble comes to: sums, and the parts that hold sticks."""
-
-    moments: Moments
-    counts: np.ndarray
-    doubtful: int
-    kept: list[_Part]
-
-
-def _simulate_all(simulate: Callable[[int, int], _Part], plan: "_Plan", samples: int, progress: bool | None) -> _Tally:
-    moments, counts, kept, doubtful = Moments.of(np.zeros((0, len(FEATURES)))), np.zeros(len(Status), int), [], 0
+def _simulate_all(
+    simulate: Callable[[int, int], Part], plan: "_Plan", samples: int, keep: str, progress: bool | None
+) -> Gathering:
+    gathering = Gathering(samples, keep)
     with _progress_bar(progress, samples) as advance:
         for number, part in _in_order(simulate, plan, samples):
-            counts += np.bincount(part.results.status, minlength=len(Status))
-            doubtful += int(np.count_nonzero(part.results.doubts))
-            moments = moments.merge(Moments.of(_features(part.results)))
-            if part.sticks is not None:
-                kept.append(part)
-                _check_memory(kept, samples)
+            gathering.add(part)
             advance(number)
-    return _Tally(moments, counts, doubtful, kept)
+    return gathering
 
 
 class _Run(NamedTuple):
@@ -148,6 +129,7 @@ class _Run(NamedTuple):
     y0: tuple[Any, ...]
     is_random: bool
     dtype: Any
+    t1: float
 
     @classmethod
     def checked(cls, system, law, t1, samples, key, y0, method, keep) -> "_Run":
@@ -161,8 +143,8 @@ class _Run(NamedTuple):
         _checks.positive("t1", t1, "s")
         if _checks.whole_number("samples", samples) > _MOST_SAMPLES:
             raise ValueError(f"Argument samples must be at most {_MOST_SAMPLES}, but {samples} was given.")
-        if keep not in ("statistics", "sticks"):
-            raise ValueError(f"Argument keep must be 'statistics' or 'sticks', but {keep!r} was given.")
+        if keep not in ("totals", "statistics", "sticks"):
+            raise ValueError(f"Argument keep must be 'totals', 'statistics' or 'sticks', but {keep!r} was given.")
         y0 = state_of(system, y0, may_be_random=True)
         dtype = working_dtype(stacklevel=4)
         if isinstance(method, Regularized):
@@ -175,7 +157,7 @@ class _Run(NamedTuple):
             raise ValueError(
                 "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
             )
-        return cls(engine, method, words_for(law, key), y0, random, dtype)
+        return cls(engine, method, words_for(law, key), y0, random, dtype, float(t1))
 
     def job(self, first: int, used_rows: int) -> Job:
         """Samples ``first ..`` in so many rows of lanes."""
@@ -246,59 +228,62 @@ class _Plan(NamedTuple):
         return cls(lanes, 1, lanes, threads)
 
 
-def _simulator(run: _Run, plan: _Plan, keep: str) -> Callable[[int, int], _Part]:
+def _simulator(run: _Run, plan: _Plan, keep: str, orders: int) -> Callable[[int, int], Part]:
     """A function that simulates samples ``first .. first + number - 1``."""
     if isinstance(run.engine, AdaptiveBatch):
-        return _solver(run, run.engine, plan, keep == "sticks")
-    return _streamer(run, plan) if keep == "statistics" else _recorder(run, plan)
+        return _solver(run, run.engine, plan, keep != "totals", orders)
+    return _streamer(run, plan) if keep == "totals" else _recorder(run, plan, orders)
 
 
-def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool) -> Callable[[int, int], _Part]:
-    """The same for adaptive steps."""
+def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool, orders: int) -> Callable[[int, int], Part]:
+    """The same for adaptive steps; with or without sticks."""
     sizes, dtype = table_sizes(batch.system, batch.drive, batch.t1), run.dtype
     system, drive, t1, y0 = as_arrays((batch.system, batch.drive, batch.t1, batch.y0), dtype)
     arrays = AdaptiveBatch(system, drive, batch.method, t1, y0)
     how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": keep, "dtype": dtype}
 
-    def simulate(first: int, number: int) -> _Part:
+    def simulate(first: int, number: int) -> Part:
         results, records = solve_chunk(arrays, run.words, jnp.uint32(first), jnp.uint32(number), **how)
         results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
-            return _Part(results)
+            return Part(results)
         columns = [np.asarray(column).T for column in records]
         sticks = sticks_of(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
-        return _Part(results, FlatSticks.collect([sticks], np.equal(results.status, Status.FINISHED)))
+        return Part.of(results, [sticks], run.t1, orders)
 
     return simulate
 
 
-def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
+def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], Part]:
     """A function that keeps totals."""
+    assert isinstance(run.engine, Engine)
+    summarise = chunks_of(run.engine).summarise
 
-    def simulate(first: int, number: int) -> _Part:
+    def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes))
-        results = summarise_chunk(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
-        return _Part(_first_samples(results, number))
+        results = summarise(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        return Part(_first_samples(results, number))
 
     return simulate
 
 
-def _recorder(run: _Run, plan: _Plan) -> Callable[[int, int], _Part]:
-    """A function that keeps every stick."""
+def _recorder(run: _Run, plan: _Plan, orders: int) -> Callable[[int, int], Part]:
+    """A function that keeps every stick and its tally."""
+    assert isinstance(run.engine, Engine)
+    _, begin, record = chunks_of(run.engine)
     blocks = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes))
 
-    def simulate(first: int, number: int) -> _Part:
+    def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes))
-        stream = open_chunk(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        stream = begin(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
         room = Records.empty(blocks * BLOCK, plan.lanes, run.dtype)
         pieces, unfinished = [], True
         while unfinished:
-            stream, room, rows = record_chunk(job, stream, room, dtype=run.dtype)
+            stream, room, rows = record(job, stream, room, dtype=run.dtype)
             sample = np.asarray(rows) * plan.lanes + np.arange(plan.lanes)
             pieces.append(sticks_of(np.asarray(room.values), np.asarray(room.ending), sample))
             unfinished = np.any(np.asarray(stream.row) < job.used_rows)
-        results = _first_samples(stream.results, number)
-        return _Part(results, FlatSticks.collect(pieces, np.equal(results.status, Status.FINISHED)))
+        return Part.of(_first_samples(stream.results, number), pieces, run.t1, orders)
 
     return simulate
 
@@ -308,7 +293,7 @@ def _first_samples(results: LaneResults, number: int) -> LaneResults:
     return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
 
 
-def _in_order(simulate: Callable[[int, int], _Part], plan: _Plan, samples: int) -> Iterator[tuple[int, _Part]]:
+def _in_order(simulate: Callable[[int, int], Part], plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:
     """Simulate all tasks in threads, a few at a time, and hand the parts back in order of the samples."""
     tasks = deque(
         (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)
@@ -324,39 +309,6 @@ def _in_order(simulate: Callable[[int, int], _Part], plan: _Plan, samples: int) 
                 yield number, future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _check_memory(kept: list[_Part], samples: int) -> None:
-    """Stop before the sticks outgrow the memory: twice their size is needed when they are joined."""
-    if len(kept) % 64 != 1 or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
-        return
-    done = sum(len(part.results.status) for part in kept)
-    size = sum(column.nbytes for part in kept for column in (*part.results, *(part.sticks or ())))
-    expected, memory = 2 * size / done * samples, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if expected > memory:
-        raise ValueError(
-            f'Argument keep must be "statistics" for so many samples: keeping the sticks of {samples} takes '
-            f"about {expected / 1e9:.0f} GB, and this machine has {memory / 1e9:.0f} GB."
-        )
-
-
-def _features(results: LaneResults) -> np.ndarray:
-    """The vectors that `Moments` sums, one row for each finished sample; columns as in `FEATURES`."""
-    finished = results.status == Status.FINISHED
-    columns = (results.stick_time, results.sticks, results.slips)
-    return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
-
-
-def _join_totals(parts: list[_Part]) -> SampleTotals:
-    columns = [np.concatenate(column) for column in zip(*(part.results for part in parts), strict=True)]
-    by_name = dict(zip(LaneResults._fields, columns, strict=True))
-    return SampleTotals(**{name: by_name[name] for name in SampleTotals._fields})
-
-
-def _join_sticks(parts: list[_Part]) -> FlatSticks:
-    pieces = [part.sticks for part in parts if part.sticks is not None]
-    columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in FlatSticks._fields}
-    return FlatSticks(**columns)
 
 
 def _cores() -> int:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,11 +14,12 @@ from . import _checks
 from ._status import Status
 from .base_motion.drive import is_random
 from .base_motion.random import realised_state
-from .events import Sticks
+from .events import FlatSticks, Sticks
 from .numerics.moments import Moments
-
-FEATURES = ("stick_time", "stick_count", "slip_count")
-"""What `Moments` holds of each finished sample."""
+from .statistics.source import FEATURES
+from .statistics.stick_statistics import StickStatistics, stick_statistics
+from .statistics.summary import Summary, summary_of
+from .statistics.tally import StickTally
 
 
 class SampleTotals(NamedTuple):
@@ -30,55 +32,11 @@ class SampleTotals(NamedTuple):
     doubts: np.ndarray
 
 
-class FlatSticks(NamedTuple):
-    """The sticks of many samples one after the other (the "contiguous ragged" form of CF conventions)."""
+class Retained(NamedTuple):
+    """The sticks of finished samples, the first ones, and `FEATURES` of each, (samples, 3)."""
 
-    count: np.ndarray  # (samples,)
-    start: np.ndarray  # (all sticks,), as the following
-    end: np.ndarray
-    position: np.ndarray
-    ending: np.ndarray
-
-    @classmethod
-    def collect(cls, pieces: "list[tuple[np.ndarray, ...]]", finished: np.ndarray) -> "FlatSticks":
-        """Put pieces of `sticks_of` in order of sample, then time. Samples not `finished` have no sticks."""
-        sample, start, end, position, ending = (np.concatenate(column) for column in zip(*pieces, strict=True))
-        order = np.argsort(sample, kind="stable")  # by radix for 16-bit numbers, five times faster
-        count = np.bincount(sample, minlength=len(finished))[: len(finished)]
-        order = order[: count.sum()]  # what lanes without a sample did stands at the end
-        if not np.all(finished):
-            order = order[np.repeat(finished, count)]
-            count = np.where(finished, count, 0)
-        return cls(count, *(values[order] for values in (start, end, position, ending)))
-
-    def padded(self) -> Sticks:
-        """As `Sticks` with arrays (samples, slots), slots being the largest count (at least 1)."""
-        slots = max(1, int(self.count.max(initial=0)))
-        mask = np.arange(slots) < self.count[:, None]
-
-        def fill(values, padding):
-            padded = np.full(mask.shape, padding, values.dtype)
-            padded[mask] = values
-            return padded
-
-        return Sticks(fill(self.start, np.nan), fill(self.end, np.nan), fill(self.position, np.nan),
-                      fill(self.ending, -1), mask)  # fmt: skip
-
-
-def sticks_of(values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The sticks among records: sample, start, end, position and ending of each, in order of time for each sample.
-
-    `values` (slots, 3, lanes) holds start, end and position, `ending` (slots, lanes) is negative where there is no
-    stick, and `sample` (blocks, lanes) tells whose records the lanes of each block of slots hold.
-    """
-    slots, lanes = ending.shape
-    small = sample.astype(np.uint16 if sample.max() < 1 << 16 else np.int64)
-    owner = np.repeat(small, slots // len(sample), axis=0)
-    found = np.flatnonzero(ending >= 0)
-    at = found + 2 * lanes * (found // np.int64(lanes))
-    flat = values.reshape(-1)
-    columns = (flat[at], flat[at + lanes], flat[at + 2 * lanes])
-    return owner.reshape(-1)[found], *columns, ending.reshape(-1)[found]
+    sticks: FlatSticks
+    features: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
@@ -93,6 +51,8 @@ class Ensemble:
     - `status_counts`: how many samples ended with each `Status`; all that are not FINISHED enter no statistic.
     - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
     - `flat_sticks`: the same sticks one after the other, without padding.
+    - `tally`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first samples that
+      finished (of all, if kept); the standard errors rest on them. Both None if ``keep="totals"``.
     - `compile_seconds`, `run_seconds`: where the time went.
     """
 
@@ -107,6 +67,8 @@ class Ensemble:
     moments: Moments
     status_counts: dict[Status, int]
     doubtful: int
+    tally: StickTally | None
+    retained: Retained | None
     totals: SampleTotals | None
     flat_sticks: FlatSticks | None
     threads: int
@@ -114,16 +76,34 @@ class Ensemble:
     run_seconds: float
 
     @cached_property
+    def statistics(self) -> StickStatistics:
+        """All statistics of the sticks and slips. Raises ValueError if ``keep="totals"``."""
+        return stick_statistics(self)
+
+    def summary(self) -> Summary:
+        """The statistics as a table to read, in text or in a notebook. Raises ValueError if ``keep="totals"``."""
+        return summary_of(self)
+
+    @cached_property
     def sticks(self) -> Sticks:
         """Every stick of every sample, arrays (samples, slots). Raises ValueError unless ``keep="sticks"``."""
         return self.require_sticks().padded()
 
+    def finished_sticks(self) -> FlatSticks:
+        """The sticks of the samples that reached ``t1``: of all, or where only statistics are kept of the first.
+
+        Raises ValueError if ``keep="totals"``.
+        """
+        if self.retained is None:
+            raise ValueError(
+                'This ensemble kept only totals; call simulate_ensemble(..., keep="statistics") or keep="sticks".'
+            )
+        return self.retained.sticks
+
     def require_sticks(self) -> FlatSticks:
         """`flat_sticks`, or a ValueError that says how to keep them."""
         if self.flat_sticks is None:
-            raise ValueError(
-                'This ensemble kept only statistics, no sticks; call simulate_ensemble(..., keep="sticks").'
-            )
+            raise ValueError('This ensemble did not keep its sticks; call simulate_ensemble(..., keep="sticks").')
         return self.flat_sticks
 
     @property
@@ -154,6 +134,18 @@ class Ensemble:
         from ._xarray import dataset_of  # noqa: PLC0415 - needs an extra
 
         return dataset_of(self)
+
+    def write_sticks(self, path: Any) -> Path:
+        """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
+
+        - `path`: a file that ends in .csv or .parquet; units stand in the names of the columns.
+
+        Returns the path. Needs ``keep="sticks"`` and a path of those endings (else ValueError), and the extra `tables`
+        (else ImportError).
+        """
+        from ._tables import write_sticks  # noqa: PLC0415 - needs an extra
+
+        return write_sticks(self, path)
 
     def __repr__(self) -> str:
         sticks = self.moments.mean[FEATURES.index("stick_count")] * self.moments.number

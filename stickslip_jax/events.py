@@ -1,5 +1,7 @@
 """What is recorded of a trajectory: its sticks, and the slips between them."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -103,3 +105,61 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
 
     censored = jnp.take_along_axis(is_last, order, axis=-1) & mask
     return Slips(fill(start), fill(end), censored, mask)
+
+
+class FlatSticks(NamedTuple):
+    """The sticks of many samples one after the other (the "contiguous ragged" form of CF conventions).
+
+    In order of sample, then time. Times in s; the position in m, of a motor its angle in rad.
+    """
+
+    count: np.ndarray  # (samples,)
+    start: np.ndarray  # (all sticks,), as the following
+    end: np.ndarray
+    position: np.ndarray
+    ending: np.ndarray
+
+    @property
+    def duration(self) -> np.ndarray:
+        """How long each stick lasts, s."""
+        return self.end - self.start
+
+    @property
+    def first(self) -> np.ndarray:
+        """Where the sticks of each sample begin, (samples,)."""
+        return np.cumsum(self.count) - self.count
+
+    @property
+    def sample(self) -> np.ndarray:
+        """The sample that each stick belongs to."""
+        return np.repeat(np.arange(len(self.count)), self.count)
+
+    def only(self, chosen: np.ndarray) -> "FlatSticks":
+        """The sticks of the `chosen` samples, a mask (samples,)."""
+        if np.all(chosen):
+            return self
+        kept = np.repeat(chosen, self.count)
+        return FlatSticks(self.count[chosen], *(column[kept] for column in self[1:]))
+
+    def head(self, samples: int) -> "FlatSticks":
+        """The sticks of so many samples, the first."""
+        sticks = int(self.count[:samples].sum())
+        return FlatSticks(self.count[:samples].copy(), *(column[:sticks].copy() for column in self[1:]))
+
+    @classmethod
+    def joined(cls, parts: "list[FlatSticks]") -> "FlatSticks":
+        """The sticks of all parts, one part after the other."""
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def padded(self) -> Sticks:
+        """As `Sticks` with arrays (samples, slots), slots being the largest count (at least 1)."""
+        slots = max(1, int(self.count.max(initial=0)))
+        mask = np.arange(slots) < self.count[:, None]
+
+        def fill(values, padding):
+            padded = np.full(mask.shape, padding, values.dtype)
+            padded[mask] = values
+            return padded
+
+        return Sticks(fill(self.start, np.nan), fill(self.end, np.nan), fill(self.position, np.nan),
+                      fill(self.ending, -1), mask)  # fmt: skip

@@ -128,13 +128,15 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
         law = ss.PoissonSwitching(1.0, rate)
         ss.simulate_ensemble(system, law, t1=t1, samples=samples, key=jax.random.key(seed), chunk=64)
 
-    from stickslip_jax.dynamics.chunks import _summarise  # noqa: PLC0415 - the cache under test
+    from stickslip_jax.dynamics.chunks import chunks_of  # noqa: PLC0415 - the cache under test
 
+    chunks = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
     run(1.0, 1.0, 0, 10, 5.0)
-    before = _summarise[True]._cache_size()
+    before = [compiled._cache_size() for compiled in chunks]
     run(0.3, 2.5, 1, 200, 9.0)
     run(0.0, 0.1, 2, 1, 0.5)
-    assert _summarise[True]._cache_size() == before
+    assert before[2] > 0
+    assert [compiled._cache_size() for compiled in chunks] == before
 
 
 def test_first_statistics_against_brute_force(kept):

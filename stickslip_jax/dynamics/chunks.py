@@ -6,8 +6,8 @@ functions are compiled too, the vectors stay as they are.
 """
 
 import dataclasses
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,36 +18,36 @@ from . import lanes, regularized_lanes
 
 _PACKAGE = __name__.partition(".")[0]
 _THEIRS = (FrictionCurve, UserMotion)  # what wraps a user's function
-_OPTIONS = {True: {"xla_cpu_prefer_vector_width": 512}, False: None}
 
 
-def summarise_chunk(job: lanes.Job, **how: Any) -> lanes.LaneResults:
-    """`lanes.summarise`."""
-    return _summarise[_is_own(job.engine)](job, **how)
+class Chunks(NamedTuple):
+    """`lanes.summarise`, `lanes.open_stream` and `lanes.record`, compiled; `room` is used up by the last."""
+
+    summarise: Callable[..., lanes.LaneResults]
+    open: Callable[..., lanes.Stream]
+    record: Callable[..., Any]
 
 
-def open_chunk(job: lanes.Job, **how: Any) -> lanes.Stream:
-    """`lanes.open_stream`."""
-    return _open[_is_own(job.engine)](job, **how)
-
-
-def record_chunk(job: lanes.Job, stream: lanes.Stream, room: lanes.Records, **how: Any) -> Any:
-    """`lanes.record`; `room` is used up."""
-    return _record[_is_own(job.engine)](job, stream, room, **how)
+def chunks_of(engine: lanes.Engine) -> Chunks:
+    """The functions for jobs of `engine`."""
+    return _COMPILED[_is_own(engine)]
 
 
 # A solver of diffrax holds more than arrays; plain numbers must be arrays here.
 solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
-def _compiled(function: Any, **how: Any) -> dict[bool, Any]:
-    return {own: jax.jit(function, compiler_options=options, **how) for own, options in _OPTIONS.items()}
+def _compiled(options: dict[str, Any] | None) -> Chunks:
+    sizes = ("lanes", "rows", "dtype")
+    return Chunks(
+        jax.jit(lanes.summarise, compiler_options=options, static_argnames=sizes),
+        jax.jit(lanes.open_stream, compiler_options=options, static_argnames=sizes),
+        # The room is handed on from call to call: fresh memory for each would cost a third of the time.
+        jax.jit(lanes.record, compiler_options=options, static_argnames=("dtype",), donate_argnames=("room",)),
+    )
 
 
-_summarise = _compiled(lanes.summarise, static_argnames=("lanes", "rows", "dtype"))
-_open = _compiled(lanes.open_stream, static_argnames=("lanes", "rows", "dtype"))
-# The room is handed on from call to call: fresh memory for each would cost a third of the time.
-_record = _compiled(lanes.record, static_argnames=("dtype",), donate_argnames=("room",))
+_COMPILED = {True: _compiled({"xla_cpu_prefer_vector_width": 512}), False: _compiled(None)}
 
 
 def _is_own(engine: lanes.Engine) -> bool:

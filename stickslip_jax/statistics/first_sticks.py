@@ -1,11 +1,12 @@
 """The first stick of every sample."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from .. import _checks
-from ..ensemble_result import Ensemble
+from .source import require_ensemble
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -32,7 +33,7 @@ class FirstSticks:
         return f"FirstSticks({self.count} in {len(self.mask)} samples)"
 
 
-def first_stick(ensemble: Ensemble, *, count_initial_rest: bool = False) -> FirstSticks:
+def first_stick(ensemble: Any, *, count_initial_rest: bool = False) -> FirstSticks:
     """The first stick of every sample that reached ``t1``, of an ensemble with ``keep="sticks"``.
 
     - `count_initial_rest`: whether a stick that begins at t = 0, because the mass was put down at rest, counts as the
@@ -40,15 +41,11 @@ def first_stick(ensemble: Ensemble, *, count_initial_rest: bool = False) -> Firs
 
     Raises ValueError for an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
     """
-    if not isinstance(ensemble, Ensemble):
-        raise ValueError(
-            f"Argument ensemble must be the result of simulate_ensemble, but {type(ensemble).__name__} was given."
-        )
     if not isinstance(count_initial_rest, bool):
         raise ValueError(
             f"Argument count_initial_rest must be True or False, but {_checks.show(count_initial_rest)} was given."
         )
-    sticks = ensemble.require_sticks()
+    sticks = require_ensemble(ensemble).require_sticks()
     first = np.cumsum(sticks.count) - sticks.count
     if len(sticks.start) and not count_initial_rest:
         at_zero = (sticks.count > 0) & (sticks.start[np.minimum(first, len(sticks.start) - 1)] == 0)

@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from .._status import Status
-from ..statistics.estimates import Estimate, format_with_error
+from ..statistics.estimate import Estimate, format_with_error
 from .config import MotorCartRunConfig
 from .run import Study
 

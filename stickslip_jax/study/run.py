@@ -12,8 +12,8 @@ import jax.numpy as jnp
 
 from ..ensemble import simulate_ensemble
 from ..ensemble_result import Ensemble
+from ..statistics.estimate import Estimate
 from ..statistics.estimates import (
-    Estimate,
     mean_slip_count,
     mean_slip_duration,
     mean_stick_count,

@@ -14,7 +14,7 @@ import xarray as xr
 from .. import __version__
 from .._status import Ending, Status
 from ..ensemble_result import Ensemble
-from ..statistics.estimates import Estimate
+from ..statistics.estimate import Estimate
 from ..statistics.first_sticks import FirstSticks
 from .config import StudyConfig
 

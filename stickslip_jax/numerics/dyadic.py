@@ -1,0 +1,163 @@
+"""Histograms whose bins are set by the numbers alone: merged by adding, never too narrow, nothing falls outside.
+
+Bins have the width ``2**exponent`` and begin at multiples of it. The exponent is the least at which the numbers' range
+takes no more than a given number of bins, so it depends on the smallest and the largest number only, not on the order
+in which parts are merged; two bins of one exponent make one of the next.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+_BLOCK = 1 << 14
+
+_FINEST = 30  # bits below the leading one of the largest number: no bin is narrower than 1e-9 of it
+_LEAST = -200  # exponent of the narrowest bins of all, so that products of widths stay numbers
+
+
+def exponent_for(low: float, high: float, bins: int, finest: int | None = None) -> int:
+    """The least exponent at which ``[low, high]`` takes at most `bins` bins (2 or more), but no less than `finest`."""
+    largest = max(abs(low), abs(high))
+    least = max(math.frexp(largest)[1] - _FINEST, _LEAST) if largest > 0 else _LEAST
+    exponent = least if finest is None else max(least, finest)
+    if high > low:
+        exponent = max(exponent, math.frexp((high - low) / bins)[1] - 1)
+    while _floor(high, exponent) - _floor(low, exponent) >= bins:
+        exponent += 1
+    return exponent
+
+
+def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
+    """The bin of each number, as an integer: bin i begins at ``i * 2**exponent``. `low`: the smallest number."""
+    scaled = values * math.ldexp(1.0, -exponent)
+    return (np.floor(scaled) if low < 0 else scaled).astype(np.int64)
+
+
+class Axis(NamedTuple):
+    """Numbers (number,) to be put into at most `most` bins, the smallest and the largest of them, and the bins."""
+
+    values: np.ndarray
+    low: float
+    high: float
+    exponent: int
+    first: int
+    size: int
+
+    @classmethod
+    def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "Axis":
+        """Of any numbers, at least one."""
+        return cls.within(values, float(values.min()), float(values.max()), most, finest)
+
+    @classmethod
+    def within(cls, values: np.ndarray, low: float, high: float, most: int, finest: int | None = None) -> "Axis":
+        """Of numbers whose smallest and largest are known."""
+        exponent = exponent_for(low, high, most, finest)
+        first = _floor(low, exponent)
+        return cls(values, low, high, exponent, first, _floor(high, exponent) - first + 1)
+
+
+class DyadicCounts(NamedTuple):
+    """How many numbers, or pairs of numbers, fell into each bin; one entry an axis (one or two).
+
+    - `low`, `high`: the smallest and the largest number. `exponent`: of the bin width. `first`: the first bin.
+    - `counts`: (bins,) or (bins, bins), or with a leading axis where several histograms share their bins.
+    - `most`: the largest number of bins. `finest`: the least exponent.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    exponent: tuple[int, ...]
+    first: tuple[int, ...]
+    counts: np.ndarray
+    most: int
+    finest: int | None = None
+
+    @classmethod
+    def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "DyadicCounts":
+        """Of numbers (number,)."""
+        if len(values) == 0:
+            return cls.none(1, most, finest)
+        return cls.on_axes((Axis.of(values, most, finest),), most, finest)
+
+    @classmethod
+    def of_columns(cls, columns: tuple[np.ndarray, ...], most: int) -> "DyadicCounts":
+        """Of tuples of numbers, one of each column (number,)."""
+        if len(columns[0]) == 0:
+            return cls.none(len(columns), most)
+        return cls.on_axes(tuple(Axis.of(column, most) for column in columns), most)
+
+    @classmethod
+    def of_groups(cls, values: np.ndarray, group: np.ndarray, groups: int, most: int) -> "DyadicCounts":
+        """One histogram for each group, all with the same bins. `group`: of each number, (number,)."""
+        if len(values) == 0:
+            return cls.none(1, most, groups=groups)
+        axis = Axis.of(values, most)
+        flat = places(values, axis.low, axis.exponent) - axis.first + group * axis.size
+        counts = np.bincount(flat, minlength=groups * axis.size).reshape(groups, axis.size)
+        return cls.with_counts((axis,), counts, most)
+
+    @classmethod
+    def on_axes(cls, axes: tuple[Axis, ...], most: int, finest: int | None = None) -> "DyadicCounts":
+        """Of the numbers, or tuples of numbers, of the axes."""
+        shape = tuple(axis.size for axis in axes)
+        counts = np.zeros(math.prod(shape), np.int64)
+        for block in range(0, len(axes[0].values), _BLOCK):  # what is between stays in the cache
+            flat = 0
+            for axis in axes:
+                place = places(axis.values[block : block + _BLOCK], axis.low, axis.exponent)
+                flat = flat * axis.size + (place - axis.first)
+            counts += np.bincount(flat, minlength=len(counts))
+        return cls.with_counts(axes, counts.reshape(shape), most, finest)
+
+    @classmethod
+    def with_counts(cls, axes: tuple[Axis, ...], counts: np.ndarray, most: int, finest: int | None = None):
+        """On given axes."""
+        lows, highs, exponents, firsts = zip(*(axis[1:5] for axis in axes), strict=True)
+        return cls(lows, highs, exponents, firsts, counts, most, finest)
+
+    @classmethod
+    def none(cls, axes: int, most: int, finest: int | None = None, groups: int = 0) -> "DyadicCounts":
+        """Of no numbers."""
+        shape = (groups,) * bool(groups) + (0,) * axes
+        infinite = (math.inf,) * axes
+        return cls(infinite, (-math.inf,) * axes, (0,) * axes, (0,) * axes, np.zeros(shape, np.int64), most, finest)
+
+    def merge(self, other: "DyadicCounts") -> "DyadicCounts":
+        """Of both sets of numbers together."""
+        if other.low[0] > other.high[0]:
+            return self
+        if self.low[0] > self.high[0]:
+            return other
+        low = tuple(min(pair) for pair in zip(self.low, other.low, strict=True))
+        high = tuple(max(pair) for pair in zip(self.high, other.high, strict=True))
+        exponent = tuple(exponent_for(*ends, self.most, self.finest) for ends in zip(low, high, strict=True))
+        counts = self._on(low, high, exponent) + other._on(low, high, exponent)
+        first = tuple(_floor(*pair) for pair in zip(low, exponent, strict=True))
+        return DyadicCounts(low, high, exponent, first, counts, self.most, self.finest)
+
+    def _on(self, low, high, exponent) -> np.ndarray:
+        """The counts on the bins that the range ``[low, high]`` has at coarser exponents."""
+        counts, lead = self.counts, self.counts.ndim - len(exponent)
+        for axis, (least, most, coarse) in enumerate(zip(low, high, exponent, strict=True)):
+            begin = _floor(least, coarse)
+            shape = list(counts.shape)
+            shape[lead + axis] = _floor(most, coarse) - begin + 1
+            wide = np.zeros(shape, counts.dtype)
+            place = (
+                (np.arange(counts.shape[lead + axis]) + self.first[axis]) >> (coarse - self.exponent[axis])
+            ) - begin
+            starts = np.flatnonzero(np.diff(place, prepend=-1))  # of the runs of bins that become one
+            before: tuple[Any, ...] = (slice(None),) * (lead + axis)
+            wide[(*before, place[starts])] = np.add.reduceat(counts, starts, axis=lead + axis)
+            counts = wide
+        return counts
+
+    def edges(self, axis: int = 0) -> np.ndarray:
+        """Edges of the bins along an axis, (bins + 1,)."""
+        numbers = self.first[axis] + np.arange(self.counts.shape[self.counts.ndim - len(self.low) + axis] + 1)
+        return numbers * math.ldexp(1.0, self.exponent[axis])
+
+
+def _floor(value: float, exponent: int) -> int:
+    return math.floor(math.ldexp(value, -exponent))

@@ -1,0 +1,95 @@
+"""What the figures of statistics share: names of axes, notes where nothing is to draw, steps, rectangles."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import MaxNLocator
+
+from .. import _checks
+from ..statistics.estimate import Estimate
+from . import _style
+
+ERROR_LOOK = {"color": _style.MASS, "elinewidth": 0.9, "capsize": 0}
+"""How bars of errors are drawn."""
+
+
+def require(name: str, value: Any, kind: type, where: str) -> None:
+    """Raise ValueError unless `value`, the argument called `name`, is of this `kind`, which is found `where`."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ValueError(
+            f"Argument {name} must be {article} {kind.__name__}, but {_checks.show(value)} was given; give {where}."
+        )
+
+
+def quantity_label(name: str, unit: str) -> str:
+    """A quantity and its unit; numbers without a unit have none."""
+    return name if unit == "1" else f"{name} ({unit})"
+
+
+def density_label(*units: str) -> str:
+    """A probability density over quantities of these units."""
+    named = [unit for unit in units if unit != "1"]
+    if not named:
+        return "probability density"
+    if len(named) == 1:
+        return f"probability density (1/{named[0]})"
+    together = f"{named[0]}$^2$" if named[0] == named[1] else f"({' '.join(named)})"
+    return f"probability density (1/{together})"
+
+
+def color_of(name: str) -> str:
+    """The colour of a quantity called `name`: that of sticks is theirs alone."""
+    return _style.STICK if "stick" in name else _style.SERIES[0]
+
+
+def told(estimate: Estimate) -> str:
+    """Value, error and unit of an estimate, without its name."""
+    return str(estimate).removeprefix(f"{estimate.name}: ").replace("+-", "±")
+
+
+def counted(number: int, word: str) -> str:
+    """How many things there are, `word` being one of them."""
+    return f"{number:,} {word}{'' if number == 1 else 's'}"
+
+
+def whole_numbers(axis: Axis) -> None:
+    """Put the ticks of an axis at whole numbers only."""
+    axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def note(ax: Axes, text: str) -> None:
+    """Write into axes without data why there are none."""
+    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
+
+
+def has_labels(ax: Axes) -> bool:
+    """Whether a legend has anything to tell."""
+    return bool(ax.get_legend_handles_labels()[1])
+
+
+def draw_histogram(
+    ax: Axes, edges: np.ndarray, heights: np.ndarray, errors: np.ndarray, color: str, *, label: str | None = None,
+    upright: bool = True,
+) -> None:  # fmt: skip
+    """Draw a histogram with the standard errors of its bins, (bins,); NaN errors are left out.
+
+    - `upright`: whether its base is the lower edge of `ax`, and not the left one.
+    """
+    orientation = "vertical" if upright else "horizontal"
+    ax.stairs(heights, edges, fill=True, color=color, alpha=0.35, lw=0, orientation=orientation)
+    ax.stairs(heights, edges, color=color, lw=_style.SLIP_WIDTH, orientation=orientation, label=label)
+    known = np.isfinite(errors) & (heights > 0)
+    if np.any(known):
+        centres = ((edges[1:] + edges[:-1]) / 2)[known]
+        if upright:
+            ax.errorbar(centres, heights[known], yerr=errors[known], ls="none", **ERROR_LOOK)
+        else:
+            ax.errorbar(heights[known], centres, xerr=errors[known], ls="none", **ERROR_LOOK)
+
+
+def rectangles(left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray) -> Any:
+    """The corners of rectangles with these sides, an array (rectangles, 4, 2)."""
+    return np.stack([np.stack([left, right, right, left], -1), np.stack([bottom, bottom, top, top], -1)], -1)

@@ -1,0 +1,63 @@
+"""Standard errors of statistics of pooled sticks: realisations are independent, the sticks of one are not.
+
+A statistic is a function of averages over all sticks; to first order its error is the average of an influence value
+per stick. The influence values of one realisation are summed, and the spread of these sums over realisations is the
+error (the linearised, "sandwich" error of a ratio of totals; Cochran, Sampling Techniques, 1977, chapter 6).
+"""
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+
+class Clusters:
+    """Values that belong to realisations, those retained of an ensemble.
+
+    - `values`: (number,). `owner`: the realisation of each. `realisations`: how many were retained, those without any
+      value included.
+    - `of_all`: how many realisations the statistic rests on. The error is measured on those retained and scaled.
+    """
+
+    def __init__(self, values: np.ndarray, owner: np.ndarray, realisations: int, of_all: int):
+        self.values = np.asarray(values, np.float64)
+        self.owner, self.realisations, self.of_all = owner, realisations, of_all
+
+    @property
+    def scale(self) -> float:
+        """What a standard deviation of sums over realisations is multiplied by; NaN where no error can be told."""
+        if self.realisations < 2 or len(self.values) == 0:
+            return math.nan
+        return self.realisations / len(self.values) / math.sqrt(self.of_all)
+
+    def error(self, influence: np.ndarray) -> float:
+        """The standard error of a statistic whose influence values are (number,)."""
+        if math.isnan(self.scale):
+            return math.nan
+        sums = np.bincount(self.owner, weights=influence, minlength=self.realisations)
+        return float(sums.std(ddof=1)) * self.scale
+
+    def errors_of_shares(self, bins: np.ndarray, number: int) -> np.ndarray:
+        """The standard errors of the shares of values in each of so many bins; `bins`: of each value, (number,).
+
+        Values with a bin below 0 are in none.
+        """
+        if math.isnan(self.scale):
+            return np.full(number, math.nan)
+        each = np.bincount(self.owner, minlength=self.realisations).astype(float)
+        inside = bins >= 0
+        cells, counts = np.unique(self.owner[inside] * number + bins[inside], return_counts=True)
+        cell, owner = cells % number, cells // number
+        # Sums over realisations of the count in a bin c, of c^2 and of c times the count in all bins n.
+        total, square, product = (
+            np.bincount(cell, weights=weights, minlength=number)
+            for weights in (counts, counts.astype(float) ** 2, counts * each[owner])
+        )
+        share = total / len(self.values)
+        spread = square - 2 * share * product + share**2 * (each @ each)  # sum of (c - share n)^2, whose mean is 0
+        return np.sqrt(np.maximum(spread, 0) / (self.realisations - 1)) * self.scale
+
+    @cached_property
+    def ordered(self) -> np.ndarray:
+        """The values in increasing order."""
+        return np.sort(self.values)

@@ -1,0 +1,124 @@
+"""Do the first, the second, the third ... stick of a motion follow one law?"""
+
+import itertools
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from .. import _checks
+from .anderson_darling import anderson_darling
+from .complete_values import QUANTITIES, sequences_of
+from .verdicts import HypothesisTest, Verdict, check_significance, holm
+
+FEWEST_VALUES = 5
+"""Smaller groups are left out: the limiting law of the Anderson-Darling statistic is not near yet."""
+
+
+def identically_distributed(
+    source: Any, quantity: str = "duration", *, orders: Any = 5, significance: float = 0.05, starts_before: Any = None
+) -> Verdict:
+    """Whether the values of each order (first, second, ... in a sample) follow one law.
+
+    Sample i gives its value of one order only, that with the index i modulo the number of orders. So all values that
+    are compared come from different samples and are independent, however the values of one sample hang together.
+
+    - `source`: an ensemble with ``keep="sticks"``, or its ``flat_sticks``.
+    - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), or "slip_duration", of the
+      slip after each stick (s). A stick that begins at t = 0 because the mass was put down at rest is the first one.
+    - `orders`: how many, from the first on, or which ones (at least two different whole numbers).
+    - `significance`: largest chance, in (0, 1), of rejecting what is true.
+    - `starts_before`: only values that begin before this instant (s; of a position, the slip before it must) are used.
+      By default the end of the simulation less the longest value, so that it cuts none of them. With ``math.inf`` all
+      complete ones are used; those are shorter than all would be, the later in order the more, and the tests find
+      this if many are cut. Where the motion comes to rest for good the default leaves nothing, and one must choose.
+
+    The tests: first that of Anderson and Darling on all orders at once (statistic: normalised; effect: the largest
+    difference of two orders' means, in standard deviations within an order); then that of Kolmogorov and Smirnov on
+    every pair of orders by Holm's rule (effect: the largest distance of two distribution functions; `parts` tells all).
+    Orders of which fewer than 5 samples give a value are left out; the answer is None if fewer than two remain.
+    Values that are all equal, as in steady motion, are identically distributed; differences of a few hundred rounding
+    errors are none.
+
+    Question: Lima and Sampaio 2017, introduction. Raises ValueError for a source that is neither, one that kept no
+    sticks, and arguments outside what is said here.
+    """
+    check_significance(significance)
+    wanted = _orders(orders)
+    sequences = sequences_of(source, quantity, starts_before)
+    samples = len(sequences.count)
+    member = np.arange(samples) % len(wanted)
+    order = np.array(wanted)[member]
+    has = sequences.count >= order
+    at = sequences.first + order - 1
+    groups = [sequences.values[at[has & (member == index)]] for index in range(len(wanted))]
+    kept = {order: group for order, group in zip(wanted, groups, strict=True) if len(group) >= FEWEST_VALUES}
+    remarks = [sequences.remark, f"Each of the {samples} samples is asked for one order, and {has.sum()} have it."]
+    if left := [str(order) for order in wanted if order not in kept]:
+        remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
+    if len(kept) >= 2:
+        tests, reason = (_all_at_once(kept), _by_pairs(kept)), ""
+    else:
+        reason = f"fewer than two orders have {FEWEST_VALUES} values"
+        names = ("Anderson-Darling", "Kolmogorov-Smirnov")
+        tests = tuple(HypothesisTest(name, reason=reason) for name in names)
+    question = f"Are the {QUANTITIES[quantity]} of all orders identically distributed?"
+    return Verdict(question, significance, tests, samples, len(sequences.values), reason, tuple(remarks))
+
+
+def _orders(orders: Any) -> tuple[int, ...]:
+    if np.ndim(orders) == 0:
+        return tuple(range(1, _checks.whole_number("orders", orders, minimum=2) + 1))
+    chosen = sorted({_checks.whole_number(f"orders[{at}]", order) for at, order in enumerate(orders)})
+    if not 2 <= len(chosen) == len(orders):
+        raise ValueError(
+            f"Argument orders must hold at least two different whole numbers, but {_checks.show(orders)} was given."
+        )
+    return tuple(chosen)
+
+
+def _all_at_once(groups: dict[int, np.ndarray]) -> HypothesisTest:
+    statistic, p_value = anderson_darling(list(groups.values()))
+    sizes = np.array([len(group) for group in groups.values()])
+    means = np.array([group.mean() for group in groups.values()])
+    # Less the first value, so that a group of equal values has the deviation 0 exactly.
+    squares = sum(len(group) * (group - group[0]).var() for group in groups.values())
+    deviation = math.sqrt(squares / (sizes.sum() - len(sizes)))
+    spread = float(np.ptp(means))
+    effect = spread / deviation if deviation > 0 else math.copysign(math.inf, spread) if spread else 0.0
+    return HypothesisTest(
+        f"Anderson-Darling, orders {', '.join(map(str, groups))}",
+        statistic,
+        p_value,
+        effect,
+        "largest difference of means (in standard deviations)",
+        sizes=tuple(int(size) for size in sizes),
+    )
+
+
+def _by_pairs(groups: dict[int, np.ndarray]) -> HypothesisTest:
+    pairs = tuple(_pair(a, b, groups[a], groups[b]) for a, b in itertools.combinations(groups, 2))
+    farthest = max(pairs, key=lambda pair: pair.effect)
+    return HypothesisTest(
+        f"Kolmogorov-Smirnov, {len(pairs)} pairs of orders",
+        farthest.statistic,
+        min(holm([pair.p_value for pair in pairs])),
+        farthest.effect,
+        "largest distance",
+        sizes=tuple(len(group) for group in groups.values()),
+        parts=pairs,
+    )
+
+
+def _pair(a: int, b: int, first: np.ndarray, second: np.ndarray) -> HypothesisTest:
+    # The exact law costs as much as the product of the sizes, and the limiting law is close beyond a hundred each.
+    method = "exact" if len(first) * len(second) <= 10_000 else "asymp"
+    with warnings.catch_warnings():
+        # Where round-off takes an exact p-value above 1, scipy warns and takes that of the limiting law, also about 1.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        found: Any = stats.ks_2samp(first, second, method=method)
+    distance, sizes = float(found.statistic), (len(first), len(second))
+    name = f"Kolmogorov-Smirnov, orders {a} and {b}"
+    return HypothesisTest(name, distance, float(found.pvalue), distance, "distance", sizes=sizes)

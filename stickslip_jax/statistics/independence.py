@@ -1,0 +1,199 @@
+"""Are consecutive values independent, and are they independent and identically distributed?"""
+
+import math
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from .. import _checks
+from .complete_values import QUANTITIES, Sequences, sequences_of
+from .identical import identically_distributed
+from .verdicts import HypothesisTest, Verdict, check_significance
+
+FEWEST_PAIRS = 10
+"""With fewer pairs, or samples that have pairs, a test of independence is not made."""
+FEWEST_EXPECTED = 5
+"""Smallest expected count in a cell of the chi-square test (Cochran's rule)."""
+
+
+def independent(
+    source: Any,
+    quantity: str = "duration",
+    *,
+    lag: int = 1,
+    first: int = 1,
+    bins: int = 5,
+    significance: float = 0.05,
+    starts_before: Any = None,
+) -> Verdict:
+    """Whether values of one sample that are `lag` apart in order are independent.
+
+    - `source`, `quantity`, `significance`, `starts_before`: see `identically_distributed`. Pairs are used only if the
+      later value begins before ``starts_before``. That depends on the earlier one, but leaves them independent if they
+      were; without it (``math.inf``) a long value leaves the next less room before the simulation ends.
+    - `lag`: difference of the orders. `first`: order of the first value of the pairs that one sample each gives.
+    - `bins`: quantiles for the chi-square test, at least 2.
+
+    The tests, none of which takes a drift of the law with the order for dependence:
+
+    1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair of each sample that has
+       both. Pairs are independent, so the p-value (Student's t) holds whatever else happens within a sample.
+    2. Chi-square of the same pairs in a table of `bins` x `bins` pooled quantiles; effect: Cramer's V. With few pairs
+       there are fewer bins, and neighbours are joined until each cell expects at least 5. Finds dependence without
+       correlation.
+    3. Serial rank correlation: all pairs of all samples, ranked among the pairs of the same orders. Pairs of one sample
+       may hang together, so the variance is that of sums over samples (statistic: Student's t of as many degrees as
+       samples with pairs, less one). Finds a factor that all values of a sample share, too.
+
+    A test needs 10 pairs (the third: 10 samples with pairs) and values that are not all equal; the answer is None if
+    none could be made. Question: Lima and Sampaio 2017, introduction. Raises ValueError as `identically_distributed`.
+    """
+    check_significance(significance)
+    lag, first = _checks.whole_number("lag", lag), _checks.whole_number("first", first)
+    bins = _checks.whole_number("bins", bins, minimum=2)
+    sequences = sequences_of(source, quantity, starts_before)
+    at = (sequences.first + first - 1)[sequences.count >= first + lag]
+    early, late = sequences.values[at], sequences.values[at + lag]
+    tests = (_spearman(early, late, first, lag), _chi_square(early, late, bins), _serial(sequences, lag))
+    reason = "" if any(test.made for test in tests) else tests[0].reason
+    apart = "consecutive" if lag == 1 else f"{lag} apart"
+    given = len(sequences.count)
+    remarks = (sequences.remark, f"{len(early)} of {given} samples have values of orders {first} and {first + lag}.")
+    question = f"Are the {QUANTITIES[quantity]}, {apart}, independent?"
+    return Verdict(question, significance, tests, given, len(sequences.values), reason, remarks)
+
+
+def independent_and_identical(
+    source: Any,
+    quantity: str = "duration",
+    *,
+    orders: Any = 5,
+    lag: int = 1,
+    first: int = 1,
+    significance: float = 0.05,
+    starts_before: Any = None,
+) -> Verdict:
+    """Whether the values are independent and identically distributed, by all tests of both questions together.
+
+    Arguments as for `identically_distributed` and `independent`. The five tests, in that order, share one chance of a
+    false alarm, at most `significance`, by Holm's rule. The answer is None if nothing is rejected and one of the two
+    questions can't be decided. Question: Lima and Sampaio 2017, introduction. Raises ValueError as they do.
+    """
+    options = {"significance": significance, "starts_before": starts_before}
+    parts = (
+        identically_distributed(source, quantity, orders=orders, **options),
+        independent(source, quantity, lag=lag, first=first, **options),
+    )
+    tests = tuple(test for part in parts for test in part.tests)
+    remarks = tuple(dict.fromkeys(remark for part in parts for remark in part.remarks))
+    reason = "; ".join(dict.fromkeys(part.reason for part in parts if part.reason))
+    question = f"Are the {QUANTITIES[quantity]} independent and identically distributed?"
+    return Verdict(question, significance, tests, parts[0].samples, parts[0].values, reason, remarks)
+
+
+def _too_few(early: np.ndarray, late: np.ndarray) -> str:
+    if len(early) < FEWEST_PAIRS:
+        return f"fewer than {FEWEST_PAIRS} samples have such a pair"
+    return "all values of one order are equal" if np.ptp(early) == 0 or np.ptp(late) == 0 else ""
+
+
+def _spearman(early: np.ndarray, late: np.ndarray, first: int, lag: int) -> HypothesisTest:
+    name, sizes = f"Spearman, orders {first} and {first + lag}", (len(early),)
+    if reason := _too_few(early, late):
+        return HypothesisTest(name, sizes=sizes, reason=reason)
+    found: Any = stats.spearmanr(early, late)
+    correlation = float(found.statistic)
+    return HypothesisTest(name, correlation, float(found.pvalue), correlation, "rank correlation", sizes=sizes)
+
+
+def _chi_square(early: np.ndarray, late: np.ndarray, bins: int) -> HypothesisTest:
+    sizes = (len(early),)
+    if reason := _too_few(early, late):
+        return HypothesisTest("Chi-square", sizes=sizes, reason=reason)
+    table = _table(early, late, bins)
+    shape = " x ".join(map(str, table.shape))
+    name = f"Chi-square, {shape} quantile bins"
+    if min(table.shape) < 2:
+        return HypothesisTest(name, sizes=sizes, reason=f"a cell would expect fewer than {FEWEST_EXPECTED}")
+    found: Any = stats.chi2_contingency(table, correction=False)
+    cramer = math.sqrt(found.statistic / (table.sum() * (min(table.shape) - 1)))
+    return HypothesisTest(name, float(found.statistic), float(found.pvalue), cramer, "Cramer's V", sizes=sizes)
+
+
+def _table(early: np.ndarray, late: np.ndarray, bins: int) -> np.ndarray:
+    """Counts of pairs in pooled quantile bins, joined until each cell expects enough.
+
+    Which are joined depends on the sums over rows and columns only, which tell nothing of dependence.
+    """
+    bins = max(2, min(bins, math.isqrt(len(early) // FEWEST_EXPECTED)))
+    edges = np.unique(np.quantile(np.concatenate([early, late]), np.arange(1, bins) / bins))
+    width = len(edges) + 1
+    cell = width * np.searchsorted(edges, early, "left") + np.searchsorted(edges, late, "left")
+    table = np.bincount(cell, minlength=width**2).reshape(width, width)
+    while True:
+        sums = table.sum(axis=1), table.sum(axis=0)
+        if sums[0].min() * sums[1].min() >= FEWEST_EXPECTED * len(early) or min(table.shape) < 2:
+            return table
+        axis = int(sums[1].min() < sums[0].min())
+        if table.shape[axis] == 2 < table.shape[1 - axis]:
+            axis = 1 - axis
+        smallest = int(sums[axis].argmin())
+        beside = [at for at in (smallest - 1, smallest + 1) if 0 <= at < len(sums[axis])]
+        start = min(smallest, min(beside, key=lambda at: sums[axis][at]))
+        table = np.add.reduceat(table, [at for at in range(len(sums[axis])) if at != start + 1], axis=axis)
+
+
+def _serial(sequences: Sequences, lag: int) -> HypothesisTest:
+    """Spearman's correlation of all pairs, stratum by stratum of their orders; errors by sums over samples."""
+    counts = np.maximum(sequences.count - lag, 0)
+    having = counts > 0
+    pairs, samples = int(counts.sum()), int(having.sum())
+    name, sizes = f"Serial rank correlation, {pairs} pairs in {samples} samples", (pairs, samples)
+    if samples < FEWEST_PAIRS:
+        return HypothesisTest(name, sizes=sizes, reason=f"fewer than {FEWEST_PAIRS} samples have such a pair")
+    order = sequences.order
+    early = np.flatnonzero(order <= np.repeat(counts, sequences.count))
+    order = order[early]
+    a, b = (_scores(sequences.values[at], order) for at in (early, early + lag))
+    norms = math.sqrt(a @ a), math.sqrt(b @ b)
+    if min(norms) == 0:
+        return HypothesisTest(name, sizes=sizes, reason="all values of one order are equal")
+    a, b = a / norms[0], b / norms[1]
+    correlation = float(a @ b)
+    begin = (np.cumsum(counts) - counts)[having]  # of the pairs of each sample
+
+    # If the values are independent, sums over samples are uncorrelated and have the mean 0, so that the sum of their
+    # squares estimates the variance. The factor n / (n - 1) is that of the variance of Spearman's correlation of n
+    # pairs, over the mean of a^2 b^2: ranks add up to zero.
+    number = np.bincount(order)[order]
+    shares = np.add.reduceat(a * b * np.sqrt(number / np.maximum(number - 1, 1)), begin)
+    # z = sum / sqrt(sum of squares) of n shares is Student's t of the same shares but for this change of scale.
+    z = correlation / math.sqrt(shares @ shares) if correlation else 0.0
+    rest = samples - z * z
+    statistic = z * math.sqrt((samples - 1) / rest) if rest > 0 else math.copysign(math.inf, z)
+    p_value = 2 * float(stats.t.sf(abs(statistic), samples - 1))
+
+    # r = sum(a b) / sqrt(sum(a^2) sum(b^2)), both roots being 1 now, changes with the weight of one sample by its part
+    # of sum(a b) - r (sum(a^2) + sum(b^2)) / 2, which holds for dependent values, too.
+    parts = np.add.reduceat(a * b - correlation * (a**2 + b**2) / 2, begin)
+    error = math.sqrt(samples / (samples - 1) * float(parts @ parts))
+    return HypothesisTest(name, statistic, p_value, correlation, "rank correlation", error, sizes)
+
+
+def _scores(values: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Rank of each value among those of its order, midranks for ties, centred and scaled to (-1, 1)."""
+    by_value = np.argsort(values)
+    small = order.astype(np.uint16) if order.max() < 1 << 16 else order  # 16-bit numbers are sorted by radix
+    sorting = by_value[np.argsort(small[by_value], kind="stable")]
+    order, values = order[sorting], values[sorting]
+    changes = np.diff(order) != 0
+    number = np.bincount(order)
+    place = np.arange(len(order)) - (np.cumsum(number) - number)[order]
+    # Runs of equal values of one order share the mean of their places.
+    runs = np.concatenate([[0], np.flatnonzero(changes | (np.diff(values) != 0)) + 1])
+    length = np.diff(np.append(runs, len(order)))
+    middle = np.repeat(place[runs] + (length - 1) / 2, length)
+    scores = np.empty(len(order))
+    scores[sorting] = (2 * middle + 1) / number[order] - 1
+    return scores

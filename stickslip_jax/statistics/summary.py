@@ -1,0 +1,114 @@
+"""The statistics of an ensemble as a table for people, in text and in HTML."""
+
+import dataclasses
+import html
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from .estimate import Estimate, format_with_error
+from .source import require_ensemble
+from .stick_statistics import StickStatistics
+
+_Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
+_HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Summary:
+    """Tables, each with a caption, a head and rows of text; and notes below them."""
+
+    title: str
+    tables: tuple[_Table, ...]
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        parts = [self.title]
+        for caption, head, rows in self.tables:
+            widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
+            lines = ["  ".join(_aligned(row, widths)).rstrip() for row in (head, *rows)]
+            parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
+        return "\n\n".join([*parts, "\n".join(self.notes)])
+
+    def _repr_html_(self) -> str:
+        parts = [f"<p><b>{html.escape(self.title)}</b></p>"]
+        for caption, head, rows in self.tables:
+            cells = "".join(f"<th>{html.escape(text)}</th>" for text in head)
+            body = "".join("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>" for row in rows)
+            parts.append(f"<table><caption>{html.escape(caption)}</caption><tr>{cells}</tr>{body}</table>")
+        return "".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)])
+
+
+def summary_of(ensemble: Any) -> Summary:
+    """The summary of an ensemble simulated with ``keep="statistics"`` or ``"sticks"``. Raises ValueError for others."""
+    ensemble = require_ensemble(ensemble)
+    told: StickStatistics = ensemble.statistics
+    every = (
+        told.stick_count, told.slip_count, told.stick_fraction, told.duration, told.own_mean_duration,
+        told.slip_duration, told.start, told.position,
+    )  # fmt: skip
+    tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, every)))]
+    orders = [told.order(number) for number in range(1, told.orders + 1)]
+    seen = [one for one in orders if one.duration.number > 0]
+    if seen:
+        head = ("stick", "samples that have it", "start (s)", "duration (s)", f"position ({told.position_unit})")
+        rows = tuple(
+            (
+                str(one.number),
+                _shown(one.share),
+                *(_shown(of.mean) for of in (one.start, one.duration, one.position)),
+            )
+            for one in seen
+        )
+        tables.append(("By order (mean +- standard error)", head, rows))
+    title = f"{told.samples:,} samples on [0, {ensemble.t1:g}] s"
+    return Summary(title, tuple(tables), tuple(_notes(ensemble, told)))
+
+
+def _notes(ensemble: Any, told: StickStatistics) -> list[str]:
+    notes = []
+    if told.duration.number:
+        shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in told.endings.items())
+        notes.append(f"Share of sticks by ending: {shares}.")
+    else:
+        notes.append("There is no stick.")
+    notes.append("Sticks and slips cut by the horizon count with the part seen. Entropies: of histograms in 50 bins.")
+    retained = len(told.features)
+    if retained < told.samples:
+        notes.append(f"Standard errors were measured on the first {retained:,} samples.")
+    for status, count in ensemble.status_counts.items():
+        if status and count:
+            notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
+    if ensemble.doubtful:
+        notes.append(f"In doubt by the last digits, counted above: {ensemble.doubtful:,} samples.")
+    return notes
+
+
+def _row(of: Any) -> tuple[str, ...]:
+    unit = "" if of.unit == "1" else f" ({of.unit})"
+    numbers = (
+        of.mean,
+        of.standard_deviation,
+        of.quantile(0.05),
+        of.median,
+        of.quantile(0.95),
+        of.skewness,
+        of.entropy(),
+    )
+    return (f"{of.name}{unit}", _shown(numbers[0]), *(_plain(one) for one in numbers[1:]), f"{of.number:,}")
+
+
+def _shown(estimate: Estimate) -> str:
+    if math.isnan(estimate.value):
+        return "-"
+    if math.isnan(estimate.standard_error):
+        return f"{estimate.value:.6g}"
+    return format_with_error(estimate.value, estimate.standard_error)
+
+
+def _plain(estimate: Estimate) -> str:
+    return "-" if math.isnan(estimate.value) else f"{estimate.value:.4g}"
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int]) -> list[str]:
+    return [row[0].ljust(widths[0]), *(text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))]
