@@ -1,6 +1,10 @@
-"""One million trajectories of the default study: time and memory. ``python -m benchmarks.million``."""
+"""One million trajectories of the default study, with all their statistics: time and memory.
+
+``python -m benchmarks.million``; with ``totals`` as an argument, the engine alone.
+"""
 
 import resource
+import sys
 
 import jax
 
@@ -9,6 +13,7 @@ from stickslip_jax import papers
 
 ss.enable_fast_cpu()
 jax.config.update("jax_enable_x64", True)
+keep = sys.argv[1] if len(sys.argv) > 1 else "statistics"
 many = ss.simulate_ensemble(
     papers.belt_oscillator(),
     ss.PoissonSwitching(speed=1.0, rate=1.0),
@@ -16,7 +21,11 @@ many = ss.simulate_ensemble(
     samples=1_000_000,
     key=jax.random.key(0),
     y0=(0.0, 1.0),
+    keep=keep,
 )
 print(many)
 print(ss.mean_stick_duration(many))
+if keep != "totals":
+    print(many.summary())
+    print(many.statistics.joint("duration", "position"))
 print(f"largest memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")

@@ -51,16 +51,18 @@ YARDSTICKS = {
     "diffrax, restarted at events": _one_trajectory(diffrax_events.simulate, 40.0),
 }
 ENGINE = [
-    ("statistics, 1 thread", ()),
-    ("statistics, 2 threads", ()),
+    ("totals, 1 thread", ()),
+    ("totals, 2 threads", ()),
+    ("full statistics, 1 thread", ()),
+    ("full statistics, 2 threads", ()),
     ("every stick, handed on", ()),
     ("every stick, all kept", ()),
     ("value alone", ()),
     ("value and derivative", ()),
-    ("statistics, 1 thread", ("--float32",)),
-    ("statistics, 1 thread", ("--plain", "--pinned")),
-    ("statistics, 1 thread", ("--plain",)),
-    ("statistics, 2 threads", ("--plain",)),
+    ("totals, 1 thread", ("--float32",)),
+    ("totals, 1 thread", ("--plain", "--pinned")),
+    ("totals, 1 thread", ("--plain",)),
+    ("totals, 2 threads", ("--plain",)),
 ]
 
 

@@ -14,7 +14,7 @@ from .baselines import numba_motor_cart
 ROUNDS = 9
 T1 = 2.0
 ENGINE = (
-    "motor and cart, statistics, 1 thread",
+    "motor and cart, totals, 1 thread",
     "motor and cart, every stick, 1 thread",
     "motor and cart, every stick, 2 threads",
 )

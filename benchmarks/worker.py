@@ -134,7 +134,7 @@ def _regularized(samples: int, settings: dict | None):
     def simulate(number: int, method=method):
         return ss.simulate_ensemble(
             system(), LAW, t1=T1, samples=samples, key=jax.random.key(number), y0=START, threads=1, progress=False,
-            method=method,
+            method=method, keep="totals",
         )  # fmt: skip
 
     def run(round_number: int) -> float:
@@ -154,11 +154,13 @@ CASES = {
         for kind, entries in REGULARIZED.items()
         for label, samples, settings in entries
     },
-    "motor and cart, statistics, 1 thread": lambda: _motor_cart("statistics", 1),
+    "motor and cart, totals, 1 thread": lambda: _motor_cart("totals", 1),
     "motor and cart, every stick, 1 thread": lambda: _motor_cart("sticks", 1),
     "motor and cart, every stick, 2 threads": lambda: _motor_cart("sticks", 2),
-    "statistics, 1 thread": lambda: _ensemble("statistics", 1),
-    "statistics, 2 threads": lambda: _ensemble("statistics", 2),
+    "totals, 1 thread": lambda: _ensemble("totals", 1),
+    "totals, 2 threads": lambda: _ensemble("totals", 2),
+    "full statistics, 1 thread": lambda: _ensemble("statistics", 1),
+    "full statistics, 2 threads": lambda: _ensemble("statistics", 2),
     "every stick, handed on": _recording_handed_on,
     "every stick, all kept": lambda: _ensemble("sticks", 1),
     "value alone": lambda: _kernel(False),

@@ -41,15 +41,27 @@ from .systems.switched_system import SwitchedSystem
 __version__ = "0.1.0"
 
 
+# Loaded when asked for: matplotlib takes longer to import than all the rest, and so does scipy.stats.
+_MODULES = ("papers", "plot")
+_TESTS = {
+    "HypothesisTest": "verdicts",
+    "Verdict": "verdicts",
+    "identically_distributed": "identical",
+    "independent": "independence",
+    "independent_and_identical": "independence",
+}
+
+
 def __getattr__(name: str):
-    # Loaded when asked for: matplotlib takes longer to import than all the rest.
-    if name in ("papers", "plot"):
+    if name in _MODULES:
         return import_module(f"{__name__}.{name}")
+    if name in _TESTS:
+        return getattr(import_module(f"{__name__}.statistics.{_TESTS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), "papers", "plot"})
+    return sorted({*globals(), *_MODULES, *_TESTS})
 
 
 __all__ = [

@@ -38,8 +38,16 @@ def sticks_of(values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> Gat
     at = (found & ((1 << bits) - 1)) * (3 * lanes)
     at += found >> bits
     start, end, position = (values.reshape(-1)[first * lanes :].take(at) for first in range(3))
-    length = stuck[:, :slots].reshape(lanes, len(sample), -1).sum(axis=-1)
-    return Gathered(sample.T.reshape(-1), length.reshape(-1), start, end, position, endings.reshape(-1).take(found))
+    blocks = (ending >= 0).reshape(len(sample), -1, lanes)
+    length = np.add.reduce(blocks, axis=1, dtype=np.uint8 if slots < 256 * len(sample) else np.int64).T
+    return Gathered(
+        sample.T.reshape(-1),
+        length.reshape(-1).astype(np.int64),
+        start,
+        end,
+        position,
+        endings.reshape(-1).take(found),
+    )
 
 
 def collected(pieces: list[Gathered], finished: np.ndarray) -> FlatSticks:
@@ -50,7 +58,7 @@ def collected(pieces: list[Gathered], finished: np.ndarray) -> FlatSticks:
     kept = (length > 0) & (owner < len(finished))
     kept[kept] = finished[owner[kept]]
     owner, length, first = owner[kept], length[kept], first[kept]
-    order = np.argsort(owner, kind="stable")
+    order = np.argsort(owner.astype(np.uint16) if len(finished) < 1 << 16 else owner, kind="stable")  # by radix
     length = length[order]
     count = np.bincount(owner[order], weights=length, minlength=len(finished)).astype(np.int64)
     ahead = first[order] - (np.cumsum(length) - length)

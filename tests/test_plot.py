@@ -260,7 +260,7 @@ def test_only_a_censored_stick_is_told():
 
 
 def test_durations_need_kept_sticks():
-    few = ss.simulate_ensemble(SYSTEM, LAW, t1=2.0, samples=2, key=jax.random.key(0), threads=1)
+    few = ss.simulate_ensemble(SYSTEM, LAW, t1=2.0, samples=2, key=jax.random.key(0), threads=1, keep="totals")
     with pytest.raises(ValueError, match='keep="sticks"'):
         plot.stick_durations(few)
 

@@ -1,5 +1,6 @@
 """Figures of the statistics of an ensemble: what is drawn are their numbers, with errors and units."""
 
+import dataclasses
 import math
 
 import matplotlib as mpl
@@ -10,6 +11,7 @@ from plot_support import MAP_LABELS, T1, band_of, error_bars, line, mesh, only, 
 
 import stickslip_jax as ss
 from stickslip_jax import plot
+from stickslip_jax.ensemble_result import Retained
 from stickslip_jax.plot import _style
 from stickslip_jax.statistics.convergence import convergence, histogram_convergence
 
@@ -123,7 +125,7 @@ def test_joint_histogram_with_the_conditional_mean(many):
     assert drawn[1] == pytest.approx([y[place == index].mean() for index in filled])
     means = many.statistics.joint("duration 1", "duration 2").conditional_mean(20)
     _, low, high = error_bars(main)
-    assert (high - low) / 2 == pytest.approx(means.error[filled])
+    assert (high - low) / 2 == pytest.approx(np.nan_to_num(means.error[filled]))  # of a single pair no bar
     assert "mean duration of stick 2 given the duration of stick 1" in texts(above)
 
 
@@ -139,7 +141,10 @@ def test_means_by_order(many, quantity):
     assert values == pytest.approx([getattr(sticks, quantity)[by_order == number].mean() for number in numbers])
     _, low, high = error_bars(ax)
     intervals = [getattr(many.statistics.order(int(number)), quantity).mean.interval(0.8) for number in numbers]
-    assert np.column_stack([low, high]) == pytest.approx(np.array(intervals))
+    drawn = np.column_stack([low, high])  # a single value has no interval
+    assert drawn[np.isfinite(drawn).all(axis=1)] == pytest.approx(
+        np.array(intervals)[np.isfinite(intervals).all(axis=1)]
+    )
     (below,) = [other for other in ax.figure.axes if other is not ax]
     heights = [bar.get_height() for bar in below.patches]
     assert heights == pytest.approx([100 * np.mean(sticks.count >= number) for number in numbers])
@@ -176,6 +181,21 @@ def test_raster_in_a_window_and_of_all_samples(many):
     assert (ax.get_xlim(), ax.get_ylim()) == ((5, 15), (199.5, -0.5))
     kept = plot.stick_raster(simulate(200, keep="sticks"), samples=1000, t0=5.0, t1=15.0)
     assert texts(kept) == texts(ax)
+
+
+def test_maps_and_durations_of_the_sticks_retained(many):
+    sticks = many.finished_sticks()
+    few = dataclasses.replace(many, retained=Retained(sticks.head(60), many.retained.features[:60]))
+    for ensemble, samples in ((many, 200), (few, 60)):
+        used = sticks.sample < samples
+        complete = used & (sticks.ending != ss.Ending.HORIZON)
+        ax = plot.stick_map(ensemble)
+        drawn = np.asarray(only(ax, mpl.collections.PathCollection).get_offsets())
+        assert drawn.tolist() == np.column_stack([sticks.position, sticks.duration])[complete].tolist()
+        part = " of the first 60 samples" if samples == 60 else ""
+        more = f" ({np.sum(used & ~complete):,} more, cut by the horizon, left out)"
+        assert texts(ax) == [f"{complete.sum():,} sticks{part}{more}"]
+        assert texts(plot.stick_durations(ensemble)) == texts(ax)
 
 
 def draw_all(ensemble):

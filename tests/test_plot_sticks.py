@@ -193,7 +193,7 @@ def test_given_axes_are_used(one, draw):
 
 def test_bad_arguments(one, many, annotations_unchecked):
     first = ss.first_stick(many)
-    few = dataclasses.replace(many, flat_sticks=None)
+    few = dataclasses.replace(many, flat_sticks=None, retained=None)
     batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), one)
     object.__setattr__(batch, "system", ss.MotorCart(mu=0.5))
     object.__setattr__(batch.system, "mu", jnp.full(3, 0.5))

@@ -67,7 +67,9 @@ def test_convergence_of_histograms_with_the_slope_of_the_root(many):
     x, y = line(ax, "slope -1/2").get_data()
     assert np.diff(np.log(y)) / np.diff(np.log(x)) == pytest.approx(-0.5)
     assert (x[1], y[1]) == pytest.approx((100, result.distances[-1]))
-    assert y[0] <= 1 + 1e-12
+    # The line is not drawn above the largest distance that there is.
+    far = plot.convergence(HistogramConvergence(np.array([1, 100]), np.array([0.9, 0.5]), 3, -0.1))
+    assert np.column_stack(line(far, "slope -1/2").get_data()) == pytest.approx(np.array([[25, 1], [100, 0.5]]))
 
 
 def test_convergence_leaves_out_what_is_not_defined():

@@ -20,8 +20,8 @@ def everything_of(told):
     asked = {}
     for name in DISTRIBUTIONS:
         of = getattr(told, name)
-        estimates = (of.mean, of.variance, of.standard_deviation, of.skewness, of.median, of.quantile(0.9), of.entropy(),
-                     of.differential_entropy, of.repeated_share)  # fmt: skip
+        moments = (of.mean, of.variance, of.standard_deviation, of.skewness, of.median, of.quantile(0.9))
+        estimates = (*moments, of.entropy(), of.differential_entropy, of.repeated_share)
         asked[name] = estimates
         histogram = of.histogram()
         assert len(histogram.edges) == len(histogram.counts) + 1
@@ -147,7 +147,10 @@ def test_arguments_of_what_needs_an_ensemble(tmp_path, annotations_unchecked):
         (lambda: ss.convergence(one, ss.stick_fraction), "must hold 2 finished samples or more, but it has 1"),
         (lambda: ss.convergence(many, ss.stick_fraction, points=1), "Argument points must be a whole number"),
         (lambda: ss.histogram_convergence(many), "must hold 4 finished samples or more, but it has 3"),
-        (lambda: ss.bootstrap_interval(many, ss.stick_fraction, resamples=5), "Argument resamples must be a whole number"),
+        (
+            lambda: ss.bootstrap_interval(many, ss.stick_fraction, resamples=5),
+            "Argument resamples must be a whole number",
+        ),
         (lambda: ss.bootstrap_interval(many, ss.stick_fraction, level=90), "Argument level must lie between 0 and 1"),
     ):
         with pytest.raises(ValueError, match=message):

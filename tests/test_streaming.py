@@ -1,5 +1,6 @@
 """Streaming: parts merge to what the whole gives, and nothing is read that was not recorded."""
 
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,10 @@ NUMBERS = st.floats(-1e6, 1e6).map(lambda value: round(value, 3)) | st.floats(-1
 PARTS = st.lists(st.lists(NUMBERS, max_size=8), min_size=1, max_size=5)
 
 
+def joined(parts):
+    return [entry for part in parts for entry in part]
+
+
 def merged(parts, empty):
     for part in parts:
         empty = empty.merge(part)
@@ -31,7 +36,7 @@ def merged(parts, empty):
 
 @given(parts=PARTS, most=st.integers(2, 40))
 def test_histograms_of_parts_merge_to_that_of_the_whole(parts, most):
-    whole = DyadicCounts.of(np.array(sum(parts, []), float), most)
+    whole = DyadicCounts.of(np.array(joined(parts), float), most)
     found = merged([DyadicCounts.of(np.array(part, float), most) for part in parts], DyadicCounts.none(1, most))
     assert found[:4] == whole[:4]
     np.testing.assert_array_equal(found.counts, whole.counts)
@@ -39,7 +44,7 @@ def test_histograms_of_parts_merge_to_that_of_the_whole(parts, most):
     if len(whole.counts):
         edges = whole.edges()
         inside = [sum(low <= value < high for part in parts for value in part)
-                  for low, high in zip(edges[:-1], edges[1:], strict=True)]  # fmt: skip
+                  for low, high in itertools.pairwise(edges)]  # fmt: skip
         assert inside == list(whole.counts)
 
 
@@ -49,7 +54,7 @@ def test_joint_histograms_of_parts_merge_to_that_of_the_whole(parts):
         columns = np.array(pairs, float).reshape(-1, 2).T
         return DyadicCounts.of_columns((columns[0], columns[1]), 6)
 
-    whole, found = counts(sum(parts, [])), merged(map(counts, parts), DyadicCounts.none(2, 6))
+    whole, found = counts(joined(parts)), merged(map(counts, parts), DyadicCounts.none(2, 6))
     assert found[:4] == whole[:4]
     np.testing.assert_array_equal(found.counts, whole.counts)
 
@@ -69,12 +74,12 @@ def test_sums_of_parts_merge_to_those_of_the_whole(parts):
     def sums(pairs):
         return PowerSums.of(*np.array(pairs, float).reshape(-1, 2).T)
 
-    whole, found = sums(sum(parts, [])), merged(map(sums, parts), PowerSums.none(2))
-    number = len(sum(parts, []))
+    whole, found = sums(joined(parts)), merged(map(sums, parts), PowerSums.none(2))
+    number = len(joined(parts))
     assert found.number == whole.number == number
     if number == 0:
         return
-    values = np.array(sum(parts, []), float)
+    values = np.array(joined(parts), float)
     scale = np.abs(values).max() + 1e-300  # sums of so many numbers of this size: their round-off
     centred = values - values.mean(axis=0)
     for one in (whole, found):
@@ -182,7 +187,8 @@ def test_unfinished_samples_enter_no_statistic():
 
 def test_statistics_in_float32_are_those_of_float64():
     sticks = made_up_sticks(np.random.default_rng(2), 50)
-    single = sticks._replace(**{name: getattr(sticks, name).astype(np.float32) for name in ("start", "end", "position")})
+    times = ("start", "end", "position")
+    single = sticks._replace(**{name: getattr(sticks, name).astype(np.float32) for name in times})
     one, other = statistics_of(sticks), statistics_of(single)
     for name in ("start", "duration", "position", "slip_duration"):
         mine, theirs = getattr(one, name), getattr(other, name)
@@ -198,5 +204,5 @@ def test_totals_alone_have_no_statistics(kept):
     assert ss.stick_fraction(totals).value == pytest.approx(ss.stick_fraction(kept).value, rel=1e-12)
     assert totals.tally is totals.retained is totals.flat_sticks is None
     for ask in (lambda: totals.statistics, totals.summary, lambda: ss.convergence(totals, ss.stick_fraction)):
-        with pytest.raises(ValueError, match='kept only totals; call simulate_ensemble'):
+        with pytest.raises(ValueError, match="kept only totals; call simulate_ensemble"):
             ask()

@@ -28,6 +28,15 @@ def exponent_for(low: float, high: float, bins: int, finest: int | None = None) 
     return exponent
 
 
+def joined_bins(number: int, most: int) -> int:
+    """How many of `number` bins to join into one, so that at most so many are left and the last is full, or nearly.
+
+    A last bin that reaches far beyond the numbers would look emptier than the density there.
+    """
+    least = -(-number // most)
+    return min(range(least, least + least // 4 + 1), key=lambda joined: (-number % joined / joined, joined))
+
+
 def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
     """The bin of each number, as an integer: bin i begins at ``i * 2**exponent``. `low`: the smallest number."""
     scaled = values * math.ldexp(1.0, -exponent)

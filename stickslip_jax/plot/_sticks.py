@@ -12,29 +12,33 @@ from ..statistics.first_sticks import FirstSticks
 
 
 class CompleteSticks(NamedTuple):
-    """`duration` (s) and `position` (m; of a motor its angle, rad) of each; how many more the horizon `cut`."""
+    """`duration` (s) and `position` (m; of a motor its angle, rad) of each; how many more the horizon `cut`.
+
+    `part`: of which samples, where they are not those of all.
+    """
 
     duration: np.ndarray
     position: np.ndarray
     cut: int
+    part: str = ""
 
     @property
     def label(self) -> str:
         """How many there are, for legends."""
         more = f" ({self.cut:,} more, cut by the horizon, left out)" if self.cut else ""
-        return f"{len(self.duration):,} sticks{more}" if len(self.duration) else f"no sticks{more}"
+        return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
 
 
 def complete_sticks(result: Any) -> CompleteSticks:
-    """The complete sticks of an `Ensemble` that kept them, of `FirstSticks`, or of a `Simulation`, one or a batch.
+    """The complete sticks of an `Ensemble`, those that it kept, of `FirstSticks`, or of a `Simulation`, one or a batch.
 
     Raises ValueError for anything else.
     """
+    part = ""
     if isinstance(result, Ensemble):
-        sticks, totals = result.require_sticks(), result.totals
-        assert totals is not None
-        used = np.repeat(totals.status == Status.FINISHED, sticks.count)
-        duration = sticks.end - sticks.start
+        sticks = result.finished_sticks()
+        used, duration = np.ones(len(sticks.start), bool), sticks.duration
+        part = f" of the first {len(sticks.count):,} samples" if len(sticks.count) < result.finished else ""
     elif isinstance(result, FirstSticks):
         sticks, used, duration = result, result.mask, result.duration
     elif isinstance(result, Simulation):
@@ -51,7 +55,7 @@ def complete_sticks(result: Any) -> CompleteSticks:
     cut = np.asarray(sticks.ending) == Ending.HORIZON
     kept = used & ~cut
     duration, position = (np.asarray(values, float)[kept] for values in (duration, sticks.position))
-    return CompleteSticks(duration, position, int(np.sum(used & cut)))
+    return CompleteSticks(duration, position, int(np.sum(used & cut)), part)
 
 
 def edges_of_bins(name: str, bins: Any, span: tuple[float, float], unit: str) -> np.ndarray:

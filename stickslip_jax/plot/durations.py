@@ -23,14 +23,14 @@ def stick_durations(
     Sticks cut by the horizon are left out, because only a part of them was seen; the legend tells how many. So are
     samples that did not reach ``t1``.
 
-    - `result`: an `Ensemble` that kept its sticks (``keep="sticks"``), its `FirstSticks`, or a `Simulation` (one, or a
-      batch by ``vmap``).
+    - `result`: an `Ensemble`, for the sticks that it kept (with ``keep="statistics"`` those of the first samples), its
+      `FirstSticks`, or a `Simulation` (one, or a batch by ``vmap``).
     - `ax`: where to draw; by default the axes of a new figure.
     - `bins`: number of equal bins from 0 to the longest duration, or their increasing edges, s. Sticks outside the
       edges are drawn nowhere but count: the density times the bin width stays the share of all complete sticks.
 
     Returns the axes, with a note in them if there is no complete stick. Raises ValueError for an ensemble that kept
-    only statistics, and for anything else than the above.
+    only totals, and for anything else than the above.
     """
     sticks = complete_sticks(result)
     durations, label = sticks.duration, sticks.label

@@ -122,6 +122,7 @@ def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> N
     centres = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
     label = f"mean {_name(joint, 1)} given the {_name(joint, 0)}"
     main.errorbar(
-        centres, means.mean[known], means.error[known], marker="o", ms=3, lw=_style.SLIP_WIDTH, label=label,
+        centres, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
+        label=label,
         **_parts.ERROR_LOOK,
     )  # fmt: skip

@@ -37,8 +37,8 @@ def stick_map(
     angle. Sticks cut by the horizon are left out, because only a part of them was seen; the legend tells how many. So
     are samples that did not reach ``t1``.
 
-    - `result`: an `Ensemble` that kept its sticks (``keep="sticks"``), for all of them; the first ones of each sample,
-      ``first_stick(ensemble)``; or a `Simulation` (one, or a batch by ``vmap``).
+    - `result`: an `Ensemble`, for the sticks that it kept (with ``keep="statistics"`` those of the first samples); the
+      first ones of each sample, ``first_stick(ensemble)``; or a `Simulation` (one, or a batch by ``vmap``).
     - `ax`: where to draw; by default the axes of a new figure.
     - `system`: what was simulated. `FirstSticks` do not know it, so it must be given with them: ``ensemble.system``.
     - `bound`: the voltage whose closed-form `stick_duration_bound` to draw (``ensemble.law``, say), for a `MotorCart`.
@@ -47,7 +47,7 @@ def stick_map(
     - `period`: angles are drawn modulo this, pi or 2 pi, rad; by default 2 pi. A `MotorCart` repeats itself after pi.
 
     Returns the axes, with a note in them if there is no complete stick. Raises ValueError for an ensemble that kept
-    only statistics, and for anything else than the above.
+    only totals, and for anything else than the above.
     """
     shown = _shown(result, system, bound, period)
     ax = _style.axes_or_new(ax, (5.6, 4.0))
@@ -82,7 +82,7 @@ def stick_joint_histogram(
     - `log`: whether colours follow the logarithm of the density, to show rare sticks beside frequent ones.
 
     Returns the axes, with a note in them if there is no complete stick. Raises ValueError for an ensemble that kept
-    only statistics, and for anything else than the above.
+    only totals, and for anything else than the above.
     """
     shown = _shown(result, system, bound, period)
     if not isinstance(log, bool):

@@ -25,8 +25,8 @@ class Clusters:
 
     @property
     def scale(self) -> float:
-        """What a standard deviation of sums over realisations is multiplied by; NaN where no error can be told."""
-        if self.realisations < 2 or len(self.values) == 0:
+        """What a standard deviation of sums over realisations is multiplied by; NaN for fewer than two of either."""
+        if self.realisations < 2 or len(self.values) < 2:
             return math.nan
         return self.realisations / len(self.values) / math.sqrt(self.of_all)
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from .. import _checks
 from ..numerics.moments import Moments
@@ -36,6 +35,8 @@ class Convergence:
         Raises ValueError unless ``0 < level < 1``.
         """
         check_level(level)
+        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
         reach = special.stdtrit(np.maximum(self.numbers - 1, 1), (1 + level) / 2) * self.errors
         return self.values - reach, self.values + reach
 

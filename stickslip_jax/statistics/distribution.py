@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from .. import _checks
-from ..numerics.dyadic import DyadicCounts
+from ..numerics.dyadic import DyadicCounts, joined_bins
 from ..numerics.power_sums import PowerSums
 from .clusters import Clusters
 from .estimate import Estimate
@@ -209,7 +209,7 @@ class Distribution:
         if self.number == 0:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
         fine = self.bins.counts
-        together = -(-len(fine) // bins)
+        together = joined_bins(len(fine), bins)
         pieces = -(-len(fine) // together)
         counts = np.add.reduceat(fine, np.arange(0, len(fine), together))
         numbers = self.bins.first[0] + together * np.arange(pieces + 1)

@@ -3,8 +3,6 @@
 import dataclasses
 import math
 
-from scipy import special
-
 from .. import _checks
 
 
@@ -29,6 +27,8 @@ class Estimate:
         check_level(level)
         if self.samples < 2 or math.isnan(self.standard_error):
             return math.nan, math.nan
+        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
         reach = float(special.stdtrit(self.samples - 1, (1 + level) / 2)) * self.standard_error
         return self.value - reach, self.value + reach
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from .. import _checks
-from ..numerics.dyadic import DyadicCounts
+from ..numerics.dyadic import DyadicCounts, joined_bins
 from ..numerics.power_sums import PowerSums
 from .clusters import Clusters
 from .estimate import Estimate
@@ -34,7 +34,9 @@ class JointHistogram:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConditionalMeans:
-    """The mean of y where x is in each bin, with its standard `error`; `counts` of pairs; (bins,). NaN in empty bins.
+    """The mean of y where x is in each bin, with its standard `error`; `counts` of pairs; (bins,).
+
+    NaN in empty bins; an error needs two pairs.
 
     `edges`: of the bins of x, (bins + 1,).
     """
@@ -154,7 +156,7 @@ class JointDistribution:
         mean = np.full(bins, np.nan)
         mean[filled] = np.bincount(place, weights=y, minlength=bins)[filled] / counts[filled]
         error = np.full(bins, np.nan)
-        for index in np.flatnonzero(filled):
+        for index in np.flatnonzero(counts > 1):
             here = place == index
             # A mean over the pairs of one bin: the influence, relative to the share of pairs in the bin.
             error[index] = self.x.error(np.where(here, y - mean[index], 0) * (len(x) / counts[index]))
@@ -180,7 +182,7 @@ class JointDistribution:
             return np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((1, 1), np.int64)
         for axis in (0, 1):
             size = counts.shape[axis]
-            together = -(-size // bins)
+            together = joined_bins(size, bins)
             counts = np.add.reduceat(counts, np.arange(0, size, together), axis=axis)
             numbers = self._fine.first[axis] + together * np.arange(counts.shape[axis] + 1)
             edges.append(numbers * math.ldexp(1.0, self._fine.exponent[axis]))

@@ -29,9 +29,11 @@ class RunConfig(Section):
     t1: float = Field(default=200.0, gt=0, description="duration of each sample, s")
     samples: int = Field(default=10_000, ge=1, le=2**31, description="number of samples")
     seed: int = Field(default=0, ge=0, lt=2**32, description="of the random numbers")
-    keep: Literal["sticks", "statistics"] = Field(
-        default="sticks", description="sticks: store every stick; statistics: only sums (for very many samples)"
+    keep: Literal["sticks", "statistics", "totals"] = Field(
+        default="sticks",
+        description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
     )
+    orders: int = Field(default=10, ge=1, description="statistics tell of the 1st, 2nd, ... up to this stick")
     dtype: Literal["float64", "float32"] = Field(default="float64", description="float64 or float32")
     threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
     chunk: int | None = Field(default=None, ge=1, description="samples simulated per call; not given: chosen for speed")

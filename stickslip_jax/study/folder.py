@@ -12,10 +12,11 @@ from .errors import StudyError
 
 DATA = "study.nc"
 CONFIG = "study.toml"
+SUMMARY = "summary.txt"
 TIME_HISTORY = "time_history.png"
 PHASE_PORTRAIT = "phase_portrait.png"
 STICK_DURATIONS = "stick_durations.png"
-RESULT_FILES = (CONFIG, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DATA)
+RESULT_FILES = (CONFIG, SUMMARY, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DATA)
 """What a result may consist of, in the order in which files are put in place: the data, last, marks it complete."""
 
 

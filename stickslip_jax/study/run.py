@@ -24,7 +24,7 @@ from ..statistics.first_sticks import FirstSticks, first_stick
 from .config import MotorCartRunConfig, RunConfig, StudyConfig
 from .errors import StudyError
 from .figures import draw_figures
-from .folder import CONFIG, DATA, RESULT_FILES, result_folder
+from .folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
 from .store import write_netcdf
 
 STATISTICS = {
@@ -70,6 +70,8 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
         first = _first_sticks(config, ensemble)
         write_netcdf(folder / DATA, config, ensemble, statistics, first)
         (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
+        if ensemble.tally is not None:
+            (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
         if config.output.figures:
             draw_figures(config, ensemble, first, folder)
         files = tuple(name for name in RESULT_FILES if (folder / name).exists())
@@ -93,6 +95,7 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
             y0=run.y0(),
             method=run.method(),
             keep=run.keep,
+            orders=run.orders,
             threads=run.threads,
             chunk=run.chunk,
             progress=progress,

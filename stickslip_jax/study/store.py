@@ -26,8 +26,14 @@ def write_netcdf(
     statistics: Mapping[str, Estimate],
     first_sticks: FirstSticks | None = None,
 ) -> None:
-    """Write the data set of a study to `path`, a NetCDF 4 file. Raises OSError if that fails."""
+    """Write the data set of a study to `path`, a NetCDF 4 file. Raises OSError if that fails.
+
+    Histograms and all that ``ensemble.statistics.to_xarray()`` tells stand in the group ``statistics``.
+    """
     dataset_of_study(config, ensemble, statistics, first_sticks).to_netcdf(path, engine="h5netcdf")
+    if ensemble.tally is not None:
+        told = ensemble.statistics.to_xarray()
+        told.to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
 
 
 def dataset_of_study(

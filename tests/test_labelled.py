@@ -1,0 +1,77 @@
+"""What leaves the package: labelled arrays, tables of sticks, the summary."""
+
+import re
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import stickslip_jax as ss
+
+SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+
+
+@pytest.fixture(scope="module")
+def many():
+    run = {"t1": 40.0, "y0": (0.0, 1.0), "key": jax.random.key(4), "orders": 4, "chunk": 64}
+    return ss.simulate_ensemble(SYSTEM, ss.PoissonSwitching(1.0, 1.0), samples=200, keep="sticks", **run)
+
+
+def test_statistics_as_labelled_arrays(many, tmp_path):
+    told, file = many.statistics, tmp_path / "statistics.nc"
+    told.to_xarray(bins=20).to_netcdf(file, engine="h5netcdf")
+    with xr.open_dataset(file, engine="h5netcdf") as data:
+        for name, variable in data.variables.items():
+            assert name in ("ending",) or name.endswith("_bounds") or {"units", "long_name"} <= variable.attrs.keys()
+        assert float(data.duration_mean) == told.duration.mean.value
+        assert data.duration_mean.attrs["standard_error"] == told.duration.mean.standard_error
+        assert float(data.slip_duration_quantile.sel(quantile=0.5)) == told.slip_duration.median.value
+        histogram = told.position.histogram(20)
+        np.testing.assert_array_equal(data.position_density, histogram.density)
+        np.testing.assert_array_equal(data[data.position_bin.attrs["bounds"]][:, 0], histogram.edges[:-1])
+        assert data.position_bin.attrs["units"] == "m"
+        assert data.duration_density.attrs["units"] == "s-1"
+        joint = told.joint("start", "duration").histogram(20)
+        np.testing.assert_array_equal(data.start_and_duration_count_in_bin, joint.counts)
+        assert data.duration_by_order.dims == ("order",)
+        assert float(data.duration_by_order.sel(order=3)) == told.order(3).duration.mean.value
+        assert float(data.ending_share.sel(ending="RELEASED")) == told.endings[ss.Ending.RELEASED].value
+
+
+@pytest.mark.parametrize(("ending", "read"), [(".csv", pd.read_csv), (".parquet", pd.read_parquet)])
+def test_tables_hold_every_stick(many, tmp_path, ending, read):
+    path = many.write_sticks(tmp_path / f"sticks{ending}")
+    table, sticks = read(path), many.flat_sticks
+    assert list(table) == ["sample", "order", "start_s", "end_s", "duration_s", "position_m", "ending"]
+    for name in ("start", "end", "duration"):
+        np.testing.assert_array_equal(table[f"{name}_s"], getattr(sticks, name))
+    np.testing.assert_array_equal(table["sample"], np.repeat(np.arange(200), sticks.count))
+    np.testing.assert_array_equal(table.groupby("sample")["order"].max(), sticks.count[sticks.count > 0])
+    assert [ss.Ending[name] for name in table["ending"]] == list(sticks.ending)
+
+
+def test_tables_of_other_formats_are_refused(many, tmp_path, annotations_unchecked):
+    with pytest.raises(ValueError, match=r"Argument path must end in \.csv or \.parquet, but .*sticks\.xlsx"):
+        many.write_sticks(tmp_path / "sticks.xlsx")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_summary_says_what_the_statistics_say(many):
+    text, told = repr(many.summary()), many.statistics
+    rows = {line.split("  ")[0]: line for line in text.splitlines() if "  " in line}
+    for name, of in (("stick duration (s)", told.duration), ("number of slips", told.slip_count)):
+        mean, error = re.search(r"(\d+\.\d+) \+- (\d+\.\d+)", rows[name]).groups()
+        assert float(mean) == pytest.approx(of.mean.value, abs=0.6 * 10 ** -len(mean.partition(".")[2]))
+        assert float(error) == pytest.approx(of.mean.standard_error, rel=0.05)
+        assert rows[name].endswith(f"{of.number:,}")
+        assert f"{of.median.value:.4g}" in rows[name]
+    assert "200 samples on [0, 40] s" in text
+    for number in (1, 2, 3, 4):
+        assert f"{told.order(number).start.mean.value:.2f}"[:3] in rows[str(number)]
+    widths = {len(line) for line in text.split("\n\n")[1].splitlines()[1:]}
+    assert len(widths) == 1, "columns are aligned"
+    markup = many.summary()._repr_html_()
+    assert markup.count("<tr>") == markup.count("</tr>") == 2 + 8 + 4
+    assert "<td>stick duration (s)</td>" in markup
