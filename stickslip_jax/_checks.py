@@ -45,6 +45,12 @@ def non_negative(name: str, value: Any, unit: str = "") -> None:
         raise ValueError(f"Argument {name} must be zero or positive{_unit(unit)}, but {show(value)} was given.")
 
 
+def truth(name: str, value: Any) -> None:
+    """Check that ``value`` is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"Argument {name} must be True or False, but {show(value)} was given.")
+
+
 def whole_number(name: str, value: Any, minimum: int = 1) -> int:
     """Check that ``value`` is a whole number of at least ``minimum`` and return it as an int."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))

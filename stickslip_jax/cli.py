@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import weakref
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -95,6 +96,9 @@ def _fail(reason: Any, code: int) -> int:
     return code
 
 
+_WEAK_REFERENCES = (weakref.__file__, weakref.WeakSet.__init__.__code__.co_filename)
+
+
 @contextlib.contextmanager
 def _stops_raised() -> Iterator[None]:
     """Let Ctrl-C, and a request to terminate (from a batch system, say), clean up: both raise, and are not lost."""
@@ -113,9 +117,9 @@ def _stops_raised() -> Iterator[None]:
 
 
 def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
-    # Python drops what is raised in callbacks of its garbage collector, and such a callback of JAX is often the first
-    # thing to run after a long compilation: there, try again a little later.
-    if _inside_callback_of_gc(frame):
+    # Python drops what is raised in callbacks of its garbage collector and of weak references, and such a callback of
+    # JAX is often the first thing to run after a long compilation: there, try again a little later.
+    if _inside_callback(frame):
         later = threading.Timer(0.05, os.kill, (os.getpid(), number))
         later.daemon = True
         later.start()
@@ -123,10 +127,11 @@ def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
     raise reason
 
 
-def _inside_callback_of_gc(frame: Any) -> bool:
+def _inside_callback(frame: Any) -> bool:
     callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
     while frame is not None:
-        if frame.f_code in callbacks:
+        code = frame.f_code
+        if code in callbacks or code.co_name == "__del__" or code.co_filename in _WEAK_REFERENCES:
             return True
         frame = frame.f_back
     return False

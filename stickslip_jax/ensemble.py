@@ -41,8 +41,10 @@ from .set_up import (
     state_of,
     working_dtype,
 )
+from .statistics.tally import Numbering
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
+_Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
 _ADAPTIVE_LANES = 256  # of one batch: enough to hide the launches, few enough for the slowest not to hold up many
 _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: their records should stay in the cache
 
@@ -58,6 +60,7 @@ def simulate_ensemble(
     method: Exact | Regularized = EXACT,
     keep: str = "statistics",
     orders: int = 10,
+    count_initial_rest: bool = False,
     threads: int | None = None,
     chunk: int | None = None,
     progress: bool | None = None,
@@ -76,19 +79,18 @@ def simulate_ensemble(
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
     - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
       `samples`); "sticks" keeps every stick besides; "totals" sums only stick time, sticks and slips, in half the time.
-    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick.
+    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick. `count_initial_rest`: whether a stick
+      that begins at t = 0, because the mass was put down at rest, is the first of these.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
 
     Returns an `Ensemble`. Trajectories that did not reach ``t1`` are counted in its ``status_counts`` and enter no
     statistic. Raises ValueError for arguments outside these bounds.
     """
-    run = _Run.checked(system, law, t1, samples, key, y0, method, keep)
-    orders = _checks.whole_number("orders", orders)
+    run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
     threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
-    started = time.perf_counter()
-    simulate = _simulator(run, plan, keep, orders)
+    started, simulate = time.perf_counter(), _simulator(run, plan, keep)
     simulate(0, 0)  # compiles, so that the threads need not race for it
     compiled = time.perf_counter()
 
@@ -98,6 +100,7 @@ def simulate_ensemble(
         law=law,
         t1=float(t1),
         method=run.method,
+        numbering=run.numbering,
         y0=run.y0,
         samples=samples,
         key_words=tuple(int(word) for word in np.asarray(run.words)) if run.is_random else None,
@@ -109,9 +112,7 @@ def simulate_ensemble(
     )
 
 
-def _simulate_all(
-    simulate: Callable[[int, int], Part], plan: "_Plan", samples: int, keep: str, progress: bool | None
-) -> Gathering:
+def _simulate_all(simulate: _Simulate, plan: "_Plan", samples: int, keep: str, progress: bool | None) -> Gathering:
     gathering = Gathering(samples, keep)
     with _progress_bar(progress, samples) as advance:
         for number, part in _in_order(simulate, plan, samples):
@@ -130,9 +131,10 @@ class _Run(NamedTuple):
     is_random: bool
     dtype: Any
     t1: float
+    numbering: Numbering
 
     @classmethod
-    def checked(cls, system, law, t1, samples, key, y0, method, keep) -> "_Run":
+    def checked(cls, system, law, t1, samples, key, y0, method, keep, numbering) -> "_Run":
         if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, law, t1, key, y0, method))):
             raise ValueError(
                 "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
@@ -157,12 +159,17 @@ class _Run(NamedTuple):
             raise ValueError(
                 "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
             )
-        return cls(engine, method, words_for(law, key), y0, random, dtype, float(t1))
+        return cls(engine, method, words_for(law, key), y0, random, dtype, float(t1), numbering)
 
     def job(self, first: int, used_rows: int) -> Job:
         """Samples ``first ..`` in so many rows of lanes."""
         assert isinstance(self.engine, Engine)
         return Job(self.engine, self.words, np.uint32(first), np.int32(used_rows))
+
+
+def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
+    _checks.truth("count_initial_rest", count_initial_rest)
+    return Numbering(_checks.whole_number("orders", orders), count_initial_rest)
 
 
 def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact) -> Engine:
@@ -228,14 +235,14 @@ class _Plan(NamedTuple):
         return cls(lanes, 1, lanes, threads)
 
 
-def _simulator(run: _Run, plan: _Plan, keep: str, orders: int) -> Callable[[int, int], Part]:
+def _simulator(run: _Run, plan: _Plan, keep: str) -> _Simulate:
     """A function that simulates samples ``first .. first + number - 1``."""
     if isinstance(run.engine, AdaptiveBatch):
-        return _solver(run, run.engine, plan, keep != "totals", orders)
-    return _streamer(run, plan) if keep == "totals" else _recorder(run, plan, orders)
+        return _solver(run, run.engine, plan, keep != "totals")
+    return _streamer(run, plan) if keep == "totals" else _recorder(run, plan)
 
 
-def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool, orders: int) -> Callable[[int, int], Part]:
+def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool) -> _Simulate:
     """The same for adaptive steps; with or without sticks."""
     sizes, dtype = table_sizes(batch.system, batch.drive, batch.t1), run.dtype
     system, drive, t1, y0 = as_arrays((batch.system, batch.drive, batch.t1, batch.y0), dtype)
@@ -249,12 +256,12 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool, orders: in
             return Part(results)
         columns = [np.asarray(column).T for column in records]
         sticks = sticks_of(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
-        return Part.of(results, [sticks], run.t1, orders)
+        return Part.of(results, [sticks], run.t1, run.numbering)
 
     return simulate
 
 
-def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], Part]:
+def _streamer(run: _Run, plan: _Plan) -> _Simulate:
     """A function that keeps totals."""
     assert isinstance(run.engine, Engine)
     summarise = chunks_of(run.engine).summarise
@@ -267,7 +274,7 @@ def _streamer(run: _Run, plan: _Plan) -> Callable[[int, int], Part]:
     return simulate
 
 
-def _recorder(run: _Run, plan: _Plan, orders: int) -> Callable[[int, int], Part]:
+def _recorder(run: _Run, plan: _Plan) -> _Simulate:
     """A function that keeps every stick and its tally."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
@@ -283,7 +290,7 @@ def _recorder(run: _Run, plan: _Plan, orders: int) -> Callable[[int, int], Part]
             sample = np.asarray(rows) * plan.lanes + np.arange(plan.lanes)
             pieces.append(sticks_of(np.asarray(room.values), np.asarray(room.ending), sample))
             unfinished = np.any(np.asarray(stream.row) < job.used_rows)
-        return Part.of(_first_samples(stream.results, number), pieces, run.t1, orders)
+        return Part.of(_first_samples(stream.results, number), pieces, run.t1, run.numbering)
 
     return simulate
 
@@ -293,7 +300,7 @@ def _first_samples(results: LaneResults, number: int) -> LaneResults:
     return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
 
 
-def _in_order(simulate: Callable[[int, int], Part], plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:
+def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:
     """Simulate all tasks in threads, a few at a time, and hand the parts back in order of the samples."""
     tasks = deque(
         (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)

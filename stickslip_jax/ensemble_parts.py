@@ -12,7 +12,7 @@ from .ensemble_result import Retained, SampleTotals
 from .events import FlatSticks
 from .numerics.moments import Moments
 from .statistics.source import FEATURES
-from .statistics.tally import StickTally
+from .statistics.tally import Numbering, StickTally
 
 RETAINED = 1_000_000
 """So many sticks at most, those of the first samples, are retained where only statistics are kept: standard errors
@@ -27,12 +27,12 @@ class Part(NamedTuple):
     tally: StickTally | None = None
 
     @classmethod
-    def of(cls, results: LaneResults, pieces: list[Gathered], t1: float, orders: int) -> "Part":
+    def of(cls, results: LaneResults, pieces: list[Gathered], t1: float, numbering: Numbering) -> "Part":
         """Of the results of consecutive samples and what was gathered of their sticks."""
         finished = np.equal(results.status, Status.FINISHED)
         sticks = collected(pieces, finished)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
-        tally = StickTally.of(sticks.only(finished), stick_time, slips, t1, orders)
+        tally = StickTally.of(sticks.only(finished), stick_time, slips, t1, numbering)
         return cls(results, sticks, tally)
 
 

@@ -19,7 +19,7 @@ from .numerics.moments import Moments
 from .statistics.source import FEATURES
 from .statistics.stick_statistics import StickStatistics, stick_statistics
 from .statistics.summary import Summary, summary_of
-from .statistics.tally import StickTally
+from .statistics.tally import Numbering, StickTally
 
 
 class SampleTotals(NamedTuple):
@@ -44,7 +44,7 @@ class Ensemble:
     """Many simulated samples of one law.
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_words`: what was simulated.
-    - `method`: how; a `Regularized` method has its options filled in.
+    - `method`: how; a `Regularized` method has its options filled in. `numbering`: which stick is the 1st, 2nd, ...
     - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
     - `doubtful`: how many samples had an instant at which the last digits decide whether there was an event (see
       `Simulation`); they are counted like the others.
@@ -60,6 +60,7 @@ class Ensemble:
     law: Any
     t1: float
     method: Any
+    numbering: Numbering
     y0: tuple[Any, ...]
     samples: int
     key_words: tuple[int, ...] | None
@@ -99,6 +100,11 @@ class Ensemble:
                 'This ensemble kept only totals; call simulate_ensemble(..., keep="statistics") or keep="sticks".'
             )
         return self.retained.sticks
+
+    def numbered_sticks(self) -> FlatSticks:
+        """The same without those that begin at t = 0, if these are not counted among the 1st, 2nd, ... stick."""
+        sticks = self.finished_sticks()
+        return sticks if self.numbering.count_initial_rest else sticks.without_initial_rest()
 
     def require_sticks(self) -> FlatSticks:
         """`flat_sticks`, or a ValueError that says how to keep them."""

@@ -134,6 +134,22 @@ class FlatSticks(NamedTuple):
         """The sample that each stick belongs to."""
         return np.repeat(np.arange(len(self.count)), self.count)
 
+    @property
+    def begins_at_zero(self) -> np.ndarray:
+        """Whether each sample begins with a stick, (samples,)."""
+        begins = self.count > 0
+        begins[begins] = self.start[self.first[begins]] == 0
+        return begins
+
+    def without_initial_rest(self) -> "FlatSticks":
+        """The same without the sticks that begin at t = 0."""
+        begins = self.begins_at_zero
+        if not np.any(begins):
+            return self
+        kept = np.ones(len(self.start), bool)
+        kept[self.first[begins]] = False
+        return FlatSticks(self.count - begins, *(column[kept] for column in self[1:]))
+
     def only(self, chosen: np.ndarray) -> "FlatSticks":
         """The sticks of the `chosen` samples, a mask (samples,)."""
         if np.all(chosen):

@@ -6,7 +6,7 @@ import numpy as np
 
 from stickslip_jax.events import FlatSticks
 from stickslip_jax.statistics.stick_statistics import StickStatistics
-from stickslip_jax.statistics.tally import StickTally
+from stickslip_jax.statistics.tally import Numbering, StickTally
 
 T1 = 100.0
 
@@ -18,19 +18,21 @@ def sticks_from(samples: list[list[tuple[float, float, float, int]]]) -> FlatSti
     return FlatSticks(count, rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3].astype(np.int8))
 
 
-def statistics_of(sticks: FlatSticks, t1: float = T1, orders: int = 3, parts: int = 1) -> StickStatistics:
+def statistics_of(
+    sticks: FlatSticks, t1: float = T1, orders: int = 3, parts: int = 1, rest: bool = True
+) -> StickStatistics:
     """The statistics of all sticks, tallied in so many parts."""
     owner = sticks.sample
     time = np.bincount(owner, weights=sticks.duration, minlength=len(sticks.count))
     slips = np.array([_slips_of_one(sticks, number, t1) for number in range(len(sticks.count))], np.int64)
-    tally = None
+    tally, numbering = None, Numbering(orders, rest)
     for piece in np.array_split(np.arange(len(sticks.count)), parts):
         chosen = np.isin(np.arange(len(sticks.count)), piece)
-        one = StickTally.of(sticks.only(chosen), time[chosen], slips[chosen], t1, orders)
+        one = StickTally.of(sticks.only(chosen), time[chosen], slips[chosen], t1, numbering)
         tally = one if tally is None else tally.merge(one)
     assert tally is not None
     features = np.stack([time, sticks.count, slips], axis=1).astype(float)
-    return StickStatistics(tally, sticks, features, t1, "m")
+    return StickStatistics(tally, sticks, features, t1, "m", numbering)
 
 
 def slips_by_hand(sticks: FlatSticks, t1: float) -> list[list[float]]:

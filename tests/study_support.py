@@ -112,7 +112,6 @@ BAD_SYSTEMS_AND_BASES = {
         ["initial_position in [run] of the model MotorCart", "belongs in [run] of the model MassSpring"],
     ),
     "solver for a cart": (_CART + '[run]\nsolver = "Tsit5"', ["solver in [run]", "of the model MassSpring"]),
-    "first rest of a mass": ("[run]\ncount_initial_rest = true", ["count_initial_rest", "model MotorCart"]),
     "voltage for a mass": (
         '[base]\nlaw = "SourceVoltage"',
         ["law in [base] must be a motion of the base", "MassSpring", '"SourceVoltage"', "drives a MotorCart"],

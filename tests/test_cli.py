@@ -16,7 +16,7 @@ from study_support import BAD_CONFIGS, SMALL, config_file
 import stickslip_jax as ss
 from stickslip_jax import cli
 from stickslip_jax.study.examples import EXAMPLES
-from stickslip_jax.study.folder import CONFIG, DATA
+from stickslip_jax.study.folder import CONFIG, DATA, SUMMARY
 from stickslip_jax.study.options import Example
 from stickslip_jax.study.reading import read_config
 from stickslip_jax.study.run import STATISTICS
@@ -124,14 +124,14 @@ def test_table_and_files(capsys, tmp_path):
         assert any(line.startswith(name) for line in lines)
     assert "All 40 samples reached t1." in lines
     assert any("to compile" in line and "to run" in line for line in lines)
-    assert f"Files in result: {CONFIG}, {DATA}" in lines
-    assert sorted(os.listdir("result")) == [DATA, CONFIG]
+    assert f"Files in result: {CONFIG}, {SUMMARY}, {DATA}" in lines
+    assert sorted(os.listdir("result")) == [DATA, CONFIG, SUMMARY]
 
 
 def test_quiet_prints_nothing(capsys, tmp_path):
     assert cli.main(["study", str(config_file(tmp_path)), "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
-    assert sorted(os.listdir("results/study")) == [DATA, CONFIG]
+    assert sorted(os.listdir("results/study")) == [DATA, CONFIG, SUMMARY]
 
 
 def test_quiet_leaves_json(capsys, tmp_path):

@@ -201,7 +201,7 @@ class TestEdges:
         """An ensemble is asked for its finished sticks; single precision and other integers do as well."""
         sticks = iid(np.random.default_rng(10))
         expected = independent(sticks, starts_before=40.0)
-        assert independent(SimpleNamespace(finished_sticks=lambda: sticks), starts_before=40.0) == expected
+        assert independent(SimpleNamespace(numbered_sticks=lambda: sticks), starts_before=40.0) == expected
         small = sticks._replace(count=sticks.count.astype(np.int32), start=sticks.start.astype(np.float32),
                                 end=sticks.end.astype(np.float32))  # fmt: skip
         assert independent(small, starts_before=40.0).p_value == pytest.approx(expected.p_value, rel=1e-2)

@@ -110,7 +110,7 @@ def test_joint_histogram_and_its_sides(many, log):
 
 
 def test_joint_histogram_with_the_conditional_mean(many):
-    sticks = many.finished_sticks()
+    sticks = many.numbered_sticks()
     main, above, _ = plot.joint_histogram(many.statistics.joint("duration 1", "duration 2"), conditional_mean=True)
     assert main.get_xlabel() == "duration of stick 1 (s)"
     assert main.get_ylabel() == "duration of stick 2 (s)"
@@ -131,7 +131,7 @@ def test_joint_histogram_with_the_conditional_mean(many):
 
 @pytest.mark.parametrize("quantity", ["start", "duration", "position"])
 def test_means_by_order(many, quantity):
-    sticks = many.finished_sticks()
+    sticks = many.numbered_sticks()
     ax = plot.means_by_order(many.statistics, quantity, level=0.8)
     numbers, values = line(ax, "mean").get_data()
     most = sticks.count.max()

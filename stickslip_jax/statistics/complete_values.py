@@ -94,7 +94,7 @@ class _Sticks(NamedTuple):
 
 def _sticks_of(source: Any) -> _Sticks:
     """The sticks of an ensemble's finished samples, or `source` itself if it is such sticks."""
-    flat = source.finished_sticks() if hasattr(source, "finished_sticks") else source
+    flat = source.numbered_sticks() if hasattr(source, "numbered_sticks") else source
     names = ("start", "end", "position", "ending")
     if not all(hasattr(flat, name) for name in ("count", *names)):
         raise ValueError(

@@ -41,18 +41,12 @@ def first_stick(ensemble: Any, *, count_initial_rest: bool = False) -> FirstStic
 
     Raises ValueError for an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
     """
-    if not isinstance(count_initial_rest, bool):
-        raise ValueError(
-            f"Argument count_initial_rest must be True or False, but {_checks.show(count_initial_rest)} was given."
-        )
+    _checks.truth("count_initial_rest", count_initial_rest)
     sticks = require_ensemble(ensemble).require_sticks()
-    first = np.cumsum(sticks.count) - sticks.count
-    if len(sticks.start) and not count_initial_rest:
-        at_zero = (sticks.count > 0) & (sticks.start[np.minimum(first, len(sticks.start) - 1)] == 0)
-    else:
-        at_zero = np.zeros(len(first), bool)
-    mask = sticks.count > at_zero
-    at = (first + at_zero)[mask]
+    if not count_initial_rest:
+        sticks = sticks.without_initial_rest()
+    mask = sticks.count > 0
+    at = sticks.first[mask]
 
     def fill(values, padding):
         filled = np.full(len(mask), padding, values.dtype)

@@ -17,7 +17,7 @@ from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labelled import dataset_of_statistics
 from .source import FEATURES, position_of, require_ensemble
-from .tally import PAIRS, QUANTITIES, SAMPLE_QUANTITIES, StickTally, slips_of
+from .tally import PAIRS, QUANTITIES, SAMPLE_QUANTITIES, Numbering, StickTally, slips_of
 
 _NAMES = {
     "start": ("stick start", "s"),
@@ -37,7 +37,9 @@ def stick_statistics(ensemble: Any) -> "StickStatistics":
     ensemble = require_ensemble(ensemble)
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
     position = position_of(ensemble.system)[1]
-    return StickStatistics(ensemble.tally, sticks, ensemble.retained.features, ensemble.t1, position)
+    return StickStatistics(
+        ensemble.tally, sticks, ensemble.retained.features, ensemble.t1, position, ensemble.numbering
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +55,7 @@ class StickStatistics:
     features: np.ndarray
     t1: float
     position_unit: str
+    numbering: Numbering
 
     @property
     def samples(self) -> int:
@@ -62,7 +65,7 @@ class StickStatistics:
     @property
     def orders(self) -> int:
         """The statistics tell of the 1st, 2nd, ..., up to so many-th stick."""
-        return len(self.tally.by_order.number)
+        return self.numbering.orders
 
     @cached_property
     def start(self) -> Distribution:
@@ -140,8 +143,9 @@ class StickStatistics:
                 f"Argument number must be at most {self.orders}, but {number} was given; "
                 f"call simulate_ensemble(..., orders={number})."
             )
-        has = self.sticks.count >= number
-        at = (self.sticks.first + number - 1)[has]
+        first, count = self.numbering.of(self.sticks)
+        has = count >= number
+        at = (first + number - 1)[has]
         sums = self.tally.by_order.one(number - 1)
 
         def distribution(name: str) -> Distribution:
@@ -176,8 +180,9 @@ class StickStatistics:
         if order_x is None or order_y is None:
             values, owner = (self._column(name_x), self._column(name_y)), self.sticks.sample
         else:
-            has = self.sticks.count >= max(order_x, order_y)
-            first, owner = self.sticks.first[has] - 1, np.flatnonzero(has)
+            first, count = self.numbering.of(self.sticks)
+            has = count >= max(order_x, order_y)
+            first, owner = first[has] - 1, np.flatnonzero(has)
             values = (self._column(name_x)[first + order_x], self._column(name_y)[first + order_y])
         bins, correlation, of_all = self._streamed(x, y)
         columns = [self._clusters(column, owner, of_all=of_all) for column in values]

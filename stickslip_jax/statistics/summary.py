@@ -73,6 +73,8 @@ def _notes(ensemble: Any, told: StickStatistics) -> list[str]:
     else:
         notes.append("There is no stick.")
     notes.append("Sticks and slips cut by the horizon count with the part seen. Entropies: of histograms in 50 bins.")
+    if not told.numbering.count_initial_rest and told.sticks.begins_at_zero.any():
+        notes.append("Sticks that begin at t = 0 are not numbered: the 1st is the next (count_initial_rest).")
     retained = len(told.features)
     if retained < told.samples:
         notes.append(f"Standard errors were measured on the first {retained:,} samples.")

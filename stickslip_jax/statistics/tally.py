@@ -25,6 +25,21 @@ PAIRS = (("duration", "position"), ("start", "duration"))
 """Whose joint histograms are streamed; and that of the durations of the first two sticks."""
 
 
+class Numbering(NamedTuple):
+    """Which stick of a sample is the 1st, 2nd, ...; statistics are told up to the `orders`-th.
+
+    `count_initial_rest`: whether one that begins at t = 0 is the first; else the next one is.
+    """
+
+    orders: int
+    count_initial_rest: bool
+
+    def of(self, sticks: FlatSticks) -> tuple[np.ndarray, np.ndarray]:
+        """Where the numbered sticks of each sample begin, and how many it has, (samples,) each."""
+        skipped = 0 if self.count_initial_rest else sticks.begins_at_zero
+        return sticks.first + skipped, sticks.count - skipped
+
+
 class StickTally(NamedTuple):
     """Sums and histograms of the sticks and slips of finished samples. Times in s.
 
@@ -52,7 +67,9 @@ class StickTally(NamedTuple):
     endings: np.ndarray
 
     @classmethod
-    def of(cls, sticks: FlatSticks, stick_time: np.ndarray, slips: np.ndarray, t1: float, orders: int) -> "StickTally":
+    def of(
+        cls, sticks: FlatSticks, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: "Numbering"
+    ) -> "StickTally":
         """Of finished samples: their sticks, total stick time (s) and number of slips, (samples,) each."""
         columns = _columns(sticks)
         stick_bins, pair_bins = _stick_bins(columns)
@@ -61,8 +78,9 @@ class StickTally(NamedTuple):
         has = sticks.count > 0
         own_mean = fraction[has] * t1 / sticks.count[has]
         counts = (sticks.count, np.asarray(slips, np.int64))
-        by_order, order_bins = _of_orders(sticks, columns, orders)
-        two = sticks.first[sticks.count > 1]
+        by_order, order_bins = _of_orders(sticks, columns, numbering)
+        first, number = numbering.of(sticks)
+        two = first[number > 1]
         first_two = (columns[1][two], columns[1][two + 1])
         return cls(
             sticks=PowerSums.of(*columns),
@@ -132,10 +150,11 @@ def _stick_bins(columns: tuple[np.ndarray, ...]) -> tuple[tuple[DyadicCounts, ..
 
 
 def _of_orders(
-    sticks: FlatSticks, columns: tuple[np.ndarray, ...], orders: int
+    sticks: FlatSticks, columns: tuple[np.ndarray, ...], numbering: Numbering
 ) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
     """Sums and histograms of the 1st, 2nd, ... stick of each sample."""
-    at = [(sticks.first + order)[sticks.count > order] for order in range(orders)]
+    (first, number), orders = numbering.of(sticks), numbering.orders
+    at = [(first + order)[number > order] for order in range(orders)]
     sums = PowerSums.stacked([PowerSums.of(*(column[found] for column in columns)) for found in at])
     group, every = np.repeat(np.arange(orders), [len(found) for found in at]), np.concatenate(at)
     bins = tuple(DyadicCounts.of_groups(column[every], group, orders, BINS_BY_ORDER) for column in columns)

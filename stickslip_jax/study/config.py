@@ -34,6 +34,9 @@ class RunConfig(Section):
         description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
     )
     orders: int = Field(default=10, ge=1, description="statistics tell of the 1st, 2nd, ... up to this stick")
+    count_initial_rest: bool = Field(
+        default=False, description="whether a stick that begins at t = 0 counts as the first"
+    )
     dtype: Literal["float64", "float32"] = Field(default="float64", description="float64 or float32")
     threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
     chunk: int | None = Field(default=None, ge=1, description="samples simulated per call; not given: chosen for speed")
@@ -56,7 +59,7 @@ class RunConfig(Section):
 
     def y0(self) -> tuple[Any, ...]:
         """The initial state as the simulation takes it."""
-        raise NotImplementedError
+        raise NotImplementedError  # not abstract: what all systems share can be read, and written, without one
 
 
 class MassSpringRunConfig(RunConfig):
@@ -85,9 +88,6 @@ class MotorCartRunConfig(RunConfig):
     initial_angle: Start = Field(default=UniformConfig(low=0.0, high=2 * math.pi), description=f"rad, {_OR_RANDOM}")
     initial_angular_velocity: Start = Field(default=0.0, description="rad/s, likewise")
     initial_current: Start = Field(default=0.0, description="A, likewise")
-    count_initial_rest: bool = Field(
-        default=False, description="whether a stick that begins at t = 0 counts as the first"
-    )
 
     def y0(self) -> tuple[Any, ...]:
         """The initial state as the simulation takes it."""

@@ -8,19 +8,20 @@ from typing import Any
 
 from .._status import Status
 from ..base_motion.random import RandomPhase
+from ..base_motion.voltage import SourceVoltage
 from ..ensemble_result import Ensemble
 from ..simulate import Simulation, simulate
 from ..statistics.first_sticks import FirstSticks
 from ..systems.motor_cart import MotorCart
 from .config import StudyConfig
-from .folder import PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
+from .folder import DURATION_AND_POSITION, PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
 
 _PERIODS_SHOWN = 16  # of the free oscillation: more would run into each other
 _VOLTAGE_PERIODS_SHOWN = 6
 
 
 def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSticks | None, folder: Path) -> None:
-    """Draw the beginning of sample 0 and, if sticks were kept, what `_of_all_sticks` tells, as PNG files in `folder`.
+    """Draw the beginning of sample 0 and, unless only totals were kept, what `_of_all_sticks` tells, as PNG files.
 
     `first_sticks`: of every sample of a `MotorCart`; else None.
     """
@@ -31,7 +32,7 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
         title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
         plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
         plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
-    if ensemble.flat_sticks is not None:
+    if ensemble.tally is not None:
         for file, (title, draw) in _of_all_sticks(ensemble, first_sticks).items():
             plot.save(draw(), folder / file, title=f"{title} in {ensemble.samples} samples")
 
@@ -40,7 +41,27 @@ def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict
     """The figures of the sticks of all samples, by file (one of `RESULT_FILES`): title, and what draws it."""
     from .. import plot  # noqa: PLC0415 - as above
 
-    return {STICK_DURATIONS: ("Stick durations", lambda: plot.stick_durations(ensemble))}
+    def joint():
+        return plot.joint_histogram(ensemble.statistics.joint("duration", "position"))[0]
+
+    shown: dict[str, tuple[str, Callable[[], Any]]] = {
+        STICK_DURATIONS: ("Stick durations", lambda: plot.stick_durations(ensemble)),
+        DURATION_AND_POSITION: ("Duration and position of sticks", joint),
+    }
+    if first_sticks is not None:
+        about = "Duration and position of first sticks"
+        shown[DURATION_AND_POSITION] = (
+            about,
+            lambda: plot.stick_map(first_sticks, system=ensemble.system, bound=_voltage(ensemble)),
+        )
+    return shown
+
+
+def _voltage(ensemble: Ensemble) -> Any:
+    """The voltage whose bound of stick durations is known in closed form; None for any other."""
+    law = ensemble.law
+    known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
+    return law if known else None
 
 
 def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:

@@ -16,7 +16,8 @@ SUMMARY = "summary.txt"
 TIME_HISTORY = "time_history.png"
 PHASE_PORTRAIT = "phase_portrait.png"
 STICK_DURATIONS = "stick_durations.png"
-RESULT_FILES = (CONFIG, SUMMARY, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DATA)
+DURATION_AND_POSITION = "duration_and_position.png"
+RESULT_FILES = (CONFIG, SUMMARY, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DURATION_AND_POSITION, DATA)
 """What a result may consist of, in the order in which files are put in place: the data, last, marks it complete."""
 
 

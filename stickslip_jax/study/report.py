@@ -6,7 +6,6 @@ from typing import Any
 
 from .._status import Status
 from ..statistics.estimate import Estimate, format_with_error
-from .config import MotorCartRunConfig
 from .run import Study
 
 
@@ -78,7 +77,7 @@ def _first_sticks(study: Study) -> list[str]:
     if study.first_sticks is None:
         return []
     run = study.config.run
-    rest = "" if isinstance(run, MotorCartRunConfig) and run.count_initial_rest else ", rest at t = 0 not counted"
+    rest = "" if run.count_initial_rest else ", rest at t = 0 not counted"
     return [f"A first stick was found in {study.first_sticks.count} of {study.ensemble.samples} samples{rest}."]
 
 

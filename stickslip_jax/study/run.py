@@ -96,6 +96,7 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
             method=run.method(),
             keep=run.keep,
             orders=run.orders,
+            count_initial_rest=run.count_initial_rest,
             threads=run.threads,
             chunk=run.chunk,
             progress=progress,
