@@ -67,9 +67,8 @@ def simulate_ensemble(
 ) -> Ensemble:
     """Simulate `samples` independent realisations of the base motion `law`.
 
-    Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``: it depends on the key and i
-    only, not on the number of samples, the chunk size or the threads. ``many.realisation(i)`` gives its base motion
-    and initial state.
+    Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
+    the chunk size or the threads; ``many.realisation(i)`` gives its base motion and initial state.
 
     - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
     - `law`: what drives it: a law such as `PoissonSwitching`, `RandomPhase` or `KanaiTajimi`, or anything that
@@ -79,8 +78,8 @@ def simulate_ensemble(
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
     - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
       `samples`); "sticks" keeps every stick besides; "totals" sums only stick time, sticks and slips, in half the time.
-    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick. `count_initial_rest`: whether a stick
-      that begins at t = 0, because the mass was put down at rest, is the first of these.
+    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick.
+    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the first of these.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
 
