@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -15,7 +16,6 @@ import numpy as np
 
 from . import _checks
 from ._fast_cpu import fast_cpu_enabled
-from ._gather import sticks_of
 from ._types import Array
 from .base_motion.drive import drive_of, is_random, words_for
 from .base_motion.laws import BangBangLaw
@@ -42,6 +42,7 @@ from .set_up import (
     working_dtype,
 )
 from .statistics.tally import Numbering
+from .stick_runs import StickGatherer
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
@@ -70,30 +71,29 @@ def simulate_ensemble(
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
     the chunk size or the threads; ``many.realisation(i)`` gives its base motion and initial state.
 
-    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
-    - `law`: what drives it: a law such as `PoissonSwitching`, `RandomPhase` or `KanaiTajimi`, or anything that
-      `simulate` takes. `t1`: duration, s.
+    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
+    - `law`: what drives it: one such as `PoissonSwitching` or `KanaiTajimi`, or anything that `simulate` takes.
     - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
     - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
-      `samples`); "sticks" keeps every stick besides; "totals" sums only stick time, sticks and slips, in half the time.
+      `samples`); "sticks" keeps every stick besides; "totals" only sums stick time, sticks and slips, in half the time.
     - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick.
     - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the first of these.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
 
-    Returns an `Ensemble`. Trajectories that did not reach ``t1`` are counted in its ``status_counts`` and enter no
-    statistic. Raises ValueError for arguments outside these bounds.
+    Trajectories that did not reach ``t1`` are counted in ``many.status_counts`` and enter no statistic. Raises
+    ValueError for arguments outside these bounds.
     """
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
     threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
-    started, simulate = time.perf_counter(), _simulator(run, plan, keep)
+    gathering, started = Gathering(samples, keep), time.perf_counter()
+    simulate = _simulator(run, plan, gathering)
     simulate(0, 0)  # compiles, so that the threads need not race for it
     compiled = time.perf_counter()
-
-    gathering = _simulate_all(simulate, plan, samples, keep, progress)
+    _simulate_all(simulate, plan, samples, gathering, progress)
     return Ensemble(
         system=system,
         law=law,
@@ -111,13 +111,13 @@ def simulate_ensemble(
     )
 
 
-def _simulate_all(simulate: _Simulate, plan: "_Plan", samples: int, keep: str, progress: bool | None) -> Gathering:
-    gathering = Gathering(samples, keep)
+def _simulate_all(
+    simulate: _Simulate, plan: "_Plan", samples: int, gathering: Gathering, progress: bool | None
+) -> None:
     with _progress_bar(progress, samples) as advance:
         for number, part in _in_order(simulate, plan, samples):
             gathering.add(part)
             advance(number)
-    return gathering
 
 
 class _Run(NamedTuple):
@@ -234,19 +234,19 @@ class _Plan(NamedTuple):
         return cls(lanes, 1, lanes, threads)
 
 
-def _simulator(run: _Run, plan: _Plan, keep: str) -> _Simulate:
-    """A function that simulates samples ``first .. first + number - 1``."""
+def _simulator(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
+    """A function that simulates samples ``first .. first + number - 1``, for what `gathering` wants of them."""
     if isinstance(run.engine, AdaptiveBatch):
-        return _solver(run, run.engine, plan, keep != "totals")
-    return _streamer(run, plan) if keep == "totals" else _recorder(run, plan)
+        return _solver(run, run.engine, plan, gathering)
+    return _streamer(run, plan) if gathering.keep == "totals" else _recorder(run, plan, gathering)
 
 
-def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool) -> _Simulate:
-    """The same for adaptive steps; with or without sticks."""
+def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, gathering: Gathering) -> _Simulate:
+    """The same for adaptive steps."""
     sizes, dtype = table_sizes(batch.system, batch.drive, batch.t1), run.dtype
     system, drive, t1, y0 = as_arrays((batch.system, batch.drive, batch.t1, batch.y0), dtype)
     arrays = AdaptiveBatch(system, drive, batch.method, t1, y0)
-    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": keep, "dtype": dtype}
+    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": gathering.keep != "totals", "dtype": dtype}
 
     def simulate(first: int, number: int) -> Part:
         results, records = solve_chunk(arrays, run.words, jnp.uint32(first), jnp.uint32(number), **how)
@@ -254,8 +254,10 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, keep: bool) -> _Simula
         if records is None:
             return Part(results)
         columns = [np.asarray(column).T for column in records]
-        sticks = sticks_of(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
-        return Part.of(results, [sticks], run.t1, run.numbering)
+        sticks = StickGatherer()
+        sticks.restart(number)
+        sticks.add(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
+        return Part.of(results, sticks, run.t1, run.numbering, gathering.wants_sticks)
 
     return simulate
 
@@ -273,23 +275,27 @@ def _streamer(run: _Run, plan: _Plan) -> _Simulate:
     return simulate
 
 
-def _recorder(run: _Run, plan: _Plan) -> _Simulate:
-    """A function that keeps every stick and its tally."""
+def _recorder(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
+    """A function that tallies every stick."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
+    gatherers = threading.local()  # one for each thread
     blocks = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes))
 
     def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes))
         stream = begin(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
         room = Records.empty(blocks * BLOCK, plan.lanes, run.dtype)
-        pieces, unfinished = [], True
+        sticks = gatherers.sticks = getattr(gatherers, "sticks", None) or StickGatherer()
+        sticks.restart(number)
+        unfinished = True
         while unfinished:
             stream, room, rows = record(job, stream, room, dtype=run.dtype)
             sample = np.asarray(rows) * plan.lanes + np.arange(plan.lanes)
-            pieces.append(sticks_of(np.asarray(room.values), np.asarray(room.ending), sample))
+            sticks.add(np.asarray(room.values), np.asarray(room.ending), sample)
             unfinished = np.any(np.asarray(stream.row) < job.used_rows)
-        return Part.of(_first_samples(stream.results, number), pieces, run.t1, run.numbering)
+        results = _first_samples(stream.results, number)
+        return Part.of(results, sticks, run.t1, run.numbering, gathering.wants_sticks)
 
     return simulate
 

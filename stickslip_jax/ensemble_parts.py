@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ._gather import Gathered, collected
 from ._status import Status
 from .dynamics.lanes import LaneResults
 from .ensemble_result import Retained, SampleTotals
@@ -13,6 +12,7 @@ from .events import FlatSticks
 from .numerics.moments import Moments
 from .statistics.source import FEATURES
 from .statistics.tally import Numbering, StickTally
+from .stick_runs import StickGatherer, StickRuns
 
 RETAINED = 1_000_000
 """So many sticks at most, those of the first samples, are retained where only statistics are kept: standard errors
@@ -27,13 +27,16 @@ class Part(NamedTuple):
     tally: StickTally | None = None
 
     @classmethod
-    def of(cls, results: LaneResults, pieces: list[Gathered], t1: float, numbering: Numbering) -> "Part":
-        """Of the results of consecutive samples and what was gathered of their sticks."""
+    def of(
+        cls, results: LaneResults, sticks: StickGatherer, t1: float, numbering: Numbering, keep_sticks: bool
+    ) -> "Part":
+        """Of the results of consecutive samples and what was gathered of their sticks; these kept if `keep_sticks`."""
         finished = np.equal(results.status, Status.FINISHED)
-        sticks = collected(pieces, finished)
+        runs = sticks.runs(finished)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
-        tally = StickTally.of(sticks.only(finished), stick_time, slips, t1, numbering)
-        return cls(results, sticks, tally)
+        done = runs if np.all(finished) else StickRuns.of(runs.in_order().only(finished))
+        tally = StickTally.of(done, stick_time, slips, t1, numbering)
+        return cls(results, runs.in_order() if keep_sticks else None, tally)
 
 
 class Gathering:
@@ -51,14 +54,20 @@ class Gathering:
         self._kept: list[Part] = []
         self._room = RETAINED
 
+    @property
+    def wants_sticks(self) -> bool:
+        """Whether the sticks of further parts will be kept."""
+        return self.keep == "sticks" or self._room > 0
+
     def add(self, part: Part) -> None:
         """Take in the next part."""
         self.counts += np.bincount(part.results.status, minlength=len(Status))
         self.doubtful += int(np.count_nonzero(part.results.doubts))
         self.moments = self.moments.merge(Moments.of(_features(part.results)))
+        if part.tally is not None:
+            self.tally = part.tally if self.tally is None else self.tally.merge(part.tally)
         if part.sticks is None:
             return
-        self.tally = part.tally if self.tally is None or part.tally is None else self.tally.merge(part.tally)
         if self.keep == "sticks":
             self._kept.append(part._replace(tally=None))
             _check_memory(self._kept, self.samples)

@@ -7,6 +7,7 @@ import numpy as np
 from stickslip_jax.events import FlatSticks
 from stickslip_jax.statistics.stick_statistics import StickStatistics
 from stickslip_jax.statistics.tally import Numbering, StickTally
+from stickslip_jax.stick_runs import StickRuns
 
 T1 = 100.0
 
@@ -28,7 +29,7 @@ def statistics_of(
     tally, numbering = None, Numbering(orders, rest)
     for piece in np.array_split(np.arange(len(sticks.count)), parts):
         chosen = np.isin(np.arange(len(sticks.count)), piece)
-        one = StickTally.of(sticks.only(chosen), time[chosen], slips[chosen], t1, numbering)
+        one = StickTally.of(StickRuns.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
         tally = one if tally is None else tally.merge(one)
     assert tally is not None
     features = np.stack([time, sticks.count, slips], axis=1).astype(float)

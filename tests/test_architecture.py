@@ -23,7 +23,7 @@ ROWS = (
     "systems",
     "dynamics",
     "events",
-    "_gather",
+    "stick_runs",
     "set_up",
     "paths",
     "regularized_paths",

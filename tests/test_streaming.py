@@ -12,9 +12,9 @@ from statistics_support import T1, made_up_sticks, statistics_of
 
 import stickslip_jax as ss
 from stickslip_jax import ensemble_parts
-from stickslip_jax._gather import collected, sticks_of
 from stickslip_jax.numerics.dyadic import DyadicCounts
 from stickslip_jax.numerics.power_sums import PowerSums
+from stickslip_jax.stick_runs import StickGatherer
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -151,10 +151,16 @@ def test_what_is_not_recorded_is_never_read():
     values[:, :, 2] = np.nan
     ending = np.where(stuck, 1, -1).astype(np.int8)
     finished = np.array([True, True, False, True])
-    # In two calls of a block each, as records come in.
-    pieces = [sticks_of(values[at : at + 24], ending[at : at + 24], sample[at // 24 : at // 24 + 1]) for at in (0, 24)]
-    whole = [sticks_of(values, ending, sample)]
-    for found in (collected(pieces, finished), collected(whole, finished)):
+    halves, whole = StickGatherer(), StickGatherer()
+    whole.restart(3)
+    whole.add(values, ending, np.array([[0, 1, 2], [0, 1, 2]]))  # of another job, which it must forget
+    halves.restart(4)
+    whole.restart(4)
+    whole.add(values, ending, sample)
+    for at in (0, 24):  # in two calls of a block each, as records come in
+        halves.add(values[at : at + 24], ending[at : at + 24], sample[at // 24 : at // 24 + 1])
+    for gatherer in (halves, whole):
+        found = gatherer.runs(finished).in_order()
         owner = np.repeat(sample, slots // blocks, axis=0)
         for number in range(4):
             mine = stuck & (owner == number)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-_BLOCK = 1 << 14
+_BLOCK = 1 << 15
 
 _FINEST = 30  # bits below the leading one of the largest number: no bin is narrower than 1e-9 of it
 _LEAST = -200  # exponent of the narrowest bins of all, so that products of widths stay numbers
@@ -120,6 +120,35 @@ class DyadicCounts(NamedTuple):
         return cls.with_counts(axes, counts.reshape(shape), most, finest)
 
     @classmethod
+    def of_pairs(
+        cls, columns: dict[str, np.ndarray], pairs: tuple[tuple[str, str], ...], most: int, most_of_pairs: int
+    ) -> tuple[tuple["DyadicCounts", ...], tuple["DyadicCounts", ...]]:
+        """The histograms of all columns (number,), at least one number each, and of `pairs` of them.
+
+        As `of` and `of_columns` would give them, but every number is put into its bin only once.
+        """
+        axes = {name: Axis.of(column, most) for name, column in columns.items()}
+        coarse = {name: Axis.within(*axis[:3], most_of_pairs) for name, axis in axes.items()}
+        counts = {name: np.zeros(axis.size, np.int64) for name, axis in axes.items()}
+        both = [np.zeros(coarse[x].size * coarse[y].size, np.int64) for x, y in pairs]
+        number = len(next(iter(columns.values())))
+        for block in range(0, number, _BLOCK):  # what is between stays in the cache
+            place = {}
+            for name, (values, low, _, exponent, first, size) in axes.items():
+                place[name] = places(values[block : block + _BLOCK], low, exponent)
+                counts[name] += np.bincount(place[name] - first, minlength=size)
+            for name, axis in coarse.items():
+                place[name] >>= axis.exponent - axes[name].exponent
+                place[name] -= axis.first
+            for index, (x, y) in enumerate(pairs):
+                both[index] += np.bincount(place[x] * coarse[y].size + place[y], minlength=len(both[index]))
+        singles = tuple(cls.with_counts((axes[name],), counts[name], most) for name in columns)
+        return singles, tuple(
+            cls.with_counts((coarse[x], coarse[y]), count.reshape(coarse[x].size, -1), most_of_pairs)
+            for count, (x, y) in zip(both, pairs, strict=True)
+        )
+
+    @classmethod
     def with_counts(cls, axes: tuple[Axis, ...], counts: np.ndarray, most: int, finest: int | None = None):
         """On given axes."""
         lows, highs, exponents, firsts = zip(*(axis[1:5] for axis in axes), strict=True)
@@ -149,16 +178,17 @@ class DyadicCounts(NamedTuple):
         """The counts on the bins that the range ``[low, high]`` has at coarser exponents."""
         counts, lead = self.counts, self.counts.ndim - len(exponent)
         for axis, (least, most, coarse) in enumerate(zip(low, high, exponent, strict=True)):
-            begin = _floor(least, coarse)
-            shape = list(counts.shape)
-            shape[lead + axis] = _floor(most, coarse) - begin + 1
-            wide = np.zeros(shape, counts.dtype)
-            place = (
-                (np.arange(counts.shape[lead + axis]) + self.first[axis]) >> (coarse - self.exponent[axis])
-            ) - begin
-            starts = np.flatnonzero(np.diff(place, prepend=-1))  # of the runs of bins that become one
-            before: tuple[Any, ...] = (slice(None),) * (lead + axis)
-            wide[(*before, place[starts])] = np.add.reduceat(counts, starts, axis=lead + axis)
+            begin, at = _floor(least, coarse), lead + axis
+            size, old = _floor(most, coarse) - begin + 1, counts.shape[at]
+            first, shift = self.first[axis], coarse - self.exponent[axis]
+            if shift == 0 and (first, old) == (begin, size):
+                continue
+            place = np.arange(first, first + old) >> shift
+            starts = np.flatnonzero(np.diff(place, prepend=place[0] - 1))  # of the runs of bins that become one
+            wide = np.zeros((*counts.shape[:at], size, *counts.shape[at + 1 :]), counts.dtype)
+            before: tuple[Any, ...] = (slice(None),) * at
+            into = slice(place[0] - begin, place[0] - begin + len(starts))  # neighbours stay neighbours
+            wide[(*before, into)] = np.add.reduceat(counts, starts, axis=at) if shift else counts
             counts = wide
         return counts
 

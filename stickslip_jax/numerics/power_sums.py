@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_BLOCK = 1 << 14
+_BLOCK = 1 << 15
 
 
 class PowerSums(NamedTuple):

@@ -11,13 +11,14 @@ from .._status import Ending
 from ..events import FlatSticks
 from ..numerics.dyadic import DyadicCounts
 from ..numerics.power_sums import PowerSums
+from ..stick_runs import StickRuns
 from .clusters import Clusters
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labelled import dataset_of_statistics
 from .source import FEATURES, position_of, require_ensemble
-from .tally import PAIRS, QUANTITIES, SAMPLE_QUANTITIES, Numbering, StickTally, slips_of
+from .tally import PAIRS, QUANTITIES, SAMPLE_QUANTITIES, Numbering, StickTally
 
 _NAMES = {
     "start": ("stick start", "s"),
@@ -85,7 +86,7 @@ class StickStatistics:
     @cached_property
     def slip_duration(self) -> Distribution:
         """Durations of all slips, s."""
-        before, after = slips_of(self.sticks, self.t1)
+        before, after = StickRuns.of(self.sticks).slips(self.t1)
         owner = np.concatenate([self.sticks.sample, np.arange(len(after))])
         values = np.concatenate([before, after])
         slips = values > 0
@@ -143,9 +144,9 @@ class StickStatistics:
                 f"Argument number must be at most {self.orders}, but {number} was given; "
                 f"call simulate_ensemble(..., orders={number})."
             )
-        first, count = self.numbering.of(self.sticks)
-        has = count >= number
-        at = (first + number - 1)[has]
+        skipped = self.numbering.skipped(self.sticks)
+        has = self.sticks.count - skipped >= number
+        at = (self.sticks.first + skipped + number - 1)[has]
         sums = self.tally.by_order.one(number - 1)
 
         def distribution(name: str) -> Distribution:
@@ -180,9 +181,9 @@ class StickStatistics:
         if order_x is None or order_y is None:
             values, owner = (self._column(name_x), self._column(name_y)), self.sticks.sample
         else:
-            first, count = self.numbering.of(self.sticks)
-            has = count >= max(order_x, order_y)
-            first, owner = first[has] - 1, np.flatnonzero(has)
+            skipped = self.numbering.skipped(self.sticks)
+            has = self.sticks.count - skipped >= max(order_x, order_y)
+            first, owner = (self.sticks.first + skipped)[has] - 1, np.flatnonzero(has)
             values = (self._column(name_x)[first + order_x], self._column(name_y)[first + order_y])
         bins, correlation, of_all = self._streamed(x, y)
         columns = [self._clusters(column, owner, of_all=of_all) for column in values]

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._status import Ending
-from ..events import FlatSticks
-from ..numerics.dyadic import Axis, DyadicCounts
+from ..numerics.dyadic import DyadicCounts
 from ..numerics.power_sums import PowerSums
+from ..stick_runs import StickRuns
 
 BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
 BINS_BY_ORDER = 1024
@@ -34,10 +34,10 @@ class Numbering(NamedTuple):
     orders: int
     count_initial_rest: bool
 
-    def of(self, sticks: FlatSticks) -> tuple[np.ndarray, np.ndarray]:
-        """Where the numbered sticks of each sample begin, and how many it has, (samples,) each."""
-        skipped = 0 if self.count_initial_rest else sticks.begins_at_zero
-        return sticks.first + skipped, sticks.count - skipped
+    def skipped(self, sticks: Any) -> np.ndarray:
+        """How many sticks of each sample are not numbered, (samples,); of `FlatSticks` or `StickRuns`."""
+        begins = sticks.begins_at_zero
+        return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
 
 
 class StickTally(NamedTuple):
@@ -68,20 +68,21 @@ class StickTally(NamedTuple):
 
     @classmethod
     def of(
-        cls, sticks: FlatSticks, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: "Numbering"
+        cls, sticks: StickRuns, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: Numbering
     ) -> "StickTally":
         """Of finished samples: their sticks, total stick time (s) and number of slips, (samples,) each."""
         columns = _columns(sticks)
         stick_bins, pair_bins = _stick_bins(columns)
-        slip = np.asarray(slip_durations(sticks, t1), np.float64)
+        slip = _slip_durations(sticks, t1)
         fraction = np.asarray(stick_time, np.float64) / t1
         has = sticks.count > 0
         own_mean = fraction[has] * t1 / sticks.count[has]
         counts = (sticks.count, np.asarray(slips, np.int64))
-        by_order, order_bins = _of_orders(sticks, columns, numbering)
-        first, number = numbering.of(sticks)
-        two = first[number > 1]
-        first_two = (columns[1][two], columns[1][two + 1])
+        skipped = numbering.skipped(sticks)
+        at = [sticks.at_order(order, skipped) for order in range(max(numbering.orders, 2))]
+        by_order, order_bins = _of_orders(columns, at[: numbering.orders])
+        has_first = sticks.count > skipped
+        first_two = tuple(columns[1][found] for found in (at[0][(sticks.count - skipped)[has_first] > 1], at[1]))
         return cls(
             sticks=PowerSums.of(*columns),
             stick_bins=stick_bins,
@@ -112,27 +113,15 @@ def _merged(one: Any, other: Any) -> Any:
     return one + other
 
 
-def slip_durations(sticks: FlatSticks, t1: float) -> np.ndarray:
-    """How long each slip lasts, s: those before the sticks in their order, then the last slip of each sample."""
-    before, after = slips_of(sticks, t1)
-    return np.concatenate([before[before > 0], after[after > 0]])
+def _slip_durations(sticks: StickRuns, t1: float) -> np.ndarray:
+    """How long each slip lasts, s, in any order."""
+    before, after = (np.asarray(durations, np.float64) for durations in sticks.slips(t1))
+    if np.any(sticks.begins_at_zero):
+        before = before[before > 0]
+    return np.concatenate([before, after[after > 0]])
 
 
-def slips_of(sticks: FlatSticks, t1: float) -> tuple[np.ndarray, np.ndarray]:
-    """Duration of the slip before each stick, (sticks,), and of the one after each sample's last, (samples,); in s.
-
-    It is 0 where a sample begins or ends with a stick: there is no slip then.
-    """
-    has, first = sticks.count > 0, sticks.first
-    since = np.empty_like(sticks.end)
-    since[1:] = sticks.end[:-1]
-    since[first[has]] = 0
-    last = np.zeros(len(sticks.count), sticks.end.dtype)
-    last[has] = sticks.end[(first + sticks.count - 1)[has]]
-    return sticks.start - since, np.maximum(last.dtype.type(t1) - last, 0)
-
-
-def _columns(sticks: FlatSticks) -> tuple[np.ndarray, ...]:
+def _columns(sticks: StickRuns) -> tuple[np.ndarray, ...]:
     """Start, duration and position of every stick, as `QUANTITIES`."""
     start, end = (np.asarray(column, np.float64) for column in (sticks.start, sticks.end))
     return start, end - start, np.asarray(sticks.position, np.float64)
@@ -143,18 +132,12 @@ def _stick_bins(columns: tuple[np.ndarray, ...]) -> tuple[tuple[DyadicCounts, ..
     if len(columns[0]) == 0:
         one, two = DyadicCounts.none(1, BINS), DyadicCounts.none(2, BINS_OF_PAIRS)
         return (one,) * len(columns), (two,) * len(PAIRS)
-    axes = {name: Axis.of(column, BINS) for name, column in zip(QUANTITIES, columns, strict=True)}
-    coarse = {name: Axis.within(*axis[:3], BINS_OF_PAIRS) for name, axis in axes.items()}
-    singles = tuple(DyadicCounts.on_axes((axes[name],), BINS) for name in QUANTITIES)
-    return singles, tuple(DyadicCounts.on_axes((coarse[x], coarse[y]), BINS_OF_PAIRS) for x, y in PAIRS)
+    return DyadicCounts.of_pairs(dict(zip(QUANTITIES, columns, strict=True)), PAIRS, BINS, BINS_OF_PAIRS)
 
 
-def _of_orders(
-    sticks: FlatSticks, columns: tuple[np.ndarray, ...], numbering: Numbering
-) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
-    """Sums and histograms of the 1st, 2nd, ... stick of each sample."""
-    (first, number), orders = numbering.of(sticks), numbering.orders
-    at = [(first + order)[number > order] for order in range(orders)]
+def _of_orders(columns: tuple[np.ndarray, ...], at: list[np.ndarray]) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
+    """Sums and histograms of the 1st, 2nd, ... stick of each sample; `at`: where those of each order stand."""
+    orders = len(at)
     sums = PowerSums.stacked([PowerSums.of(*(column[found] for column in columns)) for found in at])
     group, every = np.repeat(np.arange(orders), [len(found) for found in at]), np.concatenate(at)
     bins = tuple(DyadicCounts.of_groups(column[every], group, orders, BINS_BY_ORDER) for column in columns)
