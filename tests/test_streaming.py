@@ -123,6 +123,25 @@ def test_the_tally_is_that_of_the_kept_sticks(kept):
     assert kept.statistics.slip_duration.mean.value == pytest.approx(ss.mean_slip_duration(kept).value, rel=1e-12)
 
 
+@pytest.mark.parametrize("rest", [False, True])
+def test_sticks_from_the_start_are_numbered_on_request(rest):
+    many = ss.simulate_ensemble(SYSTEM, POISSON, samples=100, keep="sticks", chunk=64, count_initial_rest=rest, **RUN)
+    first, told = ss.first_stick(many, count_initial_rest=rest), many.statistics.order(1)
+    assert (first.start[first.mask] == 0).any() == rest
+    for name in ("start", "duration", "position"):
+        assert getattr(told, name).mean.value == pytest.approx(getattr(first, name)[first.mask].mean(), rel=1e-12)
+        assert getattr(told, name).number == first.count
+    assert told.duration.mean.standard_error == pytest.approx(
+        first.duration[first.mask].std(ddof=1) / np.sqrt(first.count), rel=1e-6
+    )
+    second = many.numbered_sticks()
+    pair = [second.duration[second.first[second.count > 1] + order] for order in (0, 1)]
+    joint = many.statistics.joint("duration 1", "duration 2")
+    assert joint.number == len(pair[0])
+    assert joint.correlation.value == pytest.approx(np.corrcoef(*pair)[0, 1], rel=1e-9)
+    assert ("not numbered" in repr(many.summary())) == (not rest)
+
+
 def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeypatch):
     monkeypatch.setattr(ensemble_parts, "RETAINED", 1500)
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", chunk=64, **RUN)

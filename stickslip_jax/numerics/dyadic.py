@@ -34,7 +34,10 @@ def joined_bins(number: int, most: int) -> int:
     A last bin that reaches far beyond the numbers would look emptier than the density there.
     """
     least = -(-number // most)
-    return min(range(least, least + least // 4 + 1), key=lambda joined: (-number % joined / joined, joined))
+    within = range(least, least + least // 8 + 1)
+    waste = {together: -number % together / together for together in within}
+    nearly_full = [together for together in within if waste[together] <= 0.1]
+    return nearly_full[0] if nearly_full else min(within, key=waste.__getitem__)
 
 
 def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
