@@ -164,10 +164,20 @@ def test_endings_by_brute_force(told, sticks):
     assert told.endings[ss.Ending.HORIZON].standard_error == 0
 
 
-PAIRS = [("duration", "position"), ("start", "duration"), ("duration 1", "duration 2"), ("start 2", "position 1")]
+PAIRS = [
+    ("duration", "position"),
+    ("start", "duration"),
+    ("duration 1", "duration 2"),
+    ("start 2", "position 1"),
+    ("slip_before", "duration"),
+]
 
 
 def pairs_by_hand(sticks, x, y):
+    if x == "slip_before":
+        before = np.diff(sticks.start, prepend=0.0) - np.append(0.0, sticks.duration[:-1])
+        before[sticks.first[sticks.count > 0]] = sticks.start[sticks.first[sticks.count > 0]]
+        return before, getattr(sticks, y)
     name_x, _, order_x = x.partition(" ")
     name_y, _, order_y = y.partition(" ")
     if not order_x:

@@ -126,7 +126,10 @@ def test_bad_arguments_are_named(annotations_unchecked):
         (lambda: told.duration.entropy(2.5), "Argument bins must be a whole number"),
         (lambda: told.order(4), r"Argument number must be at most 3, but 4 was given; call .*orders=4"),
         (lambda: told.order(0), "Argument number must be a whole number of at least 1"),
-        (lambda: told.joint("length", "start"), "Argument x must be one of 'start', 'duration', 'position'"),
+        (
+            lambda: told.joint("length", "start"),
+            "Argument x must be one of 'start', 'duration', 'position', 'slip_before'",
+        ),
         (lambda: told.joint("start", "duration x"), "Argument y must be one of"),
         (lambda: told.joint("start 1", "duration"), "must both tell the number of the stick"),
         (lambda: told.joint("start", "duration").histogram(200), "Argument bins must be at most 128"),

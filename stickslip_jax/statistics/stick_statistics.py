@@ -24,10 +24,12 @@ _NAMES = {
     "start": ("stick start", "s"),
     "duration": ("stick duration", "s"),
     "position": ("stick position", "m"),
+    "slip_before": ("duration of the slip before the stick", "s"),
     "stick_count": ("number of sticks", "1"),
     "slip_count": ("number of slips", "1"),
     "stick_fraction": ("stick fraction", "1"),
 }
+_OF_A_STICK = (*QUANTITIES, "slip_before")
 
 
 def stick_statistics(ensemble: Any) -> "StickStatistics":
@@ -166,8 +168,9 @@ class StickStatistics:
     def joint(self, x: str, y: str) -> JointDistribution:
         """The joint distribution of two quantities of a stick.
 
-        - `x`, `y`: "start", "duration" or "position" of the same stick; or, of two sticks of one sample, with their
-          numbers: "duration 1" and "duration 2" are the durations of the first and of the second.
+        - `x`, `y`: "start", "duration", "position" or "slip_before" (duration of the slip before it) of the same stick;
+          or, of two sticks of one sample, with their numbers: "duration 1" and "duration 2" are the durations of the
+          first and of the second.
 
         ("duration", "position"), ("start", "duration") and ("duration 1", "duration 2") were summed over all samples;
         any other pair rests on the samples retained. Raises ValueError for other names.
@@ -243,6 +246,8 @@ class StickStatistics:
         return Clusters(values, owner, retained, self.samples if of_all else retained)
 
     def _column(self, name: str) -> np.ndarray:
+        if name == "slip_before":
+            return np.asarray(StickRuns.of(self.sticks).slips(self.t1)[0], np.float64)
         return np.asarray(getattr(self.sticks, name), np.float64)
 
     def _unit(self, name: str) -> str:
@@ -272,9 +277,9 @@ def _ordinal(number: int) -> str:
 def _parsed(argument: str, text: Any) -> tuple[str, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
     name, _, number = text.partition(" ") if isinstance(text, str) else ("", "", "")
-    if name not in QUANTITIES or (number and not (number.isdecimal() and int(number) > 0)):
+    if name not in _OF_A_STICK or (number and not (number.isdecimal() and int(number) > 0)):
         raise ValueError(
-            f"Argument {argument} must be one of {', '.join(map(repr, QUANTITIES))}, or of these with the number of "
+            f"Argument {argument} must be one of {', '.join(map(repr, _OF_A_STICK))}, or of these with the number of "
             f"the stick such as 'duration 1', but {_checks.show(text)} was given."
         )
     return name, int(number) if number else None
