@@ -10,7 +10,7 @@ import numpy as np
 from .. import _checks
 from ..numerics.moments import Moments
 from .estimate import Estimate, check_level
-from .source import require_ensemble
+from .source import require_ensemble, require_statistic
 
 _AT_ONCE = 2**22  # random weights: 32 MB
 
@@ -38,6 +38,7 @@ def bootstrap_interval(
     check_level(level)
     _checks.whole_number("resamples", resamples, minimum=100)
     require_ensemble(ensemble).finished_sticks()  # refuses an ensemble that has none
+    require_statistic(statistic)
     features, whole = ensemble.retained.features, statistic(ensemble)
     number = len(features)
     if number < 2 or not whole.standard_error > 0:

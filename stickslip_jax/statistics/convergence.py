@@ -10,7 +10,7 @@ import numpy as np
 from .. import _checks
 from ..numerics.moments import Moments
 from .estimate import Estimate, check_level
-from .source import require_ensemble
+from .source import require_ensemble, require_statistic
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,6 +66,7 @@ def convergence(ensemble: Any, statistic: Callable[[Any], Estimate], points: int
     Raises ValueError for other arguments and for an ensemble of fewer than 2 retained samples.
     """
     require_ensemble(ensemble).finished_sticks()  # refuses an ensemble that has none
+    require_statistic(statistic)
     features = ensemble.retained.features
     if len(features) < 2:
         raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(features)}.")

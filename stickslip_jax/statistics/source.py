@@ -20,6 +20,15 @@ def require_ensemble(ensemble: Any) -> Any:
     return ensemble
 
 
+def require_statistic(statistic: Any) -> None:
+    """Raise ValueError if `statistic` cannot be called."""
+    if not callable(statistic):
+        raise ValueError(
+            "Argument statistic must be a function such as stick_fraction or mean_stick_duration, but "
+            f"{_checks.show(statistic)} was given."
+        )
+
+
 def position_of(system: Any) -> tuple[str, str]:
     """What the position of a stick is, and its unit."""
     if isinstance(system, MotorCart):
