@@ -93,6 +93,8 @@ def _three_axes(axes: Any) -> tuple[Axes, Axes, Axes]:
 def _name(joint: JointDistribution, axis: int) -> str:
     """The quantity along an axis: "duration 1" is that of the first stick of each sample."""
     name, _, number = joint.names[axis].partition(" ")
+    if name == "slip_before":
+        return f"slip before stick {number}" if number else "slip before the stick"
     return f"{name} of stick {number}" if number else f"stick {name}"
 
 
