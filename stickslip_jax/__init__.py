@@ -18,6 +18,18 @@ from .dynamics.method import Exact, Regularized
 from .ensemble import simulate_ensemble
 from .ensemble_result import Ensemble
 from .events import Slips, Sticks
+from .sensitivity import (
+    TOTAL_STICK_TIME,
+    RealisationMeanDuration,
+    Sensitivities,
+    Sensitivity,
+    StickDuration,
+    StickFunctional,
+    StickSequence,
+    StickStart,
+    StickStatistic,
+    sensitivity,
+)
 from .simulate import Simulation, simulate
 from .statistics.estimates import (
     Estimate,
@@ -48,6 +60,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "TOTAL_STICK_TIME",
     "BangBangLaw",
     "Constant",
     "Coulomb",
@@ -67,14 +80,22 @@ __all__ = [
     "PoissonSwitching",
     "RandomPhase",
     "RandomSteps",
+    "RealisationMeanDuration",
     "Recorded",
     "Regularized",
+    "Sensitivities",
+    "Sensitivity",
     "Signal",
     "Simulation",
     "Slips",
     "SourceVoltage",
     "SquareWave",
     "Status",
+    "StickDuration",
+    "StickFunctional",
+    "StickSequence",
+    "StickStart",
+    "StickStatistic",
     "Sticks",
     "Stribeck",
     "SumOfHarmonics",
@@ -92,6 +113,7 @@ __all__ = [
     "read_acceleration_csv",
     "read_at2",
     "read_recorded_csv",
+    "sensitivity",
     "simulate",
     "simulate_ensemble",
     "stick_duration_bound",

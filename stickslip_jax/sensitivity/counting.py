@@ -218,3 +218,12 @@ def _first_arc(past: _Past, scales: Scales, motion: Motion, duration: Array, vel
     meets = moving & is_below & ~is_reversed & (top < duration) & (motion.t + top < scales.t1)
     inside = (excess > 0) & (excess <= (2 * scales.half_width * scales.omega) ** 2)
     return _Arc(excess, is_below, meets, moving & inside)
+
+
+def relative_excess(scales: Scales, motion: Motion, velocity: Array) -> Array:
+    """``R^2 - q^2`` of the first arc on a base of this velocity, by the size of its terms; 1 for one from above."""
+    nothing = jnp.zeros_like(motion.x)
+    past = _Past(nothing, nothing, nothing.astype(jnp.int32), nothing)
+    arc = _first_arc(past, scales, motion, jnp.full_like(nothing, jnp.inf), velocity)
+    size = velocity * velocity + (scales.half_width * scales.omega) ** 2
+    return jnp.where(arc.is_below & (velocity != 0), arc.excess / lax.stop_gradient(size), 1)

@@ -16,12 +16,13 @@ class Sensitivity:
     """The derivative of one statistic with respect to one parameter.
 
     - `value`, `value_error`: the statistic and its standard error, in `unit`.
-    - `derivative`, `standard_error`: of the expectation; `unit` by the parameter's, or a pure number if `is_elasticity`.
+    - `derivative`, `standard_error`: of the expectation; `unit` by the parameter's, a pure number if `is_elasticity`.
     - `pathwise`: the part that automatic differentiation of each trajectory gives, `event` the part of sticks born and
       lost; they add up to `derivative`. NaN for finite differences, which know no parts.
     - `parameter_value`, `method`, `samples` (finished ones, of `asked`).
-    - `sticks_in_window`: how many sticks, and near misses, the kernels rested on; `window` (s): how far they reached in
-      durations, `horizon_window` before the horizon.
+    - `sticks_in_window`: how many sticks, and near misses, the kernels rested on; `reach`: the relative change of the
+      parameter over which they looked (of finite differences: the step), or `window` (s): how far they reached in
+      durations; `horizon_window` (s): before the horizon. NaN where not used.
     """
 
     statistic: str
@@ -39,6 +40,7 @@ class Sensitivity:
     samples: int
     asked: int
     sticks_in_window: int
+    reach: float
     window: float
     horizon_window: float
 
@@ -92,7 +94,7 @@ def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: f
     a, b = mean[:2]
     if moments.number == 0 or not b > 0:
         return Gradient(*[math.nan] * 5)
-    value = a / b
+    value = float(a / b)
     of_value = np.zeros(len(mean))
     of_value[:2] = 1 / b, -value / b
     derivative, of_derivative = _ratio_derivative(mean, column)
@@ -103,9 +105,7 @@ def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: f
         factor = log_by / value
         of_derivative = factor * (of_derivative - derivative / value * of_value)
         derivative, pathwise = factor * derivative, factor * pathwise
-    return Gradient(
-        value, _error(of_value, covariance), derivative, _error(of_derivative, covariance), pathwise
-    )
+    return Gradient(value, _error(of_value, covariance), derivative, _error(of_derivative, covariance), pathwise)
 
 
 def _ratio_derivative(mean: np.ndarray, column: int) -> tuple[float, np.ndarray]:
@@ -118,7 +118,7 @@ def _ratio_derivative(mean: np.ndarray, column: int) -> tuple[float, np.ndarray]
     gradient[1] = -derivative / b + value * db / b**2
     gradient[column] = 1 / b
     gradient[column + 1] = -value / b
-    return derivative, gradient
+    return float(derivative), gradient
 
 
 def _error(gradient: np.ndarray, covariance: np.ndarray) -> float:

@@ -3,66 +3,59 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._fast_cpu import fast_cpu_enabled
 from .._status import Status
 from .._types import Array
 from ..dynamics.lanes import Engine, Job, summarise
 from ..numerics.moments import Moments
-from .counting import CountingEngine, Windows
+from .counting import CountingEngine
 from .parameters import Path, number_at, with_numbers
-from .sequences import features_of, record_sequences
-from .statistic import StickSequence, StickStatistic, _OfTotals
-
-_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+from .sequences import Spans, features_of, record_sequences, sequences_of, stacked_parts
+from .statistic import StickStatistic
 
 
 class Rows(NamedTuple):
-    """Of each sample: status, arcs near an edge (samples,); numerator and denominator (samples, 2); their derivatives
-    and pathwise parts (parameters, samples, 2).
+    """Of each sample: status (samples,); numerator and denominator (samples, 2); other columns (samples, columns), such
+    as their derivatives; how many sticks and near misses each window reached (samples, windows).
     """
 
     status: np.ndarray
-    near: np.ndarray
     parts: np.ndarray
-    derivatives: np.ndarray
-    pathwise: np.ndarray
+    columns: np.ndarray
+    near: np.ndarray
 
 
 class Tally(NamedTuple):
-    """Sums over samples: moments of rows ``[parts, derivatives..., pathwise...]`` of the finished ones."""
+    """Sums over samples: moments of the rows ``[parts, columns]`` of the finished ones, and what the windows held."""
 
     moments: Moments
-    near: int
-    finished: int
+    near: np.ndarray
+
+    @classmethod
+    def of(cls, rows: Rows) -> "Tally":
+        """The sums of one chunk."""
+        done = rows.status == Status.FINISHED
+        return cls(Moments.of(np.concatenate([rows.parts, rows.columns], axis=1)[done]), rows.near[done].sum(axis=0))
+
+    def merge(self, other: "Tally") -> "Tally":
+        """The sums of both."""
+        return Tally(self.moments.merge(other.moments), self.near + other.near)
 
 
-def tally_of(rows: Rows) -> Tally:
-    """The sums of one chunk."""
-    done = rows.status == Status.FINISHED
-    columns = [rows.parts, *rows.derivatives, *rows.pathwise]
-    return Tally(Moments.of(np.concatenate(columns, axis=1)[done]), int(rows.near[done].sum()), int(done.sum()))
-
-
-def merged(tallies: list[Tally]) -> Tally:
-    """The sums of several chunks, in their order."""
-    total = tallies[0]
-    for tally in tallies[1:]:
-        total = Tally(total.moments.merge(tally.moments), total.near + tally.near, total.finished + tally.finished)
-    return total
-
-
-def run_chunks(simulate: Callable[[int, int], Tally], samples: int, per_chunk: int, threads: int) -> Tally:
+def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Tally:
     """Call ``simulate(first, number)`` for all samples; what comes out does not depend on `threads`."""
     firsts = range(0, samples, per_chunk)
     with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-        return merged(list(pool.map(lambda first: simulate(first, min(per_chunk, samples - first)), firsts)))
+        tallies = pool.map(lambda first: Tally.of(simulate(first, min(per_chunk, samples - first))), firsts)
+        total = next(tallies)
+        for tally in tallies:
+            total = total.merge(tally)
+    return total
 
 
 def cores() -> int:
@@ -70,101 +63,95 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def lanes_and_rows(samples: int, threads: int) -> tuple[int, int]:
-    """In how many lanes and rows to follow the samples of a chunk."""
-    lanes, rows = (256, 16) if fast_cpu_enabled() else (2048, 4)
-    lanes = min(lanes, max(64, 1 << (-(-samples // threads) - 1).bit_length()))
-    return lanes, max(1, min(rows, -(-samples // (threads * lanes))))
+def derivative_of(function: Callable[[Any], tuple[Any, Any]], engine: Engine, path: Path, dtype: Any) -> Any:
+    """Value of `function` of the engine's number at `path`, its derivative, its other output.
 
-
-def derivatives_of(
-    function: Callable[[Array], tuple[Any, Any]], engine: Engine, paths: tuple[Path, ...], dtype: Any
-) -> tuple[Any, Any, Any]:
-    """Value and auxiliary output of `function` at the engine's numbers at `paths`, and its derivatives by each, stacked.
-
-    They are derivatives by the parameter in units of its own size (1 where it is 0), so that kernels reach as far for
-    large parameters as for small ones.
+    The number is varied in units of its own size (1 where it is 0), so that kernels reach as far for large parameters
+    as for small ones.
     """
-    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
-
-    def by(direction):
-        return jax.jvp(function, (values,), (direction,), has_aux=True)
-
-    directions = jnp.diag(size_of(values))
-    if len(paths) == 1:  # without a batch of one, which compiles to slower code
-        value, derivative, aux = by(directions[0])
-        return value, jax.tree.map(lambda leaf: leaf[None], derivative), aux
-    return jax.vmap(by, out_axes=(None, 0, None))(directions)
+    value = jnp.asarray(number_at(engine, path), dtype)
+    return jax.jvp(function, (value,), (jnp.where(value == 0, 1, jnp.abs(value)),), has_aux=True)
 
 
-def size_of(values: Any) -> Any:
-    """The unit that a parameter is varied in: its size, or 1 where it is 0."""
-    return jnp.where(values == 0, 1, jnp.abs(values))
+def unit_of(engine: Engine, path: Path) -> float:
+    """What `derivative_of` varies the number at `path` in."""
+    return abs(float(number_at(engine, path))) or 1.0
 
 
 def _count(
-    statistic: _OfTotals,
     engine: CountingEngine,
     words: Array,
     first: Array,
     used_rows: Array,
     *,
-    paths: tuple[Path, ...],
+    path: Path,
     lanes: int,
     rows: int,
     dtype: Any,
 ) -> Any:
-    """Features (rows, lanes) of each sample and, where there are `paths`, their derivatives."""
+    """Total stick time and number of sticks (rows, lanes), zeros (rows, lanes); their derivatives by the number at
+    `path`, of which the last count what the kernels reached; status (rows, lanes).
+    """
 
-    def run(values):
-        job = Job(with_numbers(engine, paths, values) if paths else engine, words, first, used_rows)
+    def run(value):
+        job = Job(with_numbers(engine, (path,), (value,)), words, first, used_rows)
         results = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
-        parts = statistic.of_totals(results.stick_time, jnp.asarray(results.sticks, dtype), engine.t1)
-        return (jnp.stack(parts, axis=-1), results.doubts), results.status
+        return (results.stick_time, jnp.asarray(results.sticks, dtype), results.doubts), results.status
 
-    if not paths:
-        features, status = run(None)
-        return features, jax.tree.map(lambda leaf: leaf[None][:0], features), status
-    return derivatives_of(run, engine, paths, dtype)
+    return derivative_of(run, engine, path, dtype)
 
 
 def _sequence(
     statistic: StickStatistic,
     engine: Engine,
-    windows: Windows,
+    spans: Spans,
     words: Array,
     first: Array,
     *,
-    paths: tuple[Path, ...],
+    path: Path,
     fixed_start: bool,
     lanes: int,
+    blocks: int,
     slots: int,
     dtype: Any,
 ) -> Any:
-    """Features (lanes,) of each sample and, where there are `paths`, their derivatives, event parts beside them."""
+    """Parts (lanes, 2) and zeros (lanes, windows, 2); their derivatives by the number at `path`, which are pathwise and
+    event parts; status (lanes,), what the windows reached (lanes, windows), number of sticks (lanes,).
+    """
 
-    def run(values):
-        varied = with_numbers(engine, paths, values) if paths else engine
-        recorded = record_sequences(varied, words, first, lanes=lanes, slots=slots, dtype=dtype)
-        if not paths:
-            sticks = StickSequence(recorded.start.T, (recorded.end - recorded.start).T, (recorded.ending >= 0).T)
-            parts = jnp.stack(jax.vmap(lambda one: statistic.parts(one, engine.t1))(sticks), axis=-1)
-            return (parts, jnp.zeros_like(parts)), (recorded.status, recorded.count, recorded.count)
-        features = features_of(statistic, varied, recorded, windows, fixed_start)
-        both = jnp.stack(features.parts, axis=-1), jnp.stack(features.events, axis=-1)
-        return both, (recorded.status, features.near, recorded.count)
+    def run(value):
+        varied = with_numbers(engine, (path,), (value,))
+        recorded = record_sequences(varied, words, first, lanes=lanes, blocks=blocks, slots=slots, dtype=dtype)
+        features = features_of(statistic, varied, recorded, spans, fixed_start)
+        return (features.parts, features.events), (recorded.status, features.near, recorded.count)
 
-    if not paths:
-        (parts, _), aux = run(None)
-        return (parts, parts), (parts[None][:0], parts[None][:0]), aux
-    return derivatives_of(run, engine, paths, dtype)
+    return derivative_of(run, engine, path, dtype)
 
 
-_STATIC_COUNT = ("statistic", "paths", "lanes", "rows", "dtype")
-_STATIC_SEQUENCE = ("statistic", "paths", "fixed_start", "lanes", "slots", "dtype")
-# Wide vectors only where nothing of the user's is compiled: see `dynamics.chunks`.
+def _values(
+    statistic: StickStatistic,
+    engine: Engine,
+    words: Array,
+    first: Array,
+    *,
+    lanes: int,
+    blocks: int,
+    slots: int,
+    dtype: Any,
+) -> Any:
+    """Parts (lanes, 2), status and number of sticks (lanes,)."""
+    recorded = record_sequences(engine, words, first, lanes=lanes, blocks=blocks, slots=slots, dtype=dtype)
+    t1 = jnp.asarray(engine.t1, dtype)
+    parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
+    return parts, recorded.status, recorded.count
+
+
+_COUNT_STATIC = ("path", "lanes", "rows", "dtype")
+# Wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
 count_chunk = {
-    own: jax.jit(_count, static_argnames=_STATIC_COUNT, compiler_options=_OPTIONS if own else None)
-    for own in (True, False)
+    is_own: jax.jit(_count, static_argnames=_COUNT_STATIC, compiler_options=options)
+    for is_own, options in ((True, {"xla_cpu_prefer_vector_width": 512}), (False, None))
 }
-sequence_chunk = jax.jit(_sequence, static_argnames=_STATIC_SEQUENCE)
+_ROOM = ("statistic", "lanes", "blocks", "slots", "dtype")
+value_chunk = jax.jit(_values, static_argnames=_ROOM)
+sequence_chunk = jax.jit(_sequence, static_argnames=("path", "fixed_start", *_ROOM))

@@ -17,7 +17,6 @@ from .._types import Array, BoolArray, IntArray
 from ..dynamics.interval_lanes import IntervalEngine
 from ..dynamics.lanes import BLOCK, Engine, Records
 from ..numerics.random_bits import random_words
-from .counting import Windows
 from .kernels import flux, grazing_weight, regular_weight
 from .statistic import StickSequence, StickStatistic
 
@@ -33,87 +32,102 @@ class Recorded(NamedTuple):
     status: IntArray
 
 
+class Spans(NamedTuple):
+    """How far kernels reach, s: in durations, several to choose from (windows,), and in time before the horizon."""
+
+    durations: Array
+    horizon: Array
+
+
 class Features(NamedTuple):
-    """Of each sample (lanes,): numerator and denominator, with pathwise derivatives; and zeros whose derivatives are
-    the event parts; how many sticks and slips the kernels reached.
+    """Of each sample: numerator and denominator (lanes, 2), with pathwise derivatives; zeros (lanes, windows, 2) whose
+    derivatives are the event parts; how many sticks and slips each window reached (lanes, windows).
     """
 
-    parts: tuple[Array, Array]
-    events: tuple[Array, Array]
+    parts: Array
+    events: Array
     near: Array
 
 
-def record_sequences(engine: Engine, words: Array, first: Array, *, lanes: int, slots: int, dtype: Any) -> Recorded:
-    """Simulate samples ``first .. first + lanes - 1`` and keep their sticks."""
+def record_sequences(
+    engine: Engine, words: Array, first: Array, *, lanes: int, blocks: int, slots: int, dtype: Any
+) -> Recorded:
+    """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks."""
     number = first + jnp.arange(lanes, dtype=jnp.uint32)
     state = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(words, number))
-    nothing, zeros = jnp.zeros((slots, lanes), dtype), jnp.zeros(lanes, jnp.int32)
-    recorded = Recorded(nothing, nothing, jnp.full((slots, lanes), -1, jnp.int32), zeros, zeros < 0, zeros)
-    room = Records.empty(BLOCK, lanes, dtype)
+    room = Records.empty(blocks * BLOCK, lanes, dtype)
 
-    def go_on(carry):
-        return ~jnp.all(engine.ended(carry[0]))
+    def goes_on(carry):
+        state, _, block = carry
+        return (block < blocks) & ~jnp.all(engine.ended(state))
 
-    def block(carry):
-        state, recorded, is_first = carry
-        # A lane that has ended idles; what it then does is no stick.
+    def advance(carry):
+        state, room, block = carry
+        # A lane that has ended idles: nothing happens after the horizon.
+        following, room = engine.advance(state, dtype, room, block * BLOCK)
+        assert room is not None
         live = ~engine.ended(state)
-        following, filled = engine.advance(state, dtype, room, 0)
-        assert filled is not None
-        state = jax.tree.map(lambda new, old: _where(live, new, old), following, state)
-        found = (filled.ending >= 0) & live
-        at = recorded.count + jnp.cumsum(found, axis=0) - 1
-        at = jnp.where(found, at, slots)
-        lane = jnp.arange(lanes)[None, :]
-        recorded = recorded._replace(
-            start=recorded.start.at[at, lane].set(filled.values[:, 0], mode="drop"),
-            end=recorded.end.at[at, lane].set(filled.values[:, 1], mode="drop"),
-            ending=recorded.ending.at[at, lane].set(filled.ending.astype(jnp.int32), mode="drop"),
-            count=recorded.count + jnp.sum(found, axis=0, dtype=jnp.int32),
-            opening=recorded.opening | (found[0] & is_first),
-        )
-        return state, recorded, jnp.zeros((), bool)
+        return jax.tree.map(lambda new, old: _where(live, new, old), following, state), room, block + 1
 
-    state, recorded, _ = lax.while_loop(go_on, block, (state, recorded, jnp.ones((), bool)))
-    return recorded._replace(status=engine.results(state).status.astype(jnp.int32))
+    state, room, _ = lax.while_loop(goes_on, advance, (state, room, jnp.zeros((), jnp.int32)))
+    found = jnp.cumsum(room.ending >= 0, axis=0)
+    # The slot of stick k is the first at which k + 1 have been found. (Scattering would do it at once, but jaxlib
+    # 0.10.2 breaks down compiling that with the options of `enable_fast_cpu`.)
+    wanted = jnp.arange(1, slots + 1)
+    at = jax.vmap(lambda found: jnp.searchsorted(found, wanted), in_axes=1, out_axes=1)(found)
+    exists = wanted[:, None] <= found[-1]
+    at = jnp.where(exists, at, 0)
+    start, end = (jnp.where(exists, jnp.take_along_axis(room.values[:, i], at, axis=0), 0) for i in (0, 1))
+    ending = jnp.where(exists, jnp.take_along_axis(room.ending, at, axis=0), -1).astype(jnp.int32)
+    status = engine.results(state).status.astype(jnp.int32)
+    return Recorded(start, end, ending, found[-1].astype(jnp.int32), room.ending[0] >= 0, status)
 
 
 def features_of(
-    statistic: StickStatistic, engine: Any, recorded: Recorded, windows: Windows, fixed_start: bool
+    statistic: StickStatistic, engine: Any, recorded: Recorded, spans: Spans, fixed_start: bool
 ) -> Features:
     """The features of all samples; differentiate them to get pathwise and event parts."""
     dtype = recorded.start.dtype
     t1 = jnp.asarray(engine.t1, dtype)
 
-    def one(start, end, ending, opening):
-        mask = ending >= 0
-        sticks = StickSequence(jnp.where(mask, start, 0), jnp.where(mask, end - start, 0), mask)
+    def one(sticks, ending, opening):
         # What the first interval holds is no random number with a density where all samples begin alike.
         fixed = opening & fixed_start & isinstance(engine, IntervalEngine)
-        random = mask & ~(fixed & (jnp.arange(len(mask)) == 0) & (ending != Ending.BASE_SWITCHED))
-        events, near = _events(statistic, sticks, ending, random, windows, t1)
-        parts = tuple(jnp.asarray(part, dtype) for part in statistic.parts(sticks, t1))
-        return Features((parts[0], parts[1]), events, near)
+        first = jnp.arange(len(ending)) == 0
+        random = sticks.mask & ~(fixed & first & (ending != Ending.BASE_SWITCHED))
+        events, near = _events(statistic, sticks, ending, random, spans, t1)
+        return Features(stacked_parts(statistic, sticks, t1), events, near)
 
-    return jax.vmap(one, in_axes=(1, 1, 1, 0))(recorded.start, recorded.end, recorded.ending, recorded.opening)
+    return jax.vmap(one)(sequences_of(recorded), recorded.ending.T, recorded.opening)
+
+
+def sequences_of(recorded: Recorded) -> StickSequence:
+    """The sticks as the statistics take them, arrays (lanes, slots)."""
+    mask = (recorded.ending >= 0).T
+    return StickSequence(
+        jnp.where(mask, recorded.start.T, 0), jnp.where(mask, (recorded.end - recorded.start).T, 0), mask
+    )
 
 
 def _events(
-    statistic: StickStatistic, sticks: StickSequence, ending: Array, random: Array, windows: Windows, t1: Array
-) -> tuple[tuple[Array, Array], Array]:
-    """The event parts of one sample's numerator and denominator, and how many sticks and slips they rest on."""
+    statistic: StickStatistic, sticks: StickSequence, ending: Array, random: Array, spans: Spans, t1: Array
+) -> tuple[Array, Array]:
+    """The event parts of one sample's numerator and denominator for each window, and how many sticks and slips they
+    rest on.
+    """
     numbers = jnp.arange(len(sticks.mask))
     fixed = lax.stop_gradient(sticks)
 
     def parts(sequence):
-        return jnp.stack([jnp.asarray(part, fixed.start.dtype) for part in statistic.parts(sequence, t1)])
+        return stacked_parts(statistic, sequence, t1)
 
     def jump_of_stick(i):
-        return parts(fixed._replace(duration=fixed.duration.at[i].set(0))) - parts(_without(fixed, i))
+        return parts(fixed._replace(duration=jnp.where(numbers == i, 0, fixed.duration))) - parts(_without(fixed, i))
 
     def jump_at_horizon(i):
         before = _first(fixed, i)
-        added = StickSequence(before.start.at[i].set(t1), before.duration, before.mask.at[i].set(True))
+        here = numbers == i
+        added = StickSequence(jnp.where(here, t1, before.start), before.duration, before.mask | here)
         return parts(added) - parts(before)
 
     def jump_of_slip(i):
@@ -121,31 +135,37 @@ def _events(
         following = jnp.minimum(i + 1, len(numbers) - 1)
         length = fixed.duration[i] + fixed.duration[following]
         merged = _without(fixed, following)
-        return parts(fixed) - parts(merged._replace(duration=merged.duration.at[i].set(length)))
+        return parts(fixed) - parts(merged._replace(duration=jnp.where(numbers == i, length, merged.duration)))
 
     end = sticks.start + sticks.duration
     next_start = jnp.concatenate([sticks.start[1:], jnp.zeros(1, end.dtype)])
     has_next = jnp.concatenate([sticks.mask[1:], jnp.zeros(1, bool)])
     duration, slip, left = sticks.duration, next_start - end, t1 - sticks.start
+    wide, horizon = spans.durations[:, None], jnp.broadcast_to(spans.horizon, (len(spans.durations), 1))
     edges = (
-        (duration, grazing_weight(duration, windows.duration), random & (ending != Ending.HORIZON), jump_of_stick),
-        (left, regular_weight(left, windows.horizon), random, jump_at_horizon),
-        (slip, grazing_weight(slip, windows.duration), has_next & (ending == Ending.RELEASED), jump_of_slip),
+        (duration, grazing_weight(duration, wide), random & (ending != Ending.HORIZON), jump_of_stick),
+        (left, regular_weight(left, horizon), random, jump_at_horizon),
+        (slip, grazing_weight(slip, wide), has_next & (ending == Ending.RELEASED), jump_of_slip),
     )
-    events, near = jnp.zeros(2, end.dtype), jnp.zeros((), jnp.int32)
+    events, near = jnp.zeros((len(wide), 2), end.dtype), jnp.zeros(len(wide), jnp.int32)
     for distance, weight, where, jump in edges:
-        jumps = jax.vmap(jump)(numbers)
-        events = events + jnp.sum(jumps * flux(weight, distance, where)[:, None], axis=0)
-        near = near + jnp.sum(where & (weight != 0), dtype=jnp.int32)
-    return (events[0], events[1]), near
+        # (windows, slots) by (slots, 2)
+        events = events + flux(weight, distance, where) @ jax.vmap(jump)(numbers)
+        near = near + jnp.sum(where & (weight != 0), axis=1, dtype=jnp.int32)
+    return events, near
+
+
+def stacked_parts(statistic: StickStatistic, sticks: StickSequence, t1: Array) -> Array:
+    """Numerator and denominator as one array."""
+    return jnp.stack([jnp.asarray(part, sticks.start.dtype) for part in statistic.parts(sticks, t1)])
 
 
 def _without(sticks: StickSequence, i: Array) -> StickSequence:
     """The sequence without stick `i`."""
     numbers = jnp.arange(len(sticks.mask))
-    after = jnp.minimum(numbers + (numbers >= i), len(numbers) - 1)
-    mask = sticks.mask[after] & (numbers < jnp.sum(sticks.mask) - 1)
-    return StickSequence(jnp.where(mask, sticks.start[after], 0), jnp.where(mask, sticks.duration[after], 0), mask)
+    start, duration, mask = (jnp.where(numbers < i, column, jnp.roll(column, -1)) for column in sticks)
+    mask = mask & (numbers < jnp.sum(sticks.mask) - 1)
+    return StickSequence(jnp.where(mask, start, 0), jnp.where(mask, duration, 0), mask)
 
 
 def _first(sticks: StickSequence, number: Array) -> StickSequence:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from .. import _checks
 from .._types import Array
@@ -40,39 +41,38 @@ class StickStatistic(abc.ABC):
 
 
 @dataclasses.dataclass(frozen=True)
-class _OfTotals(StickStatistic):
-    """A statistic of the total stick time and the number of sticks."""
+class OfTotals(StickStatistic):
+    """A ratio of linear functions of the total stick time and the number of sticks.
+
+    `above`, `below`: their coefficients, of time (1/s), number and 1. `per_horizon`: whether to divide by ``t1``.
+    """
 
     name: str
     unit: str
-    of_totals: Callable[[Any, Any, Any], tuple[Any, Any]]
+    above: tuple[int, int, int]
+    below: tuple[int, int, int]
+    per_horizon: bool = False
     is_of_totals = True
 
+    @property
+    def is_blind_to_events(self) -> bool:
+        """Whether sticks of no length do not show: then there is no event part."""
+        return self.above[1] == self.below[1] == 0
+
+    def weights(self, t1: float) -> np.ndarray:
+        """The coefficients of numerator and denominator, (2, 3)."""
+        return np.array([self.above, self.below]) / np.array([[t1 if self.per_horizon else 1.0], [1.0]])
+
     def parts(self, sticks: StickSequence, t1: Any) -> tuple[Any, Any]:
-        time = jnp.sum(sticks.duration)
-        return self.of_totals(time, jnp.sum(sticks.mask).astype(time.dtype), t1)
+        totals = jnp.stack([jnp.sum(sticks.duration), jnp.sum(sticks.mask), jnp.ones_like(sticks.start[0])])
+        above = jnp.asarray(self.above, totals.dtype) @ totals
+        return above / t1 if self.per_horizon else above, jnp.asarray(self.below, totals.dtype) @ totals
 
 
-def _fraction(time, count, t1):
-    return time / t1, jnp.ones_like(time)
-
-
-def _total(time, count, t1):
-    return time, jnp.ones_like(time)
-
-
-def _count(time, count, t1):
-    return count, jnp.ones_like(time)
-
-
-def _pooled(time, count, t1):
-    return time, count
-
-
-STICK_FRACTION = _OfTotals("stick fraction", "1", _fraction)
-TOTAL_STICK_TIME = _OfTotals("mean total stick time", "s", _total)
-STICK_COUNT = _OfTotals("mean number of sticks", "1", _count)
-POOLED_DURATION = _OfTotals("mean stick duration (pooled)", "s", _pooled)
+STICK_FRACTION = OfTotals("stick fraction", "1", (1, 0, 0), (0, 0, 1), per_horizon=True)
+TOTAL_STICK_TIME = OfTotals("mean total stick time", "s", (1, 0, 0), (0, 0, 1))
+STICK_COUNT = OfTotals("mean number of sticks", "1", (0, 1, 0), (0, 0, 1))
+POOLED_DURATION = OfTotals("mean stick duration (pooled)", "s", (1, 0, 0), (0, 1, 0))
 
 
 @dataclasses.dataclass(frozen=True)
