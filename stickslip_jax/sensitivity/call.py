@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from .. import _checks
+from .._status import Ending
 from .._types import Array
 from ..base_motion.drive import is_random, words_for
 from ..base_motion.random import Uniform
@@ -25,8 +26,9 @@ from .statistic import OfTotals, statistic_of
 
 _METHODS = ("corrected", "finite-difference")
 _PILOT = 1024  # samples
-_REACH, _WINDOW, _STICKS = 0.02, 0.5, 1e6  # windows at so many sticks
-_WINDOWS = (1.0, 0.5, 0.25)  # of recorded durations, to choose from
+_REACH, _WINDOW, _STICKS = 0.02, 1.0, 1e6  # windows at so many sticks
+_SHORT = 0.25  # the share of all sticks that sets the scale of short ones
+_WINDOWS = (1.0, 0.5, 0.25, 0.125)  # of recorded durations, to choose from
 _AGREE = 2.5  # standard errors
 _FEW = 100  # sticks
 
@@ -71,8 +73,8 @@ def sensitivity(
     How the event part is found. On a base of piecewise-constant velocity, without damping and force, and for
     statistics of totals, near misses are seen too, and what Poisson switching decides is integrated out; the derivative
     by its rate comes from the likelihood. Elsewhere it comes from sticks (and slips between two) shorter than a window,
-    ``0.5 (sticks / 10^6)^(-1/5)`` times the mean duration, or a half or a quarter of it: the widest whose answer is
-    within 2.5 standard errors of those of the smaller ones; bias of order ``window^2``.
+    ``(sticks / 10^6)^(-1/5)`` times the lower quartile of durations. All windows come in several widths; the widest is
+    taken whose answer is within 2.5 standard errors of those of the narrower ones. The bias is of order ``window^2``.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks, and where every trajectory begins with an arc that exactly grazes the base velocity: the
@@ -101,16 +103,13 @@ def _corrected(
 ) -> dict[str, Sensitivity]:
     share = (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2
     reach = min(_REACH * share, 0.1) if reach is None else float(reach)
-    horizon = problem.t1 * min(0.1, 0.1 * share)
     if problem.is_counted:
-        windows = np.array([math.nan])
-        tally, columns = counted(problem, pilot, reach, horizon)
+        windows, reaches = np.full(2, math.nan), reach * np.array([1, 1 / 4])
+        tally, columns = counted(problem, pilot, reach)
     else:
-        windows = np.array(_WINDOWS) * (_WINDOW * share * pilot.stick_time / max(pilot.sticks, 1e-3))
-        dtype = problem.dtype
-        spans = Spans(np.asarray(windows, dtype), np.asarray(horizon, dtype))
+        windows, reaches = (np.array(_WINDOWS) * widest for widest in (_WINDOW * share * pilot.short, reach))
+        spans = Spans(windows.astype(problem.dtype), reaches.astype(problem.dtype))
         tally, columns = recorded(problem, room_for(problem, pilot), spans)
-        reach = math.nan
     grazing = warn_if_grazing(problem)
     results = {}
     for parameter, where in zip(problem.parameters, columns, strict=True):
@@ -121,7 +120,15 @@ def _corrected(
             got = got._replace(derivative=math.nan, standard_error=math.nan)
         near = int(tally.near[chosen])
         results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "corrected", tally, near, reach, windows[chosen], horizon
+            problem,
+            parameter,
+            got,
+            elasticity,
+            "corrected",
+            tally,
+            near,
+            reaches[chosen],
+            windows[chosen],
         )
     if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
         return results
@@ -144,7 +151,7 @@ def _by_differences(
         tally = differenced(problem, index, length, room_for(problem, pilot))
         got = difference_of_ratios(tally.moments, 2, length, parameter.value if elasticity else None)
         results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "finite-difference", tally, 0, step, math.nan, math.nan
+            problem, parameter, got, elasticity, "finite-difference", tally, 0, step, math.nan
         )
     return results
 
@@ -159,7 +166,6 @@ def _result(
     near: int,
     reach: float,
     window: float,
-    horizon: float,
 ) -> Sensitivity:
     return Sensitivity(
         statistic=problem.statistic.name,
@@ -179,7 +185,6 @@ def _result(
         sticks_in_window=near,
         reach=reach,
         window=float(window),
-        horizon_window=horizon,
     )
 
 
@@ -208,13 +213,19 @@ def _pilot(
     """A first look, which also checks the arguments."""
     number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
     many = simulate_ensemble(
-        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, threads=threads, progress=False
+        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, keep="sticks", threads=threads, progress=False
     )
     if many.moments.number < 2:
         raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
-    time, count, _ = many.moments.mean
-    spread = math.sqrt(many.moments.scatter[1, 1] / (many.moments.number - 1))
-    return Pilot(float(time), float(count), spread)
+    sticks = many.require_sticks()
+    whole = (sticks.start > 0) & (sticks.ending != Ending.HORIZON)
+    durations = (sticks.end - sticks.start)[whole]
+    return Pilot(
+        stick_time=float(many.moments.mean[0]),
+        sticks=float(many.moments.mean[1]),
+        most=int(sticks.count.max()),
+        short=float(np.quantile(durations, _SHORT)) if len(durations) else t1 / 10,
+    )
 
 
 def _checked_start(system: Any, law: Any, t1: float, y0: Any, key: Any) -> tuple[Any, ...]:

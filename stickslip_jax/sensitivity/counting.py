@@ -39,16 +39,9 @@ from ..dynamics.interval_engine import (
 from ..dynamics.lanes import BLOCK, Engine, LaneResults
 from ..numerics.elementary import angle_of
 from ..systems.mass_spring import MassSpring
-from .kernels import crossing, ending, flux, hits, regular_weight
+from .kernels import crossing, ending, flux, hits
 
-
-class Windows(NamedTuple):
-    """How far kernels reach: over how large a move of the parameters, in units of the direction of differentiation,
-    and in time before the horizon (s).
-    """
-
-    reach: AnyArray
-    horizon: AnyArray
+_TOUCH_ULPS = {8: 4096, 4: 64}  # within so many units in the last place, R and q are equal
 
 
 class Likelihood(NamedTuple):
@@ -63,6 +56,7 @@ class _Past(NamedTuple):
     """What the flux in the next interval needs to know of those before."""
 
     births: FloatArray  # zero; its derivative is what sticks born and lost add to that of the number of sticks
+    narrow: FloatArray  # the same by narrower windows
     near: FloatArray  # zero; its derivative counts the arcs that a kernel reached
     switches: IntArray
     cut_velocity: FloatArray  # m/s of the base while a stick lasted to the last switch; 0 where none did
@@ -83,8 +77,9 @@ class _Lanes(NamedTuple):
 class CountingEngine(Engine):
     """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0` (numbers, or `Uniform` values).
 
-    The results' `sticks` are real numbers with the derivative of the expectation, and `doubts` counts the arcs near
-    the edge of a stick's existence: those within a window. `fixed_start` tells that all samples begin in the same
+    The results' `sticks` are real numbers with the derivative of the expectation, `slips` are zeros with the same one
+    found by windows a quarter as wide, and the derivative of `doubts` counts the arcs near the edge of a stick's
+    existence: those within a window. `fixed_start` tells that all samples begin in the same
     state: what comes of the first arc is then no random number with a density.
     """
 
@@ -92,7 +87,7 @@ class CountingEngine(Engine):
     law: BangBangLaw
     t1: Scalar
     y0: tuple[Any, ...]
-    windows: Windows
+    reach: AnyArray  # how far the widest kernels look, as a share of the parameter (see `kernels.crossing`)
     likelihood: Likelihood | None
     fixed_start: bool = eqx.field(static=True)
 
@@ -101,7 +96,7 @@ class CountingEngine(Engine):
         motion = start_motion(self._scales(dtype), (x, velocity))
         none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
         memory = self.law.begin(words, dtype)
-        past = _Past(zero, zero, none, zero)
+        past = _Past(zero, zero, zero, none, zero)
         return _Lanes(words, none.astype(jnp.uint32), memory, motion, start_totals(dtype), past, jnp.zeros((), bool))
 
     def advance(self, state: _Lanes, dtype, room: Any, slot: Array | int) -> tuple[_Lanes, Any]:
@@ -132,16 +127,17 @@ class CountingEngine(Engine):
 
     def results(self, state: _Lanes) -> LaneResults:
         time, past = state.totals.stick_time, state.past
-        sticks = state.totals.sticks + past.births
+        sticks, narrow = state.totals.sticks + past.births, past.narrow
         if self.likelihood is not None:
             # log p = switches log(rate) - rate t1 + ..., of a Poisson process.
             rate = jnp.asarray(self.likelihood.rate, time.dtype)
             score = flux(past.switches / rate - self.t1, rate, jnp.ones((), bool))
-            sticks = sticks + (sticks - self.likelihood.sticks) * score
+            by_score = (sticks - self.likelihood.sticks) * score
+            sticks, narrow = sticks + by_score, narrow + by_score
             time = time + (time - self.likelihood.stick_time) * score
         return LaneResults(
             sticks=sticks,
-            slips=jnp.zeros_like(past.near),
+            slips=narrow,
             stick_time=time,
             status=status_of(state.motion, jnp.asarray(self.t1, time.dtype)),
             doubts=past.near,
@@ -161,29 +157,34 @@ class CountingEngine(Engine):
         stuck, moving = stick.ending >= 0, velocity != 0
         random = stuck & ~is_fixed
         arrival, left = stick.start - motion.t, scales.t1 - stick.start
-        reach = jnp.asarray(self.windows.reach, arrival.dtype)
+        reach = jnp.asarray(self.reach, arrival.dtype)
         arc = _first_arc(past, scales, motion, duration, velocity)
         meets = arc.meets & ~is_fixed
         speed = jnp.abs(jnp.where(moving, velocity, 1))
         to_edge = (scales.half_width - jnp.sign(velocity) * stick.position) / speed
         from_above = random & moving & ~(arc.is_below & arc.would_stick)
-        born = crossing(arc.excess, reach, meets) + ending(to_edge, reach, from_above)
-        born = born + flux(regular_weight(left, self.windows.horizon), left, random)
-        near = hits(arc.excess, reach, meets) + hits(to_edge, reach, from_above)
+        spare = duration - arrival
+        at_switch = None
+        exact = jnp.zeros_like(left)
         if isinstance(self.law, PoissonSwitching):
             rate = jnp.asarray(self.law.rate, arrival.dtype)
             # The gap that ends at the arrival, with the random number that made it held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
-            born = born + flux(rate, gap - arrival, stuck)
+            exact = flux(rate, gap - arrival, stuck)
         else:
-            spare = duration - arrival
-            missed = arc.would_stick & ~stuck & (spare <= 0) & (left > 0) & ~is_fixed
-            born = born + crossing(spare, reach, random | missed)
-            near = near + hits(spare, reach, random | missed)
+            at_switch = random | (arc.would_stick & ~stuck & (spare <= 0) & (left > 0) & ~is_fixed)
+
+        def through_edges(count, reach):
+            """By arcs that graze, come from above, arrive at the horizon or, where that is not exact, at a switch."""
+            total = count[0](arc.excess, reach, meets) + count[1](to_edge, reach, from_above)
+            total = total + count[1](left, reach, random)
+            return total if at_switch is None else total + count[0](spare, reach, at_switch)
+
         cut = stick.ending == Ending.BASE_SWITCHED
         return _Past(
-            births=past.births + born,
-            near=past.near + near,
+            births=past.births + exact + through_edges((crossing, ending), reach),
+            narrow=past.narrow + exact + through_edges((crossing, ending), reach / 4),
+            near=past.near + through_edges((hits, hits), reach),
             switches=past.switches + (motion.t + duration < scales.t1),
             cut_velocity=jnp.where(cut, velocity, 0),
         )
@@ -202,7 +203,7 @@ class _Arc(NamedTuple):
 
 
 def _first_arc(past: _Past, scales: Scales, motion: Motion, duration: Array, velocity: Array) -> _Arc:
-    forward, moving = jnp.sign(velocity), velocity != 0
+    forward = jnp.where(velocity < 0, -1, 1)
     p, q = forward * motion.p * scales.omega, jnp.abs(velocity)
     D = (forward * motion.x - scales.half_width) * scales.omega
     is_below = p < q
@@ -215,15 +216,18 @@ def _first_arc(past: _Past, scales: Scales, motion: Motion, duration: Array, vel
     top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * scales.per_omega
     # A stick that the base's reversal cut short leaves the mass with R >= q, however near: nothing is born there.
     is_reversed = past.cut_velocity == -velocity
-    meets = moving & is_below & ~is_reversed & (top < duration) & (motion.t + top < scales.t1)
+    # Where the mass is back on the circle on which it left a stick, R = q whatever the parameters: see `dynamics.arcs`.
+    roundoff = _TOUCH_ULPS[p.dtype.itemsize] * jnp.finfo(p.dtype).eps * (D * D + q * q)
+    meets = (q > 0) & is_below & ~is_reversed & (jnp.abs(excess) > roundoff)
+    meets = meets & (top < duration) & (motion.t + top < scales.t1)
     inside = (excess > 0) & (excess <= (2 * scales.half_width * scales.omega) ** 2)
-    return _Arc(excess, is_below, meets, moving & inside)
+    return _Arc(excess, is_below, meets, inside)
 
 
 def relative_excess(scales: Scales, motion: Motion, velocity: Array) -> Array:
     """``R^2 - q^2`` of the first arc on a base of this velocity, by the size of its terms; 1 for one from above."""
     nothing = jnp.zeros_like(motion.x)
-    past = _Past(nothing, nothing, nothing.astype(jnp.int32), nothing)
+    past = _Past(nothing, nothing, nothing, nothing.astype(jnp.int32), nothing)
     arc = _first_arc(past, scales, motion, jnp.full_like(nothing, jnp.inf), velocity)
     size = velocity * velocity + (scales.half_width * scales.omega) ** 2
     return jnp.where(arc.is_below & (velocity != 0), arc.excess / lax.stop_gradient(size), 1)

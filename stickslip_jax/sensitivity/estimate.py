@@ -21,8 +21,8 @@ class Sensitivity:
       lost; they add up to `derivative`. NaN for finite differences, which know no parts.
     - `parameter_value`, `method`, `samples` (finished ones, of `asked`).
     - `sticks_in_window`: how many sticks, and near misses, the kernels rested on; `reach`: the relative change of the
-      parameter over which they looked (of finite differences: the step), or `window` (s): how far they reached in
-      durations; `horizon_window` (s): before the horizon. NaN where not used.
+      parameter over which they looked (of finite differences: the step), `window` (s): how far they reached in
+      durations. NaN where not used.
     """
 
     statistic: str
@@ -42,7 +42,6 @@ class Sensitivity:
     sticks_in_window: int
     reach: float
     window: float
-    horizon_window: float
 
     @property
     def lanes_used(self) -> float:

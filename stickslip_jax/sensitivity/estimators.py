@@ -9,7 +9,7 @@ from .._status import Status
 from ..base_motion.laws import PoissonSwitching
 from ..dynamics.chunks import summarise_chunk
 from ..dynamics.lanes import Engine, Job
-from .counting import CountingEngine, Likelihood, Windows
+from .counting import CountingEngine, Likelihood
 from .parameters import Path, with_numbers
 from .problem import Pilot, Problem, Room, lanes_and_rows, sequence_lanes
 from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, unit_of, value_chunk
@@ -30,9 +30,9 @@ class Columns(NamedTuple):
     pathwise: int
 
 
-def counted(problem: Problem, pilot: Pilot, reach: float, horizon: float) -> tuple[Tally, tuple[Columns, ...]]:
+def counted(problem: Problem, pilot: Pilot, reach: float) -> tuple[Tally, tuple[Columns, ...]]:
     """All parameters by counting lanes."""
-    engine = counting_engine(problem, pilot, reach, horizon)
+    engine = counting_engine(problem, pilot, reach)
     paths, number = list(problem.paths()), len(problem.parameters)
     pathwise = list(range(number))
     for index, path in enumerate(problem.paths()):
@@ -41,17 +41,27 @@ def counted(problem: Problem, pilot: Pilot, reach: float, horizon: float) -> tup
             paths[index] = ("likelihood", "rate")
             pathwise[index] = len(paths)
             paths.append(_RATE)
-    columns = tuple(Columns((2 + 2 * index,), 2 + 2 * (len(paths) + pathwise[index])) for index in range(number))
+    # Two windows a path, and then the pathwise parts.
+    columns = tuple(
+        Columns((2 + 4 * index, 4 + 4 * index), 2 + 4 * len(paths) + 2 * pathwise[index]) for index in range(number)
+    )
     return run_counting(problem, engine, tuple(paths)), columns
 
 
-def counting_engine(problem: Problem, pilot: Pilot, reach: float, horizon: float) -> CountingEngine:
+def counting_engine(problem: Problem, pilot: Pilot, reach: float) -> CountingEngine:
     """The engine that counts."""
     likelihood = None
     if type(problem.law) is PoissonSwitching:
         likelihood = Likelihood(problem.law.rate, pilot.stick_time, pilot.sticks)
-    windows = Windows(np.asarray(reach, problem.dtype), np.asarray(horizon, problem.dtype))
-    return CountingEngine(problem.system, problem.law, problem.t1, problem.y0, windows, likelihood, problem.fixed_start)
+    return CountingEngine(
+        problem.system,
+        problem.law,
+        problem.t1,
+        problem.y0,
+        np.asarray(reach, problem.dtype),
+        likelihood,
+        problem.fixed_start,
+    )
 
 
 def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ...]) -> Tally:
@@ -64,21 +74,18 @@ def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ..
     def simulate(first: int, number: int) -> Rows:
         slopes, pathwise, reached = [], [], []
         for path in paths:
-            (time, count, _), (d_time, d_count, near), status = count_chunk[is_own](
+            (*totals, _, _), (d_time, *d_counts, near), status = count_chunk[is_own](
                 engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)),
                 path=path, lanes=lanes, rows=rows, dtype=problem.dtype,
             )  # fmt: skip
-            of_totals = np.stack([np.asarray(leaf, float).reshape(-1)[:number] for leaf in (d_time, d_count)], axis=-1)
-            of_totals = of_totals / unit_of(engine, path)
-            slopes.append(of_totals @ weights[:, :2].T)
+            d_time, *d_counts = (_flat(leaf, number) / unit_of(engine, path) for leaf in (d_time, *d_counts))
+            slopes += [np.stack([d_time, d_count], axis=-1) @ weights[:, :2].T for d_count in d_counts]
             # The number of sticks of one trajectory does not change.
-            pathwise.append(of_totals[:, :1] @ weights[:, :1].T)
-            reached.append(np.asarray(near, float).reshape(-1)[:number])
-        totals = np.stack([np.asarray(leaf, float).reshape(-1)[:number] for leaf in (time, count)], axis=-1)
-        parts = totals @ weights[:, :2].T + weights[:, 2]
-        columns = np.concatenate([*slopes, *pathwise], axis=1)
-        near = np.max(reached, axis=0)[:, None]
-        return Rows(np.asarray(status).reshape(-1)[:number], parts, columns, near)
+            pathwise.append(d_time[:, None] @ weights[:, :1].T)
+            reached.append(_flat(near, number))
+        parts = np.stack([_flat(leaf, number) for leaf in totals], axis=-1) @ weights[:, :2].T + weights[:, 2]
+        near = np.repeat(np.max(reached, axis=0)[:, None], 2, axis=1)
+        return Rows(_flat(status, number).astype(int), parts, np.concatenate([*slopes, *pathwise], axis=1), near)
 
     return run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
 
@@ -175,3 +182,8 @@ def _with_room(run: Callable[[Room], tuple[Any, Any, Any]], room: Room) -> Any:
         else:
             break
     return done
+
+
+def _flat(leaf: Any, number: int) -> np.ndarray:
+    """The first samples of an array (rows, lanes)."""
+    return np.asarray(leaf, float).reshape(-1)[:number]

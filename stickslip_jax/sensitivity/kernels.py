@@ -15,12 +15,6 @@ from jax import lax
 from .._types import Array, BoolArray, FloatArray
 
 
-def regular_weight(distance: FloatArray, window: Array) -> Array:
-    """``K(u) = 4 - 6 u`` for 0 < u < 1: for numbers seen on one side only, with bounded derivatives."""
-    u = distance / window
-    return jnp.where((u >= 0) & (u < 1), (4 - 6 * u) / window, 0)
-
-
 def grazing_weight(distance: FloatArray, window: Array) -> Array:
     """``K(u) = 18 u - 24 u^2`` for 0 < u < 1: for durations.
 

@@ -18,13 +18,14 @@ from .statistic import StickStatistic
 
 
 class Pilot(NamedTuple):
-    """What a first look at the motion tells: means of total stick time (s) and number of sticks, and the spread of the
-    latter.
+    """What a first look at the motion tells: means of total stick time (s) and number of sticks, the largest number,
+    and how long short sticks last, s.
     """
 
     stick_time: float
     sticks: float
-    spread: float
+    most: int
+    short: float
 
 
 class Problem(NamedTuple):
@@ -99,8 +100,7 @@ def room_for(problem: Problem, pilot: Pilot) -> Room:
     else:
         drive, step = checked_step(problem.system, problem.law, problem.exact, problem.t1, "law")
         intervals = turns_for(problem.system, drive, problem.t1, step)
-    sticks = int(pilot.sticks + 5 * pilot.spread + 8)
-    return Room(-(-intervals // BLOCK), 8 * -(-sticks // 8))
+    return Room(-(-intervals // BLOCK), 8 * -(-pilot.most // 8) + 8)
 
 
 def lanes_and_rows(problem: Problem) -> tuple[int, int]:

@@ -89,14 +89,15 @@ def _count(
     rows: int,
     dtype: Any,
 ) -> Any:
-    """Total stick time and number of sticks (rows, lanes), zeros (rows, lanes); their derivatives by the number at
-    `path`, of which the last count what the kernels reached; status (rows, lanes).
+    """Total stick time, number of sticks, and two zeros as `CountingEngine` tells (rows, lanes); their derivatives by
+    the number at `path`, of which the last count what the kernels reached; status (rows, lanes).
     """
 
     def run(value):
         job = Job(with_numbers(engine, (path,), (value,)), words, first, used_rows)
         results = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
-        return (results.stick_time, jnp.asarray(results.sticks, dtype), results.doubts), results.status
+        counts = (jnp.asarray(results.sticks, dtype), results.slips, results.doubts)
+        return (results.stick_time, *counts), results.status
 
     return derivative_of(run, engine, path, dtype)
 

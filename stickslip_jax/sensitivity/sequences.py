@@ -17,7 +17,8 @@ from .._types import Array, BoolArray, IntArray
 from ..dynamics.interval_lanes import IntervalEngine
 from ..dynamics.lanes import BLOCK, Engine, Records
 from ..numerics.random_bits import random_words
-from .kernels import flux, grazing_weight, regular_weight
+from .kernels import ending as ending_at
+from .kernels import flux, grazing_weight
 from .statistic import StickSequence, StickStatistic
 
 
@@ -33,10 +34,12 @@ class Recorded(NamedTuple):
 
 
 class Spans(NamedTuple):
-    """How far kernels reach, s: in durations, several to choose from (windows,), and in time before the horizon."""
+    """How far kernels reach: in durations (s), and over how large a share of the parameter; several to choose from
+    (windows,).
+    """
 
     durations: Array
-    horizon: Array
+    reaches: Array
 
 
 class Features(NamedTuple):
@@ -55,21 +58,19 @@ def record_sequences(
     """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks."""
     number = first + jnp.arange(lanes, dtype=jnp.uint32)
     state = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(words, number))
-    room = Records.empty(blocks * BLOCK, lanes, dtype)
+    room = Records.empty(BLOCK, lanes, dtype)
 
-    def goes_on(carry):
-        state, _, block = carry
-        return (block < blocks) & ~jnp.all(engine.ended(state))
-
-    def advance(carry):
-        state, room, block = carry
+    def advance(state):
         # A lane that has ended idles: nothing happens after the horizon.
-        following, room = engine.advance(state, dtype, room, block * BLOCK)
-        assert room is not None
+        following, filled = engine.advance(state, dtype, room, 0)
         live = ~engine.ended(state)
-        return jax.tree.map(lambda new, old: _where(live, new, old), following, state), room, block + 1
+        return jax.tree.map(lambda new, old: _where(live, new, old), following, state), filled
 
-    state, room, _ = lax.while_loop(goes_on, advance, (state, room, jnp.zeros((), jnp.int32)))
+    def block(state, _):
+        return lax.cond(jnp.all(engine.ended(state)), lambda state: (state, room), advance, state)
+
+    state, filled = lax.scan(block, state, None, length=blocks)
+    room = Records(filled.values.reshape(-1, 3, lanes), filled.ending.reshape(-1, lanes))
     found = jnp.cumsum(room.ending >= 0, axis=0)
     # The slot of stick k is the first at which k + 1 have been found. (Scattering would do it at once, but jaxlib
     # 0.10.2 breaks down compiling that with the options of `enable_fast_cpu`.)
@@ -141,17 +142,29 @@ def _events(
     next_start = jnp.concatenate([sticks.start[1:], jnp.zeros(1, end.dtype)])
     has_next = jnp.concatenate([sticks.mask[1:], jnp.zeros(1, bool)])
     duration, slip, left = sticks.duration, next_start - end, t1 - sticks.start
-    wide, horizon = spans.durations[:, None], jnp.broadcast_to(spans.horizon, (len(spans.durations), 1))
+    wide, reach = spans.durations[:, None], jnp.broadcast_to(spans.reaches[:, None], (len(spans.reaches), len(numbers)))
+    is_over = random & (ending != Ending.HORIZON)
+    at_rest = sticks.start == 0  # from the first instant: no arc arrives there, so none grazes
+
+    def by_duration(length, where):
+        weight = grazing_weight(length, wide)
+        return flux(weight, length, where), where & (weight != 0)
+
+    def by_reach(length, where):
+        length, where = (jnp.broadcast_to(column, reach.shape) for column in (length, where))
+        return ending_at(length, reach, where)
+
     edges = (
-        (duration, grazing_weight(duration, wide), random & (ending != Ending.HORIZON), jump_of_stick),
-        (left, regular_weight(left, horizon), random, jump_at_horizon),
-        (slip, grazing_weight(slip, wide), has_next & (ending == Ending.RELEASED), jump_of_slip),
+        (*by_duration(duration, is_over & ~at_rest), jump_of_stick),
+        (*by_duration(slip, has_next & (ending == Ending.RELEASED)), jump_of_slip),
+        (by_reach(duration, is_over & at_rest), jnp.zeros_like(wide, bool), jump_of_stick),
+        (by_reach(left, random), jnp.zeros_like(wide, bool), jump_at_horizon),
     )
     events, near = jnp.zeros((len(wide), 2), end.dtype), jnp.zeros(len(wide), jnp.int32)
-    for distance, weight, where, jump in edges:
+    for flow, reached, jump in edges:
         # (windows, slots) by (slots, 2)
-        events = events + flux(weight, distance, where) @ jax.vmap(jump)(numbers)
-        near = near + jnp.sum(where & (weight != 0), axis=1, dtype=jnp.int32)
+        events = events + flow @ jax.vmap(jump)(numbers)
+        near = near + jnp.sum(reached, axis=1, dtype=jnp.int32)
     return events, near
 
 
