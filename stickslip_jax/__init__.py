@@ -28,6 +28,7 @@ from .sensitivity import (
     StickSequence,
     StickStart,
     StickStatistic,
+    differentiable,
     sensitivity,
 )
 from .simulate import Simulation, simulate
@@ -104,6 +105,7 @@ __all__ = [
     "VelocitySteps",
     "VelocityWeakening",
     "WithJumps",
+    "differentiable",
     "enable_fast_cpu",
     "first_stick",
     "mean_slip_count",

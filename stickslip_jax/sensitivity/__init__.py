@@ -1,6 +1,7 @@
 """Derivatives of stick statistics with respect to parameters, corrected for sticks born and lost."""
 
 from .call import sensitivity
+from .differentiable import differentiable
 from .estimate import Sensitivities, Sensitivity
 from .statistic import (
     TOTAL_STICK_TIME,
@@ -22,5 +23,6 @@ __all__ = [
     "StickSequence",
     "StickStart",
     "StickStatistic",
+    "differentiable",
     "sensitivity",
 ]

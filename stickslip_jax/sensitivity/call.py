@@ -4,31 +4,21 @@ import math
 import warnings
 from typing import Any
 
-import jax
 import numpy as np
 
 from .. import _checks
-from .._status import Ending
 from .._types import Array
-from ..base_motion.drive import is_random, words_for
-from ..base_motion.random import Uniform
 from ..dynamics.method import EXACT, Exact
-from ..ensemble import simulate_ensemble
-from ..set_up import state_of
 from .estimate import Gradient, Sensitivities, Sensitivity, difference_of_ratios, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_if_grazing
-from .parameters import parameters_of
+from .first_look import WINDOWS, problem_of, reach_of, windows_of
 from .problem import Pilot, Problem, room_for
-from .runs import Tally, cores
+from .runs import Tally
 from .sequences import Spans
-from .statistic import OfTotals, statistic_of
+from .statistic import OfTotals
 
 _METHODS = ("corrected", "finite-difference")
-_PILOT = 1024  # samples
-_REACH, _WINDOW, _STICKS = 0.02, 1.0, 1e6  # windows at so many sticks
-_SHORT = 0.25  # the share of all sticks that sets the scale of short ones
-_WINDOWS = (1.0, 0.5, 0.25, 0.125)  # of recorded durations, to choose from
 _AGREE = 2.5  # standard errors
 _FEW = 100  # sticks
 
@@ -80,34 +70,24 @@ def sensitivity(
     fewer than 100 sticks, and where every trajectory begins with an arc that exactly grazes the base velocity: the
     derivative does not exist there, and is NaN. Raises ValueError for arguments outside these bounds.
     """
-    statistic, threads = (
-        statistic_of(statistic),
-        cores() if threads is None else _checks.whole_number("threads", threads),
+    _check_options(elasticity, method, step, reach)
+    problem, pilot = problem_of(
+        statistic, system, law, wrt, t1, samples, key, y0, exact=exact, threads=threads, chunk=chunk
     )
-    _check_options(elasticity, method, step, reach, exact)
-    y0 = _checked_start(system, law, t1, y0, key)
-    pilot = _pilot(system, law, t1, y0, samples, key, exact, threads)
-    where = {"system": system, "law": law, "y0": y0}
-    problem = Problem(
-        statistic, system, law, float(t1), y0, exact, words_for(law, key), parameters_of(where, wrt), samples, threads,
-        None if chunk is None else _checks.whole_number("chunk", chunk), jax.numpy.result_type(float),
-    )  # fmt: skip
-    results = (_by_differences if method == "finite-difference" else _corrected)(
-        problem, pilot, elasticity, step, reach
-    )
+    if method == "finite-difference":
+        results = _by_differences(problem, pilot, elasticity, step)
+    else:
+        results = _corrected(problem, pilot, elasticity, reach)
     return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
 
 
-def _corrected(
-    problem: Problem, pilot: Pilot, elasticity: bool, step: float, reach: float | None
-) -> dict[str, Sensitivity]:
-    share = (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2
-    reach = min(_REACH * share, 0.1) if reach is None else float(reach)
+def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
+    widest = reach_of(problem, pilot) if reach is None else float(reach)
     if problem.is_counted:
-        windows, reaches = np.full(2, math.nan), reach * np.array([1, 1 / 4])
-        tally, columns = counted(problem, pilot, reach)
+        windows, reaches = np.full(2, math.nan), widest * np.array([1, 1 / 4])
+        tally, columns = counted(problem, pilot, widest)
     else:
-        windows, reaches = (np.array(_WINDOWS) * widest for widest in (_WINDOW * share * pilot.short, reach))
+        windows, reaches = windows_of(problem, pilot), widest * np.array(WINDOWS)
         spans = Spans(windows.astype(problem.dtype), reaches.astype(problem.dtype))
         tally, columns = recorded(problem, room_for(problem, pilot), spans)
     grazing = warn_if_grazing(problem)
@@ -127,7 +107,7 @@ def _corrected(
             "corrected",
             tally,
             near,
-            reaches[chosen],
+            float(reaches[chosen]),
             windows[chosen],
         )
     if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
@@ -142,9 +122,7 @@ def _corrected(
     return results
 
 
-def _by_differences(
-    problem: Problem, pilot: Pilot, elasticity: bool, step: float, reach: float | None
-) -> dict[str, Sensitivity]:
+def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float) -> dict[str, Sensitivity]:
     results = {}
     for index, parameter in enumerate(problem.parameters):
         length = step * (abs(parameter.value) or 1.0)
@@ -207,42 +185,7 @@ def _widest(tally: Tally, where: Columns) -> int:
     return len(where.derivative) - 1
 
 
-def _pilot(
-    system: Any, law: Any, t1: float, y0: tuple[Any, ...], samples: int, key: Any, exact: Exact, threads: int
-) -> Pilot:
-    """A first look, which also checks the arguments."""
-    number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
-    many = simulate_ensemble(
-        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, keep="sticks", threads=threads, progress=False
-    )
-    if many.moments.number < 2:
-        raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
-    sticks = many.require_sticks()
-    whole = (sticks.start > 0) & (sticks.ending != Ending.HORIZON)
-    durations = (sticks.end - sticks.start)[whole]
-    return Pilot(
-        stick_time=float(many.moments.mean[0]),
-        sticks=float(many.moments.mean[1]),
-        most=int(sticks.count.max()),
-        short=float(np.quantile(durations, _SHORT)) if len(durations) else t1 / 10,
-    )
-
-
-def _checked_start(system: Any, law: Any, t1: float, y0: Any, key: Any) -> tuple[Any, ...]:
-    """The initial state. Raises ValueError where nothing is random."""
-    try:
-        start = state_of(system, y0, may_be_random=True)
-    except StopIteration:  # no system: the simulation says so
-        return y0
-    if not is_random(law) and not any(isinstance(value, Uniform) for value in start):
-        raise ValueError(
-            "Argument law must be random, or y0 hold a Uniform value: without chance the number of sticks is a step "
-            "function of the parameters, and has no derivative to correct. Differentiate simulate(...) with jax.jvp."
-        )
-    return start
-
-
-def _check_options(elasticity: Any, method: Any, step: Any, reach: Any, exact: Any) -> None:
+def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:
     if not isinstance(elasticity, bool):
         raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
     if method not in _METHODS:
@@ -250,5 +193,3 @@ def _check_options(elasticity: Any, method: Any, step: Any, reach: Any, exact: A
     _checks.positive("step", step)
     if reach is not None:
         _checks.positive("reach", reach)
-    if not isinstance(exact, Exact):
-        raise ValueError(f"Argument exact must be Exact(...), but {_checks.show(exact)} was given.")

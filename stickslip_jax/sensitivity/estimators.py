@@ -16,7 +16,7 @@ from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, unit_of,
 from .sequences import Spans
 from .statistic import OfTotals
 
-_RATE: Path = ("law", "rate")
+RATE: Path = ("law", "rate")
 _MOST_DOUBLINGS = 6  # of the room for a realisation
 
 
@@ -36,11 +36,11 @@ def counted(problem: Problem, pilot: Pilot, reach: float) -> tuple[Tally, tuple[
     paths, number = list(problem.paths()), len(problem.parameters)
     pathwise = list(range(number))
     for index, path in enumerate(problem.paths()):
-        if path == _RATE and engine.likelihood is not None:
+        if path == RATE and engine.likelihood is not None:
             # Its derivative from the likelihood, and beside it the pathwise one.
             paths[index] = ("likelihood", "rate")
             pathwise[index] = len(paths)
-            paths.append(_RATE)
+            paths.append(RATE)
     # Two windows a path, and then the pathwise parts.
     columns = tuple(
         Columns((2 + 4 * index, 4 + 4 * index), 2 + 4 * len(paths) + 2 * pathwise[index]) for index in range(number)

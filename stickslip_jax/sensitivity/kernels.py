@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import Array, BoolArray, FloatArray
+from .._types import AnyArray, Array, BoolArray, FloatArray
 
 
-def grazing_weight(distance: FloatArray, window: Array) -> Array:
+def grazing_weight(distance: FloatArray, window: AnyArray) -> Array:
     """``K(u) = 18 u - 24 u^2`` for 0 < u < 1: for durations.
 
     An arc that grazes the base velocity makes a stick whose duration is the root of a smooth number: its derivative
@@ -35,37 +35,37 @@ def crossing(distance: FloatArray, reach: Array, where: BoolArray) -> Array:
     bounded, what does not move is left out, and the answer is what a central difference of that step would give to
     first order. It is linear in the direction only in expectation: forward mode alone.
     """
-    return jnp.zeros_like(distance)
+    return 0 * distance
 
 
 @crossing.defjvp
 def _crossing_jvp(primals, tangents):
     weight, sign, hit = _moved(primals, tangents)
-    return jnp.zeros_like(weight), jnp.where(hit, sign * 0.75 * (1 - weight * weight) / primals[1], 0)
+    return 0 * primals[0], jnp.where(hit, sign * 0.75 * (1 - weight * weight) / primals[1], 0)
 
 
 @jax.custom_jvp
 def ending(distance: FloatArray, reach: Array, where: BoolArray) -> Array:
     """The same where `distance` is seen only while it is positive, with ``K(u) = 4 - 6 u`` for 0 < u < 1."""
-    return jnp.zeros_like(distance)
+    return 0 * distance
 
 
 @ending.defjvp
 def _ending_jvp(primals, tangents):
     weight, sign, hit = _moved(primals, tangents)
-    return jnp.zeros_like(weight), jnp.where(hit & (weight > 0), sign * (4 - 6 * weight) / primals[1], 0)
+    return 0 * primals[0], jnp.where(hit & (weight > 0), sign * (4 - 6 * weight) / primals[1], 0)
 
 
 @jax.custom_jvp
 def hits(distance: FloatArray, reach: Array, where: BoolArray) -> Array:
     """Zero, with 1 for derivative where `crossing` or `ending` has any: to count what they rest on."""
-    return jnp.zeros_like(distance)
+    return 0 * distance
 
 
 @hits.defjvp
 def _hits_jvp(primals, tangents):
     weight, _, hit = _moved(primals, tangents)
-    return jnp.zeros_like(weight), hit.astype(weight.dtype)
+    return 0 * primals[0], hit.astype(weight.dtype)
 
 
 def _moved(primals, tangents):

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._types import Array
 
 Path = tuple[str | int, ...]
 
@@ -46,7 +45,7 @@ def number_at(tree: Any, path: Path) -> Any:
     return tree
 
 
-def with_numbers(tree: Any, paths: tuple[Path, ...], values: Array) -> Any:
+def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
     """`tree` with the numbers at `paths` replaced."""
     return eqx.tree_at(
         lambda tree: [number_at(tree, path) for path in paths], tree, [values[i] for i in range(len(paths))]

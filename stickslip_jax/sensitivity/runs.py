@@ -131,7 +131,7 @@ def _sequence(
 
 def _values(
     statistic: StickStatistic,
-    engine: Engine,
+    engine: Any,
     words: Array,
     first: Array,
     *,

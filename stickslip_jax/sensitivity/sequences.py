@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._status import Ending
-from .._types import Array, BoolArray, IntArray
+from .._types import AnyArray, Array, BoolArray, IntArray
 from ..dynamics.interval_lanes import IntervalEngine
 from ..dynamics.lanes import BLOCK, Engine, Records
 from ..numerics.random_bits import random_words
@@ -38,8 +38,8 @@ class Spans(NamedTuple):
     (windows,).
     """
 
-    durations: Array
-    reaches: Array
+    durations: AnyArray
+    reaches: AnyArray
 
 
 class Features(NamedTuple):
@@ -80,7 +80,7 @@ def record_sequences(
     at = jnp.where(exists, at, 0)
     start, end = (jnp.where(exists, jnp.take_along_axis(room.values[:, i], at, axis=0), 0) for i in (0, 1))
     ending = jnp.where(exists, jnp.take_along_axis(room.ending, at, axis=0), -1).astype(jnp.int32)
-    status = engine.results(state).status.astype(jnp.int32)
+    status = jnp.asarray(engine.results(state).status, jnp.int32)
     return Recorded(start, end, ending, found[-1].astype(jnp.int32), room.ending[0] >= 0, status)
 
 
@@ -162,8 +162,7 @@ def _events(
     )
     events, near = jnp.zeros((len(wide), 2), end.dtype), jnp.zeros(len(wide), jnp.int32)
     for flow, reached, jump in edges:
-        # (windows, slots) by (slots, 2)
-        events = events + flow @ jax.vmap(jump)(numbers)
+        events = events + jnp.sum(flow[:, :, None] * jax.vmap(jump)(numbers), axis=1)
         near = near + jnp.sum(reached, axis=1, dtype=jnp.int32)
     return events, near
 
