@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import _checks
 from .._types import Array
-from ..dynamics.method import EXACT, Exact
+from ..dynamics.method import EXACT
 from .estimate import Gradient, Sensitivities, Sensitivity, difference_of_ratios, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_if_grazing
@@ -33,11 +33,11 @@ def sensitivity(
     samples: int,
     key: Array | None = None,
     y0: Any = None,
-    elasticity: bool = False,
+    elasticity: Any = False,
     method: str = "corrected",
     step: float = 0.01,
     reach: float | None = None,
-    exact: Exact = EXACT,
+    exact: Any = EXACT,
     threads: int | None = None,
     chunk: int | None = None,
 ) -> Sensitivity | Sensitivities:

@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -100,7 +99,7 @@ class _OfNumber(StickStatistic):
     Raises ValueError for another number.
     """
 
-    number: int
+    number: Any
     count_initial_rest: bool = False
 
     def __post_init__(self):
@@ -152,7 +151,7 @@ class StickFunctional(StickStatistic):
     - `name`, `unit`: for tables and figures.
     """
 
-    function: Callable[[StickSequence], Any]
+    function: Any
     name: str = "user's functional"
     unit: str = "1"
 
