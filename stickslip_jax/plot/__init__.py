@@ -15,6 +15,7 @@ from .parameter_maps import parameter_map
 from .portraits import phase_portrait
 from .rasters import stick_raster
 from .saving import save
+from .sensitivity import sensitivity_curve, tornado
 from .shares import stick_share
 from .stick_maps import stick_joint_histogram, stick_map
 
@@ -26,6 +27,7 @@ __all__ = [
     "parameter_map",
     "phase_portrait",
     "save",
+    "sensitivity_curve",
     "stick_durations",
     "stick_fraction_curve",
     "stick_joint_histogram",
@@ -33,4 +35,5 @@ __all__ = [
     "stick_raster",
     "stick_share",
     "time_history",
+    "tornado",
 ]

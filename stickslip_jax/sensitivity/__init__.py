@@ -1,0 +1,28 @@
+"""Derivatives of stick statistics with respect to parameters, corrected for sticks born and lost."""
+
+from .call import sensitivity
+from .differentiable import differentiable
+from .estimate import Sensitivities, Sensitivity
+from .statistic import (
+    TOTAL_STICK_TIME,
+    RealisationMeanDuration,
+    StickDuration,
+    StickFunctional,
+    StickSequence,
+    StickStart,
+    StickStatistic,
+)
+
+__all__ = [
+    "TOTAL_STICK_TIME",
+    "RealisationMeanDuration",
+    "Sensitivities",
+    "Sensitivity",
+    "StickDuration",
+    "StickFunctional",
+    "StickSequence",
+    "StickStart",
+    "StickStatistic",
+    "differentiable",
+    "sensitivity",
+]

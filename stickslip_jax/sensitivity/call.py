@@ -1,0 +1,195 @@
+"""`sensitivity`: derivatives of stick statistics, corrected for sticks born and lost."""
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+
+from .. import _checks
+from .._types import Array
+from ..dynamics.method import EXACT
+from .estimate import Gradient, Sensitivities, Sensitivity, difference_of_ratios, gradient_of_ratio
+from .estimators import Columns, counted, differenced, recorded
+from .exactness import warn_if_grazing
+from .first_look import WINDOWS, problem_of, reach_of, windows_of
+from .problem import Pilot, Problem, room_for
+from .runs import Tally
+from .sequences import Spans
+from .statistic import OfTotals
+
+_METHODS = ("corrected", "finite-difference")
+_AGREE = 2.5  # standard errors
+_FEW = 100  # sticks
+
+
+def sensitivity(
+    statistic: Any,
+    system: Any,
+    law: Any,
+    *,
+    wrt: str | tuple[str, ...] | list[str],
+    t1: float,
+    samples: int,
+    key: Array | None = None,
+    y0: Any = None,
+    elasticity: Any = False,
+    method: str = "corrected",
+    step: float = 0.01,
+    reach: float | None = None,
+    exact: Any = EXACT,
+    threads: int | None = None,
+    chunk: int | None = None,
+) -> Sensitivity | Sensitivities:
+    """The derivative of a stick statistic's expectation with respect to parameters, with its standard error.
+
+    Sticks are born and lost as parameters change, so differentiating the simulated mean is wrong. Here the pathwise
+    derivative is corrected by the flux of sticks through the edge of existence.
+
+    - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration` (pooled), or a `StickStatistic`:
+      `TOTAL_STICK_TIME`, `RealisationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
+    - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
+      "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
+      ambiguous. All are found in one pass.
+    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `exact`, `threads`, `chunk`: as in `simulate_ensemble`, where
+      `exact` is the method; something must be random. The answer does not depend on `threads`, nor, but for the order
+      of summation, on `chunk`.
+    - `elasticity`: whether to give ``d log statistic / d log parameter``.
+    - `method`: "corrected", or "finite-difference": central differences with common random numbers, of `step` times the
+      parameter's size; biased by order ``step^2``.
+    - `reach`: how far the corrected method looks for sticks about to be born or lost, as a relative change of the
+      parameter. By default ``0.02 (sticks / 10^6)^(-1/5)``, at most 0.1. Its bias is of order ``reach^2``.
+
+    How the event part is found. On a base of piecewise-constant velocity, without damping and force, and for
+    statistics of totals, near misses are seen too, and what Poisson switching decides is integrated out; the derivative
+    by its rate comes from the likelihood. Elsewhere it comes from sticks (and slips between two) shorter than a window,
+    ``(sticks / 10^6)^(-1/5)`` times the lower quartile of durations. All windows come in several widths; the widest is
+    taken whose answer is within 2.5 standard errors of those of the narrower ones. The bias is of order ``window^2``.
+
+    Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
+    fewer than 100 sticks, and where every trajectory begins with an arc that exactly grazes the base velocity: the
+    derivative does not exist there, and is NaN. Raises ValueError for arguments outside these bounds.
+    """
+    _check_options(elasticity, method, step, reach)
+    problem, pilot = problem_of(
+        statistic, system, law, wrt, t1, samples, key, y0, exact=exact, threads=threads, chunk=chunk
+    )
+    if method == "finite-difference":
+        results = _by_differences(problem, pilot, elasticity, step)
+    else:
+        results = _corrected(problem, pilot, elasticity, reach)
+    return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
+
+
+def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
+    widest = reach_of(problem, pilot) if reach is None else float(reach)
+    if problem.is_counted:
+        windows, reaches = np.full(2, math.nan), widest * np.array([1, 1 / 4])
+        tally, columns = counted(problem, pilot, widest)
+    else:
+        windows, reaches = windows_of(problem, pilot), widest * np.array(WINDOWS)
+        spans = Spans(windows.astype(problem.dtype), reaches.astype(problem.dtype))
+        tally, columns = recorded(problem, room_for(problem, pilot), spans)
+    grazing = warn_if_grazing(problem)
+    results = {}
+    for parameter, where in zip(problem.parameters, columns, strict=True):
+        log_by = parameter.value if elasticity else None
+        chosen = _widest(tally, where)
+        got = gradient_of_ratio(tally.moments, where.derivative[chosen], where.pathwise, log_by)
+        if parameter.name in grazing:
+            got = got._replace(derivative=math.nan, standard_error=math.nan)
+        near = int(tally.near[chosen])
+        results[parameter.name] = _result(
+            problem,
+            parameter,
+            got,
+            elasticity,
+            "corrected",
+            tally,
+            near,
+            float(reaches[chosen]),
+            windows[chosen],
+        )
+    if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
+        return results
+    few = min(result.sticks_in_window for result in results.values())
+    if few < _FEW:
+        warnings.warn(
+            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return results
+
+
+def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float) -> dict[str, Sensitivity]:
+    results = {}
+    for index, parameter in enumerate(problem.parameters):
+        length = step * (abs(parameter.value) or 1.0)
+        tally = differenced(problem, index, length, room_for(problem, pilot))
+        got = difference_of_ratios(tally.moments, 2, length, parameter.value if elasticity else None)
+        results[parameter.name] = _result(
+            problem, parameter, got, elasticity, "finite-difference", tally, 0, step, math.nan
+        )
+    return results
+
+
+def _result(
+    problem: Problem,
+    parameter: Any,
+    got: Gradient,
+    elasticity: bool,
+    method: str,
+    tally: Tally,
+    near: int,
+    reach: float,
+    window: float,
+) -> Sensitivity:
+    return Sensitivity(
+        statistic=problem.statistic.name,
+        parameter=parameter.name,
+        parameter_value=parameter.value,
+        unit=problem.statistic.unit,
+        value=got.value,
+        value_error=got.value_error,
+        derivative=got.derivative,
+        standard_error=got.standard_error,
+        pathwise=got.pathwise,
+        event=got.derivative - got.pathwise,
+        is_elasticity=elasticity,
+        method=method,
+        samples=tally.moments.number,
+        asked=problem.samples,
+        sticks_in_window=near,
+        reach=reach,
+        window=float(window),
+    )
+
+
+def _widest(tally: Tally, where: Columns) -> int:
+    """The number of the widest window whose derivative agrees with those of all smaller ones (Lepski's rule)."""
+    mean, covariance = tally.moments.mean, tally.moments.covariance_of_mean
+    a, b = mean[:2]
+    if not b > 0:
+        return len(where.derivative) - 1
+
+    def weights(column):
+        of = np.zeros(len(mean))
+        of[column : column + 2] = 1 / b, -a / b**2
+        return of
+
+    for number, column in enumerate(where.derivative):
+        differences = [weights(column) - weights(smaller) for smaller in where.derivative[number + 1 :]]
+        if all(abs(of @ mean) <= _AGREE * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
+            return number
+    return len(where.derivative) - 1
+
+
+def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:
+    if not isinstance(elasticity, bool):
+        raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
+    if method not in _METHODS:
+        raise ValueError(f"Argument method must be one of {_METHODS}, but {_checks.show(method)} was given.")
+    _checks.positive("step", step)
+    if reach is not None:
+        _checks.positive("reach", reach)

@@ -1,0 +1,101 @@
+"""Arguments checked, and a first look at the motion: what the windows of the kernels are made by."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._status import Ending
+from ..base_motion.drive import is_random, words_for
+from ..base_motion.random import Uniform
+from ..dynamics.method import EXACT, Exact
+from ..ensemble import simulate_ensemble
+from ..set_up import check_system, state_of
+from .parameters import parameters_of
+from .problem import Pilot, Problem
+from .runs import cores
+from .statistic import statistic_of
+
+WINDOWS = (1.0, 0.5, 0.25, 0.125)  # of recorded sequences, to choose from
+_PILOT = 1024  # samples
+_REACH, _WINDOW, _STICKS = 0.02, 1.0, 1e6  # windows at so many sticks
+_LARGEST_REACH = 0.1
+_SHORT = 0.25  # the share of all sticks that sets the scale of short ones
+
+
+def problem_of(
+    statistic: Any,
+    system: Any,
+    law: Any,
+    wrt: Any,
+    t1: float,
+    samples: int,
+    key: Any,
+    y0: Any,
+    *,
+    exact: Any = EXACT,
+    threads: int | None = None,
+    chunk: int | None = None,
+) -> tuple[Problem, Pilot]:
+    """The problem, checked, and a first look at its motion."""
+    statistic = statistic_of(statistic)
+    threads = cores() if threads is None else _checks.whole_number("threads", threads)
+    size = None if chunk is None else _checks.whole_number("chunk", chunk)
+    if not isinstance(exact, Exact):
+        raise ValueError(f"Argument exact must be Exact(...), but {_checks.show(exact)} was given.")
+    check_system(system)
+    y0 = _checked_start(system, law, y0)
+    pilot = _pilot(system, law, t1, y0, samples, key, exact, threads)
+    parameters = parameters_of({"system": system, "law": law, "y0": y0}, wrt)
+    words, dtype = words_for(law, key), jnp.result_type(float)
+    return Problem(
+        statistic, system, law, float(t1), y0, exact, words, parameters, samples, threads, size, dtype
+    ), pilot
+
+
+def reach_of(problem: Problem, pilot: Pilot) -> float:
+    """How far kernels look, as a share of the parameter, by default."""
+    return min(_REACH * _share_of(problem, pilot), _LARGEST_REACH)
+
+
+def windows_of(problem: Problem, pilot: Pilot) -> np.ndarray:
+    """How far kernels look in durations (s), the widest first."""
+    return np.array(WINDOWS) * (_WINDOW * _share_of(problem, pilot) * pilot.short)
+
+
+def _share_of(problem: Problem, pilot: Pilot) -> float:
+    """Windows shrink with the fifth root of the number of sticks, as the best ones of a bias of second order do."""
+    return (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2
+
+
+def _pilot(
+    system: Any, law: Any, t1: float, y0: tuple[Any, ...], samples: int, key: Any, exact: Exact, threads: int
+) -> Pilot:
+    """A first look, which also checks the arguments."""
+    number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
+    many = simulate_ensemble(
+        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, keep="sticks", threads=threads, progress=False
+    )
+    if many.moments.number < 2:
+        raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
+    sticks = many.require_sticks()
+    whole = (sticks.start > 0) & (sticks.ending != Ending.HORIZON)
+    durations = (sticks.end - sticks.start)[whole]
+    return Pilot(
+        stick_time=float(many.moments.mean[0]),
+        sticks=float(many.moments.mean[1]),
+        most=int(sticks.count.max()),
+        short=float(np.quantile(durations, _SHORT)) if len(durations) else t1 / 10,
+    )
+
+
+def _checked_start(system: Any, law: Any, y0: Any) -> tuple[Any, ...]:
+    """The initial state. Raises ValueError where nothing is random."""
+    start = state_of(system, y0, may_be_random=True)
+    if not is_random(law) and not any(isinstance(value, Uniform) for value in start):
+        raise ValueError(
+            "Argument law must be random, or y0 hold a Uniform value: without chance the number of sticks is a step "
+            "function of the parameters, and has no derivative to correct. Differentiate simulate(...) with jax.jvp."
+        )
+    return start

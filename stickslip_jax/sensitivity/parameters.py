@@ -1,0 +1,98 @@
+"""Parameters by name: where they are in a system, its drive and its initial state."""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+
+Path = tuple[str | int, ...]
+
+
+class Parameter(NamedTuple):
+    """A number that can be varied: what the caller calls it, where it is, and its value."""
+
+    name: str
+    path: Path
+    value: float
+
+
+def parameters_of(where: dict[str, Any], wrt: Any) -> tuple[Parameter, ...]:
+    """The parameters named by `wrt`, a name or several.
+
+    `where` tells what to search, by its own name: "system", "law" and "y0". A name is that of a field, such as "mu" or
+    "rate", with the names before it, as in "law.speed", where several fields have it; initial values are "y0[0]",
+    "y0[1]" and so on. Raises ValueError for a name that fits no number, or several.
+    """
+    names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
+    if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise ValueError(
+            f"Argument wrt must be a parameter's name or several different ones, but {_checks.show(wrt)} was given."
+        )
+    known = [entry for root, tree in where.items() for entry in _numbers(tree, (root,))]
+    return tuple(_chosen(name, known) for name in names)
+
+
+def number_at(tree: Any, path: Path) -> Any:
+    """What `tree` holds at `path`."""
+    for step in path:
+        tree = tree[step] if isinstance(step, int) else getattr(tree, step)
+    return tree
+
+
+def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
+    """`tree` with the numbers at `paths` replaced."""
+    return eqx.tree_at(
+        lambda tree: [number_at(tree, path) for path in paths], tree, [values[i] for i in range(len(paths))]
+    )
+
+
+def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
+    shown = [_shown(path) for path, _ in known]
+    fits = [i for i, full in enumerate(shown) if full == name or full.endswith(f".{name}")]
+    if len(fits) == 1:
+        path, value = known[fits[0]]
+        if value is None:
+            raise ValueError(
+                f"Argument wrt must name numbers that are set, but {name!r} is not; give it a value, a zero as "
+                "jnp.asarray(0.0)."
+            )
+        return Parameter(name, path, float(value))
+    if fits:
+        several = ", ".join(shown[i] for i in fits)
+        raise ValueError(f"Argument wrt must be unambiguous, but {name!r} fits {several}; give the full name.")
+    raise ValueError(f"Argument wrt must name one of {', '.join(shown)}, but {_checks.show(name)} was given.")
+
+
+def _numbers(tree: Any, path: Path) -> Iterator[tuple[Path, Any]]:
+    """Paths and values of all numbers, and of those that are not set."""
+    if isinstance(tree, eqx.Module):
+        for field in dataclasses.fields(tree):
+            if not field.metadata.get("static", False):
+                value = getattr(tree, field.name)
+                if value is None and field.name in ("damping", "mu_static"):
+                    yield (*path, field.name), None
+                else:
+                    yield from _numbers(value, (*path, field.name))
+    elif isinstance(tree, (tuple, list)):
+        for index, value in enumerate(tree):
+            yield from _numbers(value, (*path, index))
+    elif _is_number(tree):
+        yield path, tree
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, (bool, np.bool_)) or callable(value) or isinstance(value, str) or value is None:
+        return False
+    if np.ndim(value) != 0 or not jnp.issubdtype(jnp.result_type(value), jnp.number):
+        return False
+    return math.isfinite(float(value))
+
+
+def _shown(path: Path) -> str:
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).lstrip(".")

@@ -1,0 +1,121 @@
+"""One sensitivity problem: what to vary of which motion, and what a first look at it tells."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._fast_cpu import fast_cpu_enabled
+from .._types import Array
+from ..base_motion.laws import BangBangLaw
+from ..base_motion.random import Uniform
+from ..dynamics.interval_lanes import IntervalEngine
+from ..dynamics.lanes import BLOCK, Engine
+from ..dynamics.switched_lanes import SwitchedEngine
+from ..dynamics.switched_run import turns_for
+from ..set_up import checked_step, interval_engine_applies
+from .parameters import Parameter, Path
+from .statistic import StickStatistic
+
+
+class Pilot(NamedTuple):
+    """What a first look at the motion tells: means of total stick time (s) and number of sticks, the largest number,
+    and how long short sticks last, s.
+    """
+
+    stick_time: float
+    sticks: float
+    most: int
+    short: float
+
+
+class Problem(NamedTuple):
+    """What to find: the statistic of the system's motion under the law, and the parameters to vary."""
+
+    statistic: StickStatistic
+    system: Any
+    law: Any
+    t1: float
+    y0: tuple[Any, ...]
+    exact: Any
+    words: Array
+    parameters: tuple[Parameter, ...]
+    samples: int
+    threads: int
+    chunk: int | None
+    dtype: Any
+
+    @property
+    def fixed_start(self) -> bool:
+        """Whether all samples begin in the same state."""
+        return not any(isinstance(value, Uniform) for value in self.y0)
+
+    @property
+    def by_intervals(self) -> bool:
+        """Whether the closed forms over whole base intervals hold."""
+        return interval_engine_applies(self.system, self.law, self.exact)
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether nothing need be recorded."""
+        return self.by_intervals and self.statistic.is_of_totals
+
+    def engine(self) -> Engine:
+        """What simulates it, the fastest."""
+        if self.by_intervals:
+            return IntervalEngine(self.system, self.law, self.t1, self.y0)
+        drive, step = checked_step(self.system, self.law, self.exact, self.t1, "law")
+        most = self.exact.max_steps or 20 * turns_for(self.system, drive, self.t1, step)
+        return SwitchedEngine(
+            self.system, drive, self.exact.solver, self.t1, self.y0, step, np.int32(min(most, 2**31 - 1))
+        )
+
+    def paths(self) -> tuple[Path, ...]:
+        """Where the parameters are in the engine."""
+        return tuple(self._path(parameter.path) for parameter in self.parameters)
+
+    def _path(self, path: Path) -> Path:
+        if path[0] != "law" or self.by_intervals:
+            return path
+        if isinstance(self.law, BangBangLaw):
+            return ("drive", "base", 0, *path[1:])
+        # A smooth law is the drive's smooth part; of one with jumps, the parts follow each other.
+        if path[1] == "motion":
+            return ("drive", "smooth", *path[2:])
+        if path[1] == "jumps":
+            return ("drive", "base", -1, *path[2:])
+        return ("drive", "smooth", *path[1:])
+
+
+class Room(NamedTuple):
+    """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks."""
+
+    blocks: int
+    slots: int
+
+
+def room_for(problem: Problem, pilot: Pilot) -> Room:
+    """Enough for nearly every realisation; of others there is more when they come."""
+    if problem.by_intervals:
+        intervals = problem.law.checked_capacity(problem.t1)
+    else:
+        drive, step = checked_step(problem.system, problem.law, problem.exact, problem.t1, "law")
+        intervals = turns_for(problem.system, drive, problem.t1, step)
+    return Room(-(-intervals // BLOCK), 8 * -(-pilot.most // 8) + 8)
+
+
+def lanes_and_rows(problem: Problem) -> tuple[int, int]:
+    """In how many lanes and rows a chunk is counted."""
+    lanes, rows = (256, 16) if fast_cpu_enabled() else (2048, 4)
+    share = _share(problem)
+    lanes = min(lanes, max(64, 1 << (share - 1).bit_length()))
+    return lanes, max(1, min(rows, -(-share // lanes)))
+
+
+def sequence_lanes(problem: Problem) -> int:
+    """In how many lanes a chunk is recorded."""
+    return min(512, max(64, 1 << (_share(problem) - 1).bit_length()))
+
+
+def _share(problem: Problem) -> int:
+    share = -(-problem.samples // problem.threads)
+    return share if problem.chunk is None else min(share, problem.chunk)

@@ -1,0 +1,86 @@
+"""Figures of sensitivities: what is drawn is what was computed."""
+
+import math
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+
+import stickslip_jax as ss
+from stickslip_jax import plot
+
+
+def result(parameter="mu", value=1.0, derivative=0.3, error=0.01, pathwise=0.5, **more) -> ss.Sensitivity:
+    given = {
+        "statistic": "mean stick duration (pooled)", "parameter": parameter, "parameter_value": value, "unit": "s",
+        "value": 0.26, "value_error": 1e-4, "derivative": derivative, "standard_error": error, "pathwise": pathwise,
+        "event": derivative - pathwise, "is_elasticity": False, "method": "corrected", "samples": 100, "asked": 100,
+        "sticks_in_window": 500, "reach": 0.02, "window": math.nan,
+    }  # fmt: skip
+    return ss.Sensitivity(**(given | more))
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    plt.close("all")
+    yield
+    plt.close("all")
+
+
+def test_curve_is_in_order_with_bands():
+    points = [result(value=1.2, derivative=0.2), result(value=0.8, derivative=0.4, pathwise=0.7), result()]
+    ax = plot.sensitivity_curve(points)
+    corrected, pathwise = (
+        next(line for line in ax.lines if line.get_label() == label) for label in ("corrected", "pathwise part alone")
+    )
+    assert corrected.get_xdata().tolist() == [0.8, 1.0, 1.2]
+    assert corrected.get_ydata().tolist() == [0.4, 0.3, 0.2]
+    assert pathwise.get_ydata().tolist() == [0.7, 0.5, 0.5]
+    (band,) = ax.collections
+    edges = band.get_paths()[0].vertices
+    assert edges[:, 1].max() == pytest.approx(0.4 + 1.96 * 0.01)
+    assert ax.get_xlabel() == "mu"
+
+
+def test_curve_without_the_pathwise_part():
+    ax = plot.sensitivity_curve([result(), result(value=2.0)], pathwise=False)
+    assert "pathwise part alone" not in [line.get_label() for line in ax.lines]
+
+
+def test_tornado_has_the_largest_on_top():
+    results = ss.Sensitivities({
+        "mu": result(derivative=0.9, is_elasticity=True),
+        "speed": result("speed", derivative=-1.4, is_elasticity=True),
+        "rate": result("rate", derivative=0.1, is_elasticity=True),
+    })  # fmt: skip
+    ax = plot.tornado(results)
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["rate", "mu", "speed"]
+    assert [bar.get_width() for bar in ax.patches] == [0.1, 0.9, -1.4]
+    assert "elasticity" in ax.get_xlabel()
+    assert np.all(np.diff(ax.get_yticks()) > 0)
+
+
+def test_given_axes_are_used():
+    _, ax = plt.subplots()
+    assert plot.tornado([result()], ax) is ax
+    assert plot.sensitivity_curve([result()], ax) is ax
+    assert len(plt.get_fignums()) == 1
+
+
+@pytest.mark.parametrize(
+    ("draw", "results", "message"),
+    [
+        (plot.tornado, [], "one or more Sensitivity results"),
+        (plot.tornado, [1.0], "one or more Sensitivity results"),
+        (plot.tornado, [result(), result(statistic="stick fraction")], "of one statistic"),
+        (plot.sensitivity_curve, [result(), result("speed")], "those of mu, speed were given"),
+    ],
+    ids=["none", "a number", "two statistics", "two parameters"],
+)
+def test_bad_input(draw, results, message):
+    with pytest.raises(ValueError, match=message):
+        draw(results)
