@@ -35,6 +35,7 @@ from .simulate import Simulation, simulate
 from .statistics.bootstrap import bootstrap_interval
 from .statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
 from .statistics.distribution import Distribution, Histogram
+from .statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
 from .statistics.estimate import Estimate
 from .statistics.estimates import (
     mean_slip_count,
@@ -45,7 +46,6 @@ from .statistics.estimates import (
 )
 from .statistics.first_sticks import FirstSticks, first_stick
 from .statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
-from .statistics.stick_statistics import OrderStatistics, StickStatistics
 from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart, stick_duration_bound
@@ -78,6 +78,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "TOTAL_STICK_TIME",
     "BangBangLaw",
     "ConditionalMeans",
     "Constant",
@@ -86,6 +87,7 @@ __all__ = [
     "Distribution",
     "Ending",
     "Ensemble",
+    "EnsembleStatistics",
     "Estimate",
     "Exact",
     "FirstSticks",
@@ -121,12 +123,10 @@ __all__ = [
     "StickSequence",
     "StickStart",
     "StickStatistic",
-    "StickStatistics",
     "Sticks",
     "Stribeck",
     "SumOfHarmonics",
     "SwitchedSystem",
-    "TOTAL_STICK_TIME",
     "Uniform",
     "VelocitySteps",
     "VelocityWeakening",

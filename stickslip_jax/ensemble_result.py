@@ -16,8 +16,8 @@ from .base_motion.drive import is_random
 from .base_motion.random import realised_state
 from .events import FlatSticks, Sticks
 from .numerics.moments import Moments
+from .statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .statistics.source import FEATURES
-from .statistics.stick_statistics import StickStatistics, stick_statistics
 from .statistics.summary import Summary, summary_of
 from .statistics.tally import Numbering, StickTally
 
@@ -77,9 +77,9 @@ class Ensemble:
     run_seconds: float
 
     @cached_property
-    def statistics(self) -> StickStatistics:
+    def statistics(self) -> EnsembleStatistics:
         """All statistics of the sticks and slips. Raises ValueError if ``keep="totals"``."""
-        return stick_statistics(self)
+        return statistics_of_ensemble(self)
 
     def summary(self) -> Summary:
         """The statistics as a table to read, in text or in a notebook. Raises ValueError if ``keep="totals"``."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from stickslip_jax.events import FlatSticks
-from stickslip_jax.statistics.stick_statistics import StickStatistics
+from stickslip_jax.statistics.ensemble_statistics import EnsembleStatistics
 from stickslip_jax.statistics.tally import Numbering, StickTally
 from stickslip_jax.stick_runs import StickRuns
 
@@ -21,7 +21,7 @@ def sticks_from(samples: list[list[tuple[float, float, float, int]]]) -> FlatSti
 
 def statistics_of(
     sticks: FlatSticks, t1: float = T1, orders: int = 3, parts: int = 1, rest: bool = True
-) -> StickStatistics:
+) -> EnsembleStatistics:
     """The statistics of all sticks, tallied in so many parts."""
     owner = sticks.sample
     time = np.bincount(owner, weights=sticks.duration, minlength=len(sticks.count))
@@ -33,7 +33,7 @@ def statistics_of(
         tally = one if tally is None else tally.merge(one)
     assert tally is not None
     features = np.stack([time, sticks.count, slips], axis=1).astype(float)
-    return StickStatistics(tally, sticks, features, t1, "m", numbering)
+    return EnsembleStatistics(tally, sticks, features, t1, "m", numbering)
 
 
 def slips_by_hand(sticks: FlatSticks, t1: float) -> list[list[float]]:

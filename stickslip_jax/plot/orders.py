@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
+from ..statistics.ensemble_statistics import EnsembleStatistics
 from ..statistics.estimate import check_level
-from ..statistics.stick_statistics import StickStatistics
 from ..statistics.tally import QUANTITIES
 from . import _parts, _style
 
@@ -13,7 +13,7 @@ _ROOM = 0.3  # of the height of the axes, for the shares
 
 
 def means_by_order(
-    statistics: StickStatistics, quantity: str = "duration", ax: Axes | None = None, *, level: float = 0.9
+    statistics: EnsembleStatistics, quantity: str = "duration", ax: Axes | None = None, *, level: float = 0.9
 ) -> Axes:
     """Draw the mean over the samples of the i-th stick's duration, start or position, against i.
 
@@ -27,7 +27,7 @@ def means_by_order(
 
     Returns the axes, with a note in them if there are no sticks. Raises ValueError for arguments of another kind.
     """
-    _parts.require("statistics", statistics, StickStatistics, "ensemble.statistics")
+    _parts.require("statistics", statistics, EnsembleStatistics, "ensemble.statistics")
     if not (isinstance(quantity, str) and quantity in QUANTITIES):
         raise ValueError(
             f"Argument quantity must be one of {', '.join(map(repr, QUANTITIES))}, but {_checks.show(quantity)} was "

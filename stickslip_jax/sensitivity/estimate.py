@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..numerics.moments import Moments
-from ..statistics.estimates import format_with_error
+from ..statistics.estimate import format_with_error
 
 
 @dataclasses.dataclass(frozen=True)

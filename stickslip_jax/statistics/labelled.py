@@ -19,7 +19,7 @@ _SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def dataset_of_statistics(told: Any, bins: int) -> "xarray.Dataset":
-    """The statistics `told` as an ``xarray.Dataset``; see `StickStatistics.to_xarray`."""
+    """The statistics `told` as an ``xarray.Dataset``; see `EnsembleStatistics.to_xarray`."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:

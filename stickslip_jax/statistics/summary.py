@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from .ensemble_statistics import EnsembleStatistics
 from .estimate import Estimate, format_with_error
 from .source import require_ensemble
-from .stick_statistics import StickStatistics
 
 _Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
 _HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
@@ -42,7 +42,7 @@ class Summary:
 def summary_of(ensemble: Any) -> Summary:
     """The summary of an ensemble simulated with ``keep="statistics"`` or ``"sticks"``. Raises ValueError for others."""
     ensemble = require_ensemble(ensemble)
-    told: StickStatistics = ensemble.statistics
+    told: EnsembleStatistics = ensemble.statistics
     every = (
         told.stick_count, told.slip_count, told.stick_fraction, told.duration, told.own_mean_duration,
         told.slip_duration, told.start, told.position,
@@ -65,7 +65,7 @@ def summary_of(ensemble: Any) -> Summary:
     return Summary(title, tuple(tables), tuple(_notes(ensemble, told)))
 
 
-def _notes(ensemble: Any, told: StickStatistics) -> list[str]:
+def _notes(ensemble: Any, told: EnsembleStatistics) -> list[str]:
     notes = []
     if told.duration.number:
         shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in told.endings.items())

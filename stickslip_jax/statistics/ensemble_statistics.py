@@ -32,7 +32,7 @@ _NAMES = {
 _OF_A_STICK = (*QUANTITIES, "slip_before")
 
 
-def stick_statistics(ensemble: Any) -> "StickStatistics":
+def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     """All statistics of an ensemble that was simulated with ``keep="statistics"`` or ``"sticks"``.
 
     Raises ValueError for any other argument.
@@ -40,13 +40,13 @@ def stick_statistics(ensemble: Any) -> "StickStatistics":
     ensemble = require_ensemble(ensemble)
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
     position = position_of(ensemble.system)[1]
-    return StickStatistics(
+    return EnsembleStatistics(
         ensemble.tally, sticks, ensemble.retained.features, ensemble.t1, position, ensemble.numbering
     )
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class StickStatistics:
+class EnsembleStatistics:
     """Statistics of the sticks and slips of the samples that finished.
 
     Sticks cut by the horizon count with the part seen (`endings` tells how many they are), and so do slips. A sample
