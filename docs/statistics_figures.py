@@ -4,6 +4,7 @@ from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
+import numpy as np
 
 import stickslip_jax as ss
 from stickslip_jax import papers, plot
@@ -52,8 +53,41 @@ def draw_convergence(many: ss.Ensemble) -> None:
     figure.savefig(HERE / "statistics_convergence.png", dpi=110)
 
 
+def draw_parameters() -> None:
+    """The stick fraction of the random belt against the frequency ratio, and a map over friction and rate."""
+    figure, axes = plt.subplots(1, 2, figsize=(10.6, 4.2), layout="constrained")
+    ratios, fractions = np.linspace(0.2, 3.0, 57), []
+    for ratio in ratios:
+        setup = papers.random_belt(float(ratio))
+        many = ss.simulate_ensemble(
+            setup.system, setup.law, t1=setup.t1, y0=setup.y0, samples=4096, key=jax.random.key(1)
+        )
+        fractions.append(many.statistics.stick_fraction)
+    plot.stick_fraction_curve(ratios, fractions, axes[0])
+
+    frictions, rates = np.linspace(0.2, 3.0, 29), np.linspace(0.1, 3.0, 30)
+    durations = np.array([[_mean_duration(float(mu), float(rate)) for rate in rates] for mu in frictions])
+    labels = {"xlabel": r"friction coefficient $\mu$ (dimensionless)", "ylabel": r"switching rate $\lambda$ (1/s)"}
+    plot.parameter_map(frictions, rates, durations, axes[1], **labels, label="mean stick duration (s)")
+    figure.savefig(HERE / "statistics_parameters.png", dpi=110)
+
+
+def _mean_duration(mu: float, rate: float) -> float:
+    many = ss.simulate_ensemble(
+        ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=mu)),
+        ss.PoissonSwitching(speed=1.0, rate=rate),
+        t1=200.0,
+        samples=1024,
+        key=jax.random.key(2),
+        y0=(0.0, 1.0),
+        keep="totals",
+    )
+    return ss.mean_stick_duration(many).value
+
+
 if __name__ == "__main__":
     ensemble = belt()
     draw_distributions(ensemble)
     draw_joint(ensemble)
     draw_convergence(ensemble)
+    draw_parameters()
