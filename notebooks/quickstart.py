@@ -99,8 +99,17 @@ for estimate in (
 ):
     print(estimate(many))
 
+# %% [markdown]
+# All statistics in a table, and one by one in `many.statistics`: quantiles, entropies, histograms, joint histograms.
+
 # %%
-ax = ss.plot.stick_durations(many, bins=100)
+many.summary()
+
+# %%
+ax = ss.plot.histogram(many.statistics.duration, bins=100)
+
+# %%
+axes = ss.plot.joint_histogram(many.statistics.joint("duration", "position"))
 
 # %% [markdown]
 # The same sticks as labelled arrays, ready for NetCDF:
