@@ -101,7 +101,7 @@ POINTS = [(0.3, 0.1), (0.3, 1.0), (0.6, 2.0), (0.8, 0.3), (1.3, 0.1), (1.3, 2.0)
 @pytest.mark.parametrize(("w", "rate"), POINTS)
 def test_poisson_switching_at_many_points(w, rate):
     for statistic in ("count", "pooled", "first"):
-        samples = 8_192 if statistic == "first" else 65_536
+        samples = 4_096 if statistic == "first" else 65_536
         corrected, differences = compare(statistic, ("mu", "speed", "rate"), samples, 0.004, poisson(w, rate, 60.0), 4)
         for name, result in corrected.items():
             assert abs(z_score(result, differences[name])) < AGREE, (statistic, name)
@@ -161,7 +161,7 @@ def test_other_bases(name):
     case, wrt = OTHER[name]
     counted = name.startswith(("random", "square"))
     for statistic in ("count", "pooled", "first"):
-        samples = 32_768 if counted and statistic != "first" else 8_192
+        samples = 32_768 if counted and statistic != "first" else 4_096
         corrected, differences = compare(statistic, wrt, samples, 0.002, case, 4)
         for parameter, result in corrected.items():
             assert abs(z_score(result, differences[parameter])) < AGREE, (statistic, parameter)
@@ -174,7 +174,7 @@ def test_standard_errors_are_honest():
     system, law = case.pop("system"), case.pop("law")
     options = {"wrt": ("mu", "rate"), "reach": 0.01, **case}
     for statistic in (ss.mean_stick_count, ss.mean_stick_duration):
-        exact = ss.sensitivity(statistic, system, law, samples=4_000_000, key=jax.random.key(1000), **options)
+        exact = ss.sensitivity(statistic, system, law, samples=1_000_000, key=jax.random.key(1000), **options)
         repeats = [
             ss.sensitivity(statistic, system, law, samples=2_048, key=jax.random.key(number), **options)
             for number in range(200)
