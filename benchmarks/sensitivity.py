@@ -26,7 +26,7 @@ def programs() -> dict:
         return {"t1": 200.0, "samples": SAMPLES, "key": jax.random.key(number), "y0": (0.0, 1.0)}
 
     def plain(number):
-        return ss.simulate_ensemble(papers.belt_oscillator(), LAW, progress=False, **options(number))
+        return ss.simulate_ensemble(papers.belt_oscillator(), LAW, progress=False, keep="totals", **options(number))
 
     def derivative(number, **more):
         return ss.sensitivity(

@@ -10,6 +10,7 @@ README = Path(__file__).with_name("README.md")
 BEGIN, END = "<!-- table: written by `make bench` -->", "<!-- end of table -->"
 BEGIN_CART, END_CART = "<!-- motor and cart: written by `make bench` -->", "<!-- end of motor and cart -->"
 BEGIN_REGULARIZED, END_REGULARIZED = "<!-- regularised: written by `make bench` -->", "<!-- end of regularised -->"
+BEGIN_SENSITIVITY, END_SENSITIVITY = "<!-- sensitivity: written by `make bench` -->", "<!-- end of sensitivity -->"
 
 
 def heading(results: dict, rounds: int) -> str:
@@ -75,6 +76,21 @@ def regularized_table(results: dict) -> str:
     return "\n".join(lines)
 
 
+def sensitivity_table(results: dict) -> str:
+    """What derivatives cost, as a Markdown table."""
+    entries = [entry["extra_info"] for entry in results["benchmarks"] if "sensitivity" in entry["extra_info"]]
+    lines = [
+        heading(results, 5),
+        "",
+        "| program | time, s | times the value | relative standard error | time to an error of 1 %, s |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for info in entries:
+        error = f"{100 * info['relative_error']:.2f} % | {info['cost']:.2g}" if "cost" in info else " | "
+        lines.append(f"| {info['sensitivity']} | {info['seconds']:.2f} | {info['times_value']:.1f} | {error} |")
+    return "\n".join(lines)
+
+
 def _time(seconds: float) -> str:
     return (
         f"{1e6 * seconds:,.1f} us"
@@ -97,6 +113,7 @@ def main(path: str) -> None:
         (BEGIN, END, table(results)),
         (BEGIN_CART, END_CART, cart_table(results)),
         (BEGIN_REGULARIZED, END_REGULARIZED, regularized_table(results)),
+        (BEGIN_SENSITIVITY, END_SENSITIVITY, sensitivity_table(results)),
     ):
         before, after = text.split(begin)[0], text.split(end)[1]
         text = f"{before}{begin}\n{new}\n{end}{after}"
