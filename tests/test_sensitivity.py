@@ -162,7 +162,7 @@ def test_other_bases(name):
     counted = name.startswith(("random", "square"))
     for statistic in ("count", "pooled", "first"):
         samples = 32_768 if counted and statistic != "first" else 4_096
-        # About the default reach: with random steps the slope of the mean count depends on the scale (see the document).
+        # About the default reach: with random steps the slope of the mean count depends on its scale (docs).
         corrected, differences = compare(statistic, wrt, samples, 0.004, case, 4)
         for parameter, result in corrected.items():
             assert abs(z_score(result, differences[parameter])) < AGREE, (statistic, parameter)
