@@ -110,7 +110,7 @@ def test_poisson_switching_at_many_points(w, rate):
 OTHER = {
     "random steps": (
         {"system": oscillator(2.2), "law": ss.RandomSteps(1.0, 1.1), "t1": 40.0, "y0": anywhere(2.2)},
-        ("mu", "speed", "interval"),
+        ("mu", "speed"),
     ),
     "random steps, three levels": (
         {
@@ -162,7 +162,8 @@ def test_other_bases(name):
     counted = name.startswith(("random", "square"))
     for statistic in ("count", "pooled", "first"):
         samples = 32_768 if counted and statistic != "first" else 4_096
-        corrected, differences = compare(statistic, wrt, samples, 0.002, case, 4)
+        # About the default reach: with random steps the slope of the mean count depends on its scale (docs).
+        corrected, differences = compare(statistic, wrt, samples, 0.004, case, 4)
         for parameter, result in corrected.items():
             assert abs(z_score(result, differences[parameter])) < AGREE, (statistic, parameter)
 

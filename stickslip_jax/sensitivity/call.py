@@ -19,7 +19,7 @@ from .sequences import Spans
 from .statistic import OfTotals
 
 _METHODS = ("corrected", "finite-difference")
-_AGREE = 2.5  # standard errors
+_AGREE = 2.0  # standard errors
 _FEW = 100  # sticks
 
 
@@ -58,13 +58,13 @@ def sensitivity(
     - `method`: "corrected", or "finite-difference": central differences with common random numbers, of `step` times the
       parameter's size; biased by order ``step^2``.
     - `reach`: how far the corrected method looks for sticks about to be born or lost, as a relative change of the
-      parameter. By default ``0.02 (sticks / 10^6)^(-1/5)``, at most 0.1. Its bias is of order ``reach^2``.
+      parameter. By default ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05. Its bias is of order ``reach^2``.
 
     How the event part is found. On a base of piecewise-constant velocity, without damping and force, and for
     statistics of totals, near misses are seen too, and what Poisson switching decides is integrated out; the derivative
     by its rate comes from the likelihood. Elsewhere it comes from sticks (and slips between two) shorter than a window,
     ``(sticks / 10^6)^(-1/5)`` times the lower quartile of durations. All windows come in several widths; the widest is
-    taken whose answer is within 2.5 standard errors of those of the narrower ones. The bias is of order ``window^2``.
+    taken whose answer is within 2 standard errors of those of the narrower ones. The bias is of order ``window^2``.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks, and where every trajectory begins with an arc that exactly grazes the base velocity: the

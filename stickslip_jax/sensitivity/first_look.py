@@ -19,8 +19,8 @@ from .statistic import statistic_of
 
 WINDOWS = (1.0, 0.5, 0.25, 0.125)  # of recorded sequences, to choose from
 _PILOT = 1024  # samples
-_REACH, _WINDOW, _STICKS = 0.02, 1.0, 1e6  # windows at so many sticks
-_LARGEST_REACH = 0.1
+_REACH, _WINDOW, _STICKS = 0.005, 1.0, 1e6  # windows at so many sticks
+_LARGEST_REACH = 0.05
 _SHORT = 0.25  # the share of all sticks that sets the scale of short ones
 
 
