@@ -325,7 +325,7 @@ def test_bad_arguments(many, annotations_unchecked):
         (plot.joint_histogram, (joint,), {"log": 1}, "log must be True or False"),
         (plot.joint_histogram, (joint,), {"conditional_mean": "yes"}, "conditional_mean must be True or False"),
         (plot.joint_histogram, (joint, plt.figure().subplots(2)), {}, "axes must hold three matplotlib Axes"),
-        (plot.means_by_order, (many,), {}, "statistics must be a EnsembleStatistics, but"),
+        (plot.means_by_order, (many,), {}, "statistics must be an EnsembleStatistics, but"),
         (plot.means_by_order, (statistics, "slip"), {}, "quantity must be one of 'start', 'duration', 'position'"),
         (plot.means_by_order, (statistics,), {"level": 1.0}, "level must lie between 0 and 1"),
         (plot.convergence, (many,), {}, "result must be a Convergence or a HistogramConvergence, but"),

@@ -211,6 +211,7 @@ def test_values_are_those_of_the_ensemble(first_durations):
     assert corrected.value == pytest.approx(first.duration[first.mask].mean(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_user_functional_and_realisation_means():
     """The number of sticks as a user's functional is the number of sticks; realisation means against differences."""
     case = poisson(1.4, 1.0, 12.0)
@@ -367,3 +368,13 @@ def test_bad_stick_number(build):
 def test_bad_functional():
     with pytest.raises(ValueError, match="Argument function must be a function of a StickSequence"):
         ss.StickFunctional(3)
+
+
+@pytest.mark.parametrize("w", [1.0, 2.0])
+def test_special_base_speeds_are_told(w):
+    """At w = 1 and 2 the slope of the mean count depends on the step; that by the rate exists."""
+    options = {"t1": 20.0, "samples": 2_048, "key": jax.random.key(0), "y0": anywhere(w)}
+    system, law = oscillator(w), ss.PoissonSwitching(1.0, 1.0)
+    with pytest.warns(RuntimeWarning, match=f"w = .* is exactly {w:g}, .* with respect to mu, speed: its slope"):
+        ss.sensitivity(ss.mean_stick_count, system, law, wrt=("mu", "speed", "rate"), **options)
+    ss.sensitivity(ss.mean_stick_count, system, law, wrt="rate", **options)

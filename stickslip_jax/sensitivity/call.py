@@ -11,7 +11,7 @@ from .._types import Array
 from ..dynamics.method import EXACT
 from .estimate import Gradient, Sensitivities, Sensitivity, difference_of_ratios, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
-from .exactness import warn_if_grazing
+from .exactness import warn_at_special_speeds, warn_if_grazing
 from .first_look import WINDOWS, problem_of, reach_of, windows_of
 from .problem import Pilot, Problem, room_for
 from .runs import Tally
@@ -67,7 +67,7 @@ def sensitivity(
     taken whose answer is within 2 standard errors of those of the narrower ones. The bias is of order ``window^2``.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
-    fewer than 100 sticks, and where every trajectory begins with an arc that exactly grazes the base velocity: the
+    fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory begins with an arc that exactly grazes the base velocity: the
     derivative does not exist there, and is NaN. Raises ValueError for arguments outside these bounds.
     """
     _check_options(elasticity, method, step, reach)
@@ -112,6 +112,16 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
         )
     if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
         return results
+    warn_at_special_speeds(problem)
+    torn = [parameter.name for parameter, where in zip(problem.parameters, columns, strict=True) if _torn(tally, where)]
+    if torn:
+        warnings.warn(
+            f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one looks "
+            "for sticks about to be born or lost, or does not exist. That of the narrowest window is given; compare "
+            "with method='finite-difference' at several steps.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
     few = min(result.sticks_in_window for result in results.values())
     if few < _FEW:
         warnings.warn(
@@ -183,6 +193,11 @@ def _widest(tally: Tally, where: Columns) -> int:
         if all(abs(of @ mean) <= _AGREE * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
             return number
     return len(where.derivative) - 1
+
+
+def _torn(tally: Tally, where: Columns) -> bool:
+    """Whether even the two narrowest windows disagree."""
+    return len(where.derivative) > 1 and _widest(tally, where) == len(where.derivative) - 1
 
 
 def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:
