@@ -67,8 +67,9 @@ def sensitivity(
     taken whose answer is within 2 standard errors of those of the narrower ones. The bias is of order ``window^2``.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
-    fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory begins with an arc that exactly grazes the base velocity: the
-    derivative does not exist there, and is NaN. Raises ValueError for arguments outside these bounds.
+    fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory
+    begins with an arc that exactly grazes the base velocity: the derivative does not exist there, and is NaN. Raises
+    ValueError for arguments outside these bounds.
     """
     _check_options(elasticity, method, step, reach)
     problem, pilot = problem_of(
@@ -113,23 +114,28 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
     if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
         return results
     warn_at_special_speeds(problem)
-    torn = [parameter.name for parameter, where in zip(problem.parameters, columns, strict=True) if _torn(tally, where)]
+    _warn_of_windows(tally, columns, results)
+    return results
+
+
+def _warn_of_windows(tally: Tally, columns: tuple[Columns, ...], results: dict[str, Sensitivity]) -> None:
+    """RuntimeWarning where windows disagree, or hold few sticks."""
+    torn = [name for name, where in zip(results, columns, strict=True) if _torn(tally, where)]
     if torn:
         warnings.warn(
-            f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one looks "
-            "for sticks about to be born or lost, or does not exist. That of the narrowest window is given; compare "
-            "with method='finite-difference' at several steps.",
+            f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one "
+            "looks for sticks about to be born or lost, or does not exist. That of the narrowest window is given; "
+            "compare with method='finite-difference' at several steps.",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     few = min(result.sticks_in_window for result in results.values())
     if few < _FEW:
         warnings.warn(
             f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
-    return results
 
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float) -> dict[str, Sensitivity]:

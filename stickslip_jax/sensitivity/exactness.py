@@ -83,9 +83,9 @@ def warn_at_special_speeds(problem: Problem) -> None:
     if moved:
         special = 1 if np.any(found.reshape(-1, 2)[:, 0]) else 2
         warnings.warn(
-            f"The dimensionless base speed w = speed / (a omega) is exactly {special}, where the mean number of sticks "
-            f"has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it is taken. "
-            "The slope over about `reach` is given; see docs/sensitivity.md.",
+            f"The dimensionless base speed w = speed / (a omega) is exactly {special}, where the mean number of "
+            f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
+            "is taken. The slope over about `reach` is given; see docs/sensitivity.md.",
             RuntimeWarning,
             stacklevel=4,
         )
