@@ -27,9 +27,7 @@ def main() -> None:
     ]
     plot.sensitivity_curve(curve, left)
     names = ("mu", "normal_force", "mass", "stiffness", "speed", "rate")
-    plot.tornado(
-        ss.sensitivity(ss.mean_stick_duration, system(0.9), LAW, wrt=names, elasticity=True, **STUDY), right
-    )
+    plot.tornado(ss.sensitivity(ss.mean_stick_duration, system(0.9), LAW, wrt=names, elasticity=True, **STUDY), right)
     figure.savefig(Path(__file__).with_name("sensitivity.png"), dpi=110)
 
 

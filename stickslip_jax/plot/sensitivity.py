@@ -91,5 +91,5 @@ def _checked_curve(results: Any) -> list[Sensitivity]:
 def _title(one: Sensitivity) -> str:
     if one.is_elasticity:
         return f"elasticity of the\n{one.statistic}"
-    unit = "" if one.unit == "1" else f" ({one.unit} by the parameter's unit)"
+    unit = "" if one.unit == "1" else f"\n({one.unit} by the parameter's unit)"
     return f"derivative of the\n{one.statistic}{unit}"
