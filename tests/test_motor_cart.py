@@ -48,7 +48,7 @@ def assert_first_sticks_agree(mu, samples, numbers):
     assert np.all(worst < 1e-7), worst
 
 
-@pytest.mark.parametrize("mu", SAMPLES)
+@pytest.mark.parametrize("mu", [0.2, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_first_sticks_against_the_reference(mu):
     many = ensemble(mu, SAMPLES[mu])
     numbers = np.arange(64)
@@ -212,6 +212,7 @@ def energy_error(step):
     return abs(gained - over_time(power)), over_time(np.abs(source))
 
 
+@pytest.mark.slow
 def test_energy_balance():
     """It closes to the flow's order, 8: a step of half the length leaves less than 2^-7 of the error."""
     (coarse, work), (fine, _) = energy_error(1.8e-3), energy_error(0.9e-3)

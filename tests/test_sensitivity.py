@@ -78,7 +78,7 @@ def compare(statistic, wrt, samples, step, case, factor=1):
     return corrected, differences
 
 
-@pytest.mark.parametrize(("w", "rate"), [(0.6, 0.5), (1.4, 1.0)])
+@pytest.mark.parametrize(("w", "rate"), [pytest.param(0.6, 0.5, marks=pytest.mark.slow), (1.4, 1.0)])
 def test_poisson_switching(w, rate):
     """Count and pooled mean duration, by mu, speed and rate; the pathwise derivative alone fails the same test."""
     for statistic in ("count", "pooled"):
@@ -370,7 +370,7 @@ def test_bad_functional():
         ss.StickFunctional(3)
 
 
-@pytest.mark.parametrize("w", [1.0, 2.0])
+@pytest.mark.parametrize("w", [pytest.param(1.0, marks=pytest.mark.slow), 2.0])
 def test_special_base_speeds_are_told(w):
     """At w = 1 and 2 the slope of the mean count depends on the step; that by the rate exists."""
     options = {"t1": 20.0, "samples": 2_048, "key": jax.random.key(0), "y0": anywhere(w)}

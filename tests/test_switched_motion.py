@@ -198,6 +198,7 @@ def test_mirror_image():
     np.testing.assert_allclose(other.sticks.position, -one.sticks.position, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_ensemble_samples_are_simulations():
     """Random phases and jumps together: each sample of an ensemble is the simulation of its own realisation."""
     law = ss.WithJumps(ss.RandomPhase(ss.Harmonic(0.5, 1.3)), ss.PoissonSwitching(0.4, 0.5))

@@ -113,7 +113,7 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
         )
     if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
         return results
-    warn_at_special_speeds(problem)
+    warn_at_special_speeds(problem, grazing)
     _warn_of_windows(tally, columns, results)
     return results
 

@@ -53,11 +53,11 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
     return tuple(moved)
 
 
-def warn_at_special_speeds(problem: Problem) -> None:
+def warn_at_special_speeds(problem: Problem, told: tuple[str, ...]) -> None:
     """RuntimeWarning where a base speed is exactly ``a omega`` or twice that, and a parameter changes their ratio w.
 
     There the circle on which the mass leaves a stick passes through special points of the phase plane, and the mean
-    number of sticks bends without end: differences grow as steps shrink.
+    number of sticks bends without end: differences grow as steps shrink. Not for parameters `told` of already.
     """
     if not problem.by_intervals:
         return
@@ -80,6 +80,7 @@ def warn_at_special_speeds(problem: Problem) -> None:
         return jax.vmap(of)(*words).reshape(-1)
 
     found, moved = _zeros(problem, distance)
+    moved = [name for name in moved if name not in told]
     if moved:
         special = 1 if np.any(found.reshape(-1, 2)[:, 0]) else 2
         warnings.warn(
