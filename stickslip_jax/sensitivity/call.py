@@ -114,13 +114,15 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
     if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
         return results
     warn_at_special_speeds(problem, grazing)
-    _warn_of_windows(tally, columns, results)
+    _warn_of_windows(tally, columns, results, grazing)
     return results
 
 
-def _warn_of_windows(tally: Tally, columns: tuple[Columns, ...], results: dict[str, Sensitivity]) -> None:
-    """RuntimeWarning where windows disagree, or hold few sticks."""
-    torn = [name for name, where in zip(results, columns, strict=True) if _torn(tally, where)]
+def _warn_of_windows(
+    tally: Tally, columns: tuple[Columns, ...], results: dict[str, Sensitivity], told: tuple[str, ...]
+) -> None:
+    """RuntimeWarning where windows disagree (but for parameters `told` of already), or hold few sticks."""
+    torn = [name for name, where in zip(results, columns, strict=True) if name not in told and _torn(tally, where)]
     if torn:
         warnings.warn(
             f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one "
