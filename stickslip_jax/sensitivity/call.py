@@ -20,6 +20,7 @@ from .statistic import OfTotals
 
 _METHODS = ("corrected", "finite-difference")
 _AGREE = 2.0  # standard errors
+_TORN = 4.0  # standard errors: chance alone takes two windows so far apart once in 16,000 times
 _FEW = 100  # sticks
 
 
@@ -184,7 +185,7 @@ def _result(
     )
 
 
-def _widest(tally: Tally, where: Columns) -> int:
+def _widest(tally: Tally, where: Columns, agree: float = _AGREE) -> int:
     """The number of the widest window whose derivative agrees with those of all smaller ones (Lepski's rule)."""
     mean, covariance = tally.moments.mean, tally.moments.covariance_of_mean
     a, b = mean[:2]
@@ -198,14 +199,14 @@ def _widest(tally: Tally, where: Columns) -> int:
 
     for number, column in enumerate(where.derivative):
         differences = [weights(column) - weights(smaller) for smaller in where.derivative[number + 1 :]]
-        if all(abs(of @ mean) <= _AGREE * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
+        if all(abs(of @ mean) <= agree * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
             return number
     return len(where.derivative) - 1
 
 
 def _torn(tally: Tally, where: Columns) -> bool:
-    """Whether even the two narrowest windows disagree."""
-    return len(where.derivative) > 1 and _widest(tally, where) == len(where.derivative) - 1
+    """Whether even the two narrowest windows disagree, by more than chance allows."""
+    return len(where.derivative) > 1 and _widest(tally, where, _TORN) == len(where.derivative) - 1
 
 
 def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:
