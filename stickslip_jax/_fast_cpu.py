@@ -52,3 +52,8 @@ def fast_cpu_enabled() -> bool:
     loop = jax.jit(lambda x: lax.fori_loop(0, 1000, lambda _, y: jnp.sin(y) * y, x))
     compiled = loop.lower(jax.ShapeDtypeStruct((1 << 16,), jnp.float32)).compile()
     return "xla_cpu_small_call" in (compiled.as_text() or "")
+
+
+def cores() -> int:
+    """How many threads can work at once."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,6 +1,5 @@
 """Simulate many samples of a random base motion: keys, chunks, threads, streaming."""
 
-import os
 import sys
 import threading
 import time
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import _checks
-from ._fast_cpu import fast_cpu_enabled
+from ._fast_cpu import cores, fast_cpu_enabled
 from ._types import Array
 from .base_motion.drive import drive_of, is_random, words_for
 from .base_motion.laws import BangBangLaw
@@ -87,7 +86,7 @@ def simulate_ensemble(
     ValueError for arguments outside these bounds.
     """
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
-    threads = _checks.whole_number("threads", threads) if threads is not None else _cores()
+    threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     gathering, started = Gathering(samples, keep), time.perf_counter()
     simulate = _simulator(run, plan, gathering)
@@ -321,10 +320,6 @@ def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[
                 yield number, future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager

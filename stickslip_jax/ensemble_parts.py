@@ -17,6 +17,8 @@ from .stick_runs import StickGatherer, StickRuns
 RETAINED = 1_000_000
 """So many sticks at most, those of the first samples, are retained where only statistics are kept: standard errors
 and whatever cannot be summed (ranks, tests) rest on them."""
+FEWEST = 64
+"""So many samples are retained in any case."""
 
 
 class Part(NamedTuple):
@@ -52,7 +54,7 @@ class Gathering:
         self.doubtful = 0
         self.tally: StickTally | None = None
         self._kept: list[Part] = []
-        self._room = RETAINED
+        self._room, self._retained_samples = RETAINED, 0
 
     @property
     def wants_sticks(self) -> bool:
@@ -74,9 +76,12 @@ class Gathering:
         elif self._room > 0:
             # A sample without sticks takes room too, so that these cannot fill the memory either.
             fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._room, side="right"))
+            fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
+            self._retained_samples += fits
             results = LaneResults(*(column[:fits].copy() for column in part.results))
             self._kept.append(Part(results, part.sticks.head(fits)))
-            self._room = self._room - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
+            left = self._room - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
+            self._room = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> dict[str, Any]:
         """What an `Ensemble` is told of it."""

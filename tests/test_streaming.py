@@ -158,6 +158,13 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
     assert "errors were measured on the first" in repr(streamed.summary())
 
 
+def test_some_samples_are_retained_however_many_sticks_they_have(monkeypatch):
+    monkeypatch.setattr(ensemble_parts, "RETAINED", 10)
+    streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", chunk=37, **RUN)
+    assert len(streamed.retained.features) == len(streamed.finished_sticks().count) == ensemble_parts.FEWEST
+    assert streamed.statistics.duration.mean.standard_error > 0
+
+
 def test_what_is_not_recorded_is_never_read():
     """Records of three lanes with NaN wherever there is no stick, and a sample that did not finish."""
     rng = np.random.default_rng(8)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._fast_cpu import cores
 from .._status import Ending
 from ..base_motion.drive import is_random, words_for
 from ..base_motion.random import Uniform
@@ -14,7 +15,6 @@ from ..ensemble import simulate_ensemble
 from ..set_up import check_system, state_of
 from .parameters import parameters_of
 from .problem import Pilot, Problem
-from .runs import cores
 from .statistic import statistic_of
 
 WINDOWS = (1.0, 0.5, 0.25, 0.125)  # of recorded sequences, to choose from

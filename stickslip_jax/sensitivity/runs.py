@@ -1,6 +1,5 @@
 """Chunks of realisations with derivatives: compiled functions, and the threads that call them."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -56,11 +55,6 @@ def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: in
         for tally in tallies:
             total = total.merge(tally)
     return total
-
-
-def cores() -> int:
-    """How many threads can work at once."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def derivative_of(function: Callable[[Any], tuple[Any, Any]], engine: Engine, path: Path, dtype: Any) -> Any:

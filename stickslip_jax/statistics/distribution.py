@@ -14,6 +14,7 @@ from .estimate import Estimate
 
 DEFAULT_BINS = 50
 _REPEATS = 10  # neighbours at the same place that make an atom: chance does not bring so many together
+_WIDER, _DENSER = 32, 10  # nor so many more than around; where a density grows like the root's inverse it is 7 times
 _MOST_SPACINGS = 100_000  # values that the entropy without bins is estimated from: its error is small by then
 
 
@@ -185,17 +186,20 @@ class Distribution:
 
     @cached_property
     def _repeated(self) -> np.ndarray:
-        """Which of the retained values lie with `_REPEATS` others within the round-off of one point, (number,)."""
+        """Which of the retained values lie with `_REPEATS` others within the round-off of one point, (number,).
+
+        And with many more than the density around would bring there: in float32 millions of values are close anyway.
+        """
         values = self.clusters.values
-        order = np.argsort(values, kind="stable")
-        repeated = np.zeros(len(values), bool)
-        if len(values) > _REPEATS:
-            ranked = values[order]
-            within = max(self.round_off, 1e-9 * (self.largest - self.smallest))
-            close = np.flatnonzero(ranked[_REPEATS:] - ranked[:-_REPEATS] <= within)
-            for step in range(_REPEATS + 1):
-                repeated[order[close + step]] = True
-        return repeated
+        within, ranked = max(self.round_off, 1e-9 * (self.largest - self.smallest)), np.sort(values)
+
+        def close(reach: float) -> np.ndarray:
+            below = np.searchsorted(ranked, values - reach, side="left")
+            return np.searchsorted(ranked, values + reach, side="right") - below
+
+        near = close(within)
+        around = (close(_WIDER * within) - near) / (_WIDER - 1)
+        return (near > _REPEATS) & (near > _DENSER * around)
 
     def _surprise(self, edges: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
         """Minus the logarithm of the share of each retained value's bin, and the mean of that over all values."""

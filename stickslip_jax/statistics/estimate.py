@@ -37,7 +37,8 @@ class Estimate:
             return f"{self.name}: not defined (no such event in {self.samples} samples)"
         unit = "" if self.unit == "1" else f" {self.unit}"
         if math.isnan(self.standard_error):
-            return f"{self.name}: {self.value:.6g}{unit} (no error from one sample)"
+            why = "no error from one sample" if self.samples < 2 else "error not known"
+            return f"{self.name}: {self.value:.6g}{unit} ({why})"
         return f"{self.name}: {format_with_error(self.value, self.standard_error)}{unit}"
 
 

@@ -3,6 +3,7 @@
 One class for each law, told apart by its tag ``law``: to offer another, add its class here and to the union.
 """
 
+import abc
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
@@ -124,9 +125,9 @@ class _Phased(Section):
         """What reports call it."""
         return f"{super().title} of random phase" if self.random_phase else super().title
 
+    @abc.abstractmethod
     def signal(self) -> Signal:
         """The signal with the phases given."""
-        raise NotImplementedError
 
     def build(self) -> Signal | RandomPhase:
         """The signal as the simulation takes it. Raises ValueError for lists that do not fit."""
