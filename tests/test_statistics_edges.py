@@ -163,3 +163,12 @@ def test_arguments_of_what_needs_an_ensemble(tmp_path, annotations_unchecked):
         with pytest.raises(ValueError, match=message):
             ask()
     assert ss.bootstrap_interval(one, ss.stick_fraction) == pytest.approx((math.nan, math.nan), nan_ok=True)
+
+
+def test_motion_without_chance():
+    """All samples are the same: every value repeats, and there is no spread to resample."""
+    many = ss.simulate_ensemble(SYSTEM, ss.SquareWave(1.0, 2.6), t1=40.0, samples=50, y0=(0.0, 1.0), chunk=64)
+    duration = many.statistics.duration
+    assert duration.repeated_share.value == 1
+    assert math.isnan(duration.differential_entropy.value)
+    assert ss.bootstrap_interval(many, ss.stick_fraction) == pytest.approx((math.nan, math.nan), nan_ok=True)

@@ -206,7 +206,8 @@ def _widest(tally: Tally, where: Columns, agree: float = _AGREE) -> int:
 
 def _torn(tally: Tally, where: Columns) -> bool:
     """Whether even the two narrowest windows disagree, by more than chance allows."""
-    return len(where.derivative) > 1 and _widest(tally, where, _TORN) == len(where.derivative) - 1
+    has_any = tally.moments.mean[1] > 0  # else there is no value either
+    return has_any and len(where.derivative) > 1 and _widest(tally, where, _TORN) == len(where.derivative) - 1
 
 
 def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:

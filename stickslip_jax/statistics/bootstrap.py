@@ -52,6 +52,8 @@ def bootstrap_interval(
         for index, moments in enumerate(_weighted_moments(features, weights), first):
             one = statistic(dataclasses.replace(ensemble, moments=moments))
             scores[index] = (one.value - centre) / one.standard_error if one.standard_error > 0 else math.nan
+    if not np.any(np.isfinite(scores)):  # all samples are the same
+        return math.nan, math.nan
     low, high = np.nanquantile(scores, ((1 + level) / 2, (1 - level) / 2))
     return whole.value - float(low) * whole.standard_error, whole.value - float(high) * whole.standard_error
 

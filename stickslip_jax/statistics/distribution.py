@@ -15,6 +15,7 @@ from .estimate import Estimate
 DEFAULT_BINS = 50
 _REPEATS = 10  # neighbours at the same place that make an atom: chance does not bring so many together
 _WIDER, _DENSER = 32, 10  # nor so many more than around; where a density grows like the root's inverse it is 7 times
+_FAR_DENSER = 1000
 _MOST_SPACINGS = 100_000  # values that the entropy without bins is estimated from: its error is small by then
 
 
@@ -189,6 +190,7 @@ class Distribution:
         """Which of the retained values lie with `_REPEATS` others within the round-off of one point, (number,).
 
         And with many more than the density around would bring there: in float32 millions of values are close anyway.
+        Or with so many that no density does: motion that settles leaves atoms side by side.
         """
         values = self.clusters.values
         within, ranked = max(self.round_off, 1e-9 * (self.largest - self.smallest)), np.sort(values)
@@ -199,7 +201,8 @@ class Distribution:
 
         near = close(within)
         around = (close(_WIDER * within) - near) / (_WIDER - 1)
-        return (near > _REPEATS) & (near > _DENSER * around)
+        usual = len(values) * 2 * within / max(self.largest - self.smallest, within)  # if all were spread evenly
+        return (near > _REPEATS) & ((near > _DENSER * around) | (near > _FAR_DENSER * usual))
 
     def _surprise(self, edges: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
         """Minus the logarithm of the share of each retained value's bin, and the mean of that over all values."""
