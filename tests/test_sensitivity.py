@@ -196,7 +196,7 @@ def test_first_duration(first_durations):
     corrected, differences = first_durations
     assert abs(z_score(corrected, differences)) < AGREE
     assert corrected.sticks_in_window > 500
-    assert corrected.window > 0
+    assert corrected.reach > 0
     assert math.isnan(differences.pathwise)
 
 

@@ -9,13 +9,12 @@ import numpy as np
 from .. import _checks
 from .._types import Array
 from ..dynamics.method import EXACT
-from .estimate import Gradient, Sensitivities, Sensitivity, difference_of_ratios, gradient_of_ratio
+from .estimate import Gradient, Sensitivities, Sensitivity, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
-from .first_look import WINDOWS, problem_of, reach_of, windows_of
+from .first_look import COUNTED_WINDOWS, PAIRED_WINDOWS, RECORDED_WINDOWS, problem_of, reach_of
 from .problem import Pilot, Problem, room_for
 from .runs import Tally
-from .sequences import Spans
 from .statistic import OfTotals
 
 _METHODS = ("corrected", "finite-difference")
@@ -84,35 +83,31 @@ def sensitivity(
 
 
 def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
-    widest = reach_of(problem, pilot) if reach is None else float(reach)
-    if problem.is_counted:
-        windows, reaches = np.full(2, math.nan), widest * np.array([1, 1 / 4])
+    widest, room = reach_of(problem, pilot) if reach is None else float(reach), room_for(problem, pilot)
+    if problem.has_sudden_switches:
+        reaches = widest * np.array(PAIRED_WINDOWS)
+        tally, columns = differenced(problem, room, reaches, with_pathwise=True)
+    elif problem.is_counted:
+        reaches = widest * np.array(COUNTED_WINDOWS)
         tally, columns = counted(problem, pilot, widest)
     else:
-        windows, reaches = windows_of(problem, pilot), widest * np.array(WINDOWS)
-        spans = Spans(windows.astype(problem.dtype), reaches.astype(problem.dtype))
-        tally, columns = recorded(problem, room_for(problem, pilot), spans)
+        reaches = widest * np.array(RECORDED_WINDOWS)
+        tally, columns = recorded(problem, room, reaches)
     grazing = warn_if_grazing(problem)
     results = {}
-    for parameter, where in zip(problem.parameters, columns, strict=True):
-        log_by = parameter.value if elasticity else None
+    for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
         chosen = _widest(tally, where)
-        got = gradient_of_ratio(tally.moments, where.derivative[chosen], where.pathwise, log_by)
+        got = gradient_of_ratio(
+            tally.moments, where.derivative[chosen], where.pathwise, parameter.value if elasticity else None
+        )
         if parameter.name in grazing:
             got = got._replace(derivative=math.nan, standard_error=math.nan)
-        near = int(tally.near[chosen])
+        near = int(tally.near[index, chosen])
         results[parameter.name] = _result(
-            problem,
-            parameter,
-            got,
-            elasticity,
-            "corrected",
-            tally,
-            near,
-            float(reaches[chosen]),
-            windows[chosen],
+            problem, parameter, got, elasticity, "corrected", tally, near, float(reaches[chosen])
         )
-    if isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events:
+    is_blind = isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events
+    if is_blind and not problem.has_sudden_switches:
         return results
     warn_at_special_speeds(problem, grazing)
     _warn_of_windows(tally, columns, results, grazing)
@@ -142,13 +137,15 @@ def _warn_of_windows(
 
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float) -> dict[str, Sensitivity]:
+    tally, columns = differenced(problem, room_for(problem, pilot), np.array([step]), with_pathwise=False)
     results = {}
-    for index, parameter in enumerate(problem.parameters):
-        length = step * (abs(parameter.value) or 1.0)
-        tally = differenced(problem, index, length, room_for(problem, pilot))
-        got = difference_of_ratios(tally.moments, 2, length, parameter.value if elasticity else None)
+    for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
+        got = gradient_of_ratio(
+            tally.moments, where.derivative[0], where.pathwise, parameter.value if elasticity else None
+        )
+        near, got = int(tally.near[index, 0]), got._replace(pathwise=math.nan)
         results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "finite-difference", tally, 0, step, math.nan
+            problem, parameter, got, elasticity, "finite-difference", tally, near, float(step)
         )
     return results
 
@@ -162,7 +159,6 @@ def _result(
     tally: Tally,
     near: int,
     reach: float,
-    window: float,
 ) -> Sensitivity:
     return Sensitivity(
         statistic=problem.statistic.name,
@@ -181,7 +177,6 @@ def _result(
         asked=problem.samples,
         sticks_in_window=near,
         reach=reach,
-        window=float(window),
     )
 
 

@@ -10,13 +10,14 @@ from jax import lax
 
 from .._status import Status
 from .._types import Array
-from ..dynamics.lanes import Engine, Job, summarise
+from ..dynamics.lanes import Job, summarise
 from .estimators import RATE, counting_engine
-from .first_look import problem_of, reach_of, windows_of
+from .first_look import problem_of, reach_of
 from .parameters import Path, with_numbers
 from .problem import Pilot, Problem, room_for
-from .sequences import Spans, features_of, record_sequences
+from .sequences import Room, features_of, record_sequences
 from .statistic import OfTotals
+from .traces import traced
 
 _LANES = 256
 
@@ -45,24 +46,33 @@ def differentiable(
     or one has far more sticks than those of the parameters given here.
     """
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
-    rows = -(-problem.samples // _LANES)
-    means = (_counted if problem.is_counted else _recorded)(problem, pilot, rows)
+    rows, reach = -(-problem.samples // _LANES), reach_of(problem, pilot)
+    means = (_counted if problem.is_counted else _recorded)(problem, pilot, reach, rows)
     number = len(problem.parameters)
+
+    def slopes(values: Array, units: Array) -> Array:
+        """Of both means, by every value in these units, (number, 2)."""
+
+        def along(direction):
+            if problem.has_sudden_switches:
+                return (means(values + reach * direction) - means(values - reach * direction)) / (2 * reach)
+            return jax.jvp(lambda varied: means(values, varied), (values,), (direction,))[1]
+
+        return jax.vmap(along)(jnp.diag(units))
 
     @jax.custom_jvp
     def estimate(values):
-        above, below = means(values, None)
+        above, below = means(values)
         return above / below
 
     @estimate.defjvp
     def _(primals, tangents):
         (values,), (moves,) = primals, tangents
-        value, slope = estimate(values), jnp.zeros((), values.dtype)
-        for index in range(number):
-            unit = jnp.where(values[index] == 0, 1, jnp.abs(values[index]))
-            (_, below), (d_above, d_below) = means(values, (index, unit))
-            slope = slope + (d_above - value * d_below) / below / unit * moves[index]
-        return value, slope
+        above, below = means(values)
+        units = jnp.where(values == 0, 1, jnp.abs(values))
+        by_unit = slopes(values, units)
+        slope = (by_unit[:, 0] - above / below * by_unit[:, 1]) / below / units
+        return above / below, jnp.sum(slope * moves)
 
     def of(values: Any) -> Array:
         values = jnp.asarray(values, problem.dtype)
@@ -76,74 +86,54 @@ def differentiable(
     return of
 
 
-Means = Callable[[Array, tuple[int, Array] | None], Any]
+# Means of numerator and denominator at parameter values; with the same values again for second argument, to
+# differentiate by these.
+Means = Callable[..., Array]
 
 
-def _counted(problem: Problem, pilot: Pilot, rows: int) -> Means:
-    """Means of numerator and denominator by counting lanes; with a parameter and its unit, their derivatives beside."""
+def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
+    """By counting lanes."""
     assert isinstance(problem.statistic, OfTotals)
-    engine = counting_engine(problem, pilot, reach_of(problem, pilot))
+    engine = counting_engine(problem, pilot, reach)
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = problem.paths()
+    by_score: tuple[Path, ...] = (("likelihood", "rate"),) if engine.likelihood is not None and RATE in paths else ()
+    by = tuple(by_score[0] if by_score and path == RATE else path for path in paths)
 
-    def of_engine(engine: Engine) -> Array:
-        job = Job(engine, problem.words, np.uint32(0), np.int32(rows))
+    def means(values: Array, varied: Array | None = None) -> Array:
+        here = with_numbers(engine, paths, values)
+        if by_score:
+            here = with_numbers(here, by_score, (values[paths.index(RATE)],))
+        if varied is not None:
+            here = with_numbers(here, by, varied)
+        job = Job(here, problem.words, np.uint32(0), np.int32(rows))
         results = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = results.status == Status.FINISHED
         totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (results.stick_time, results.sticks, done)]
         return weights @ jnp.stack([jnp.sum(leaf, dtype=problem.dtype) for leaf in totals])
 
-    def means(values: Array, varied: tuple[int, Array] | None) -> Any:
-        here = _with_rate(engine, paths, values)
-        if varied is None:
-            return of_engine(here)
-        index, unit = varied
-        by_likelihood = paths[index] == RATE and engine.likelihood is not None
-        path: Path = ("likelihood", "rate") if by_likelihood else paths[index]
-        return jax.jvp(lambda value: of_engine(with_numbers(here, (path,), (value,))), (values[index],), (unit,))
-
     return means
 
 
-def _with_rate(engine: Any, paths: tuple[Path, ...], values: Array) -> Any:
-    """The engine with the parameters set, in the likelihood too."""
-    varied = with_numbers(engine, paths, values)
-    if engine.likelihood is None or RATE not in paths:
-        return varied
-    return with_numbers(varied, (("likelihood", "rate"),), (values[paths.index(RATE)],))
+def _recorded(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
+    """By recorded sequences."""
+    engine, paths, room = problem.engine(), problem.paths(), room_for(problem, pilot)
+    room = Room(2 * room.blocks, 2 * room.slots, 2 * room.edges)
+    # One window, as wide as may be: which is best cannot be asked inside a compiled function.
+    reaches = np.array([reach])
 
+    def means(values: Array, varied: Array | None = None) -> Array:
+        here = traced(with_numbers(engine, paths, values if varied is None else varied), problem.fixed_start)
 
-def _recorded(problem: Problem, pilot: Pilot, rows: int) -> Means:
-    """The same by recorded sequences."""
-    engine, room, paths = problem.engine(), room_for(problem, pilot), problem.paths()
-    slots = 2 * room.slots
-    # One window: which is best cannot be asked inside a compiled function.
-    spans = Spans(
-        jnp.asarray(windows_of(problem, pilot)[1:2], problem.dtype),
-        jnp.asarray([reach_of(problem, pilot)], problem.dtype),
-    )
-
-    def of_engine(engine: Engine) -> Array:
         def chunk(first):
-            recorded = record_sequences(
-                engine, problem.words, first, lanes=_LANES, blocks=2 * room.blocks, slots=slots, dtype=problem.dtype
-            )
-            features = features_of(problem.statistic, engine, recorded, spans, problem.fixed_start)
+            recorded = record_sequences(here, problem.words, first, lanes=_LANES, room=room, dtype=problem.dtype)
+            features = features_of(problem.statistic, here, recorded, reaches)
             done = (recorded.status == Status.FINISHED)[:, None]
+            lost = jnp.any((recorded.sticks >= room.slots) | (recorded.edges > room.edges))
             parts = jnp.where(done, features.parts + features.events[:, 0], 0)
-            lost = jnp.any(recorded.count > slots)
             return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
 
         firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(_LANES)
         return jnp.sum(lax.map(chunk, firsts), axis=0)
-
-    def means(values: Array, varied: tuple[int, Array] | None) -> Any:
-        here = with_numbers(engine, paths, values)
-        if varied is None:
-            return of_engine(here)
-        index, unit = varied
-        return jax.jvp(
-            lambda value: of_engine(with_numbers(here, (paths[index],), (value,))), (values[index],), (unit,)
-        )
 
     return means

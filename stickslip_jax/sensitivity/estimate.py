@@ -20,9 +20,9 @@ class Sensitivity:
     - `pathwise`: the part that automatic differentiation of each trajectory gives, `event` the part of sticks born and
       lost; they add up to `derivative`. NaN for finite differences, which know no parts.
     - `parameter_value`, `method`, `samples` (finished ones, of `asked`).
-    - `sticks_in_window`: how many sticks, and near misses, the kernels rested on; `reach`: the relative change of the
-      parameter over which they looked (of finite differences: the step), `window` (s): how far they reached in
-      durations. NaN where not used.
+    - `sticks_in_window`: how many sticks, and near misses, the event part rests on (of finite differences: in how many
+      trajectories the number of sticks differs); `reach`: the relative change of the parameter over which it looked (of
+      finite differences: the step).
     """
 
     statistic: str
@@ -41,7 +41,6 @@ class Sensitivity:
     asked: int
     sticks_in_window: int
     reach: float
-    window: float
 
     @property
     def lanes_used(self) -> float:
@@ -122,28 +121,3 @@ def _ratio_derivative(mean: np.ndarray, column: int) -> tuple[float, np.ndarray]
 
 def _error(gradient: np.ndarray, covariance: np.ndarray) -> float:
     return math.sqrt(max(float(gradient @ covariance @ gradient), 0.0)) if np.all(np.isfinite(covariance)) else math.nan
-
-
-def difference_of_ratios(moments: Moments, column: int, step: float, log_by: float | None) -> Gradient:
-    """The central difference of ``a / b``, from the `moments` of rows ``[a, b, ...]`` at the parameter's value.
-
-    Columns from `column` on hold a, b at ``value - step`` and a, b at ``value + step``, with the same random numbers.
-    """
-    mean, covariance = moments.mean, moments.covariance_of_mean
-    a, b = mean[:2]
-    ends = mean[column : column + 4].reshape(2, 2)
-    if moments.number == 0 or not (b > 0 and np.all(ends[:, 1] > 0)):
-        return Gradient(*[math.nan] * 5)
-    value = a / b
-    of_value, of_derivative = np.zeros(len(mean)), np.zeros(len(mean))
-    of_value[:2] = 1 / b, -value / b
-    for index, sign in ((0, -1), (1, 1)):
-        end = ends[index, 0] / ends[index, 1]
-        at = column + 2 * index
-        of_derivative[at : at + 2] = sign / (2 * step) * np.array([1, -end]) / ends[index, 1]
-    derivative = float(np.diff(ends[:, 0] / ends[:, 1])[0]) / (2 * step)
-    if log_by is not None:
-        factor = log_by / value if value != 0 else math.nan
-        of_derivative = factor * (of_derivative - (derivative / value if value != 0 else math.nan) * of_value)
-        derivative = factor * derivative
-    return Gradient(value, _error(of_value, covariance), derivative, _error(of_derivative, covariance), math.nan)

@@ -11,10 +11,11 @@ from ..dynamics.chunks import chunks_of
 from ..dynamics.lanes import Engine, Job
 from .counting import CountingEngine, Likelihood
 from .parameters import Path, with_numbers
-from .problem import Pilot, Problem, Room, lanes_and_rows, sequence_lanes
-from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, unit_of, value_chunk
-from .sequences import Spans
+from .problem import Pilot, Problem, lanes_and_rows, sequence_lanes
+from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
+from .sequences import Room
 from .statistic import OfTotals
+from .traces import traced
 
 RATE: Path = ("law", "rate")
 _MOST_DOUBLINGS = 6  # of the room for a realisation
@@ -30,8 +31,22 @@ class Columns(NamedTuple):
     pathwise: int
 
 
+def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | None = None) -> tuple[Columns, ...]:
+    """Of rows that hold, after the two parts, the derivatives (paths, windows, 2) and the pathwise parts (paths, 2).
+
+    The first paths are those of the parameters; `pathwise`: whose pathwise parts are meant.
+    """
+    return tuple(
+        Columns(
+            tuple(2 + 2 * (index * windows + window) for window in range(windows)),
+            2 + 2 * (paths * windows + (index if pathwise is None else pathwise[index])),
+        )
+        for index in range(parameters)
+    )
+
+
 def counted(problem: Problem, pilot: Pilot, reach: float) -> tuple[Tally, tuple[Columns, ...]]:
-    """All parameters by counting lanes."""
+    """All parameters by counting lanes, with windows of `reach` and a quarter of it."""
     engine = counting_engine(problem, pilot, reach)
     paths, number = list(problem.paths()), len(problem.parameters)
     pathwise = list(range(number))
@@ -41,11 +56,7 @@ def counted(problem: Problem, pilot: Pilot, reach: float) -> tuple[Tally, tuple[
             paths[index] = ("likelihood", "rate")
             pathwise[index] = len(paths)
             paths.append(RATE)
-    # Two windows a path, and then the pathwise parts.
-    columns = tuple(
-        Columns((2 + 4 * index, 4 + 4 * index), 2 + 4 * len(paths) + 2 * pathwise[index]) for index in range(number)
-    )
-    return run_counting(problem, engine, tuple(paths)), columns
+    return run_counting(problem, engine, tuple(paths)), _columns(number, 2, len(paths), pathwise)
 
 
 def counting_engine(problem: Problem, pilot: Pilot, reach: float) -> CountingEngine:
@@ -70,82 +81,98 @@ def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ..
     lanes, rows = lanes_and_rows(problem)
     is_own = type(problem.law).__module__.startswith(__name__.partition(".")[0])
     weights = problem.statistic.weights(problem.t1)
+    units = units_of(engine, paths)[:, None]
 
     def simulate(first: int, number: int) -> Rows:
-        slopes, pathwise, reached = [], [], []
-        for path in paths:
-            (*totals, _, _), (d_time, *d_counts, near), status = count_chunk[is_own](
-                engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)),
-                path=path, lanes=lanes, rows=rows, dtype=problem.dtype,
-            )  # fmt: skip
-            d_time, *d_counts = (_flat(leaf, number) / unit_of(engine, path) for leaf in (d_time, *d_counts))
-            slopes += [np.stack([d_time, d_count], axis=-1) @ weights[:, :2].T for d_count in d_counts]
-            # The number of sticks of one trajectory does not change.
-            pathwise.append(d_time[:, None] @ weights[:, :1].T)
-            reached.append(_flat(near, number))
+        (*totals, _, _), (d_time, *d_counts, near), status = count_chunk[is_own](
+            engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)),
+            paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
+        )  # fmt: skip
+        time, *counts = (_flat(leaf, number) / units for leaf in (d_time, *d_counts))
+        slopes = np.stack([np.stack([time, count], axis=-1) @ weights[:, :2].T for count in counts], axis=2)
+        # The number of sticks of one trajectory does not change.
+        pathwise = time[..., None] * weights[:, 0]
         parts = np.stack([_flat(leaf, number) for leaf in totals], axis=-1) @ weights[:, :2].T + weights[:, 2]
-        near = np.repeat(np.max(reached, axis=0)[:, None], 2, axis=1)
-        return Rows(_flat(status, number).astype(int), parts, np.concatenate([*slopes, *pathwise], axis=1), near)
+        near = np.stack([_flat(near, number)] * 2, axis=-1)
+        return Rows.of(_flat(status, number).astype(int), parts, slopes, pathwise, near)
 
     return run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
 
 
-def recorded(problem: Problem, room: Room, spans: Spans) -> tuple[Tally, tuple[Columns, ...]]:
-    """All parameters by recorded sequences."""
-    paths, windows = problem.paths(), len(spans.durations)
-    columns = tuple(
-        Columns(
-            tuple(2 + 2 * (index * windows + window) for window in range(windows)),
-            2 + 2 * (len(paths) * windows + index),
-        )
-        for index in range(len(paths))
-    )
-    return run_recording(problem, problem.engine(), paths, room, spans), columns
+def recorded(problem: Problem, room: Room, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
+    """All parameters by recorded sequences, with windows of all `reaches`."""
+    number = len(problem.parameters)
+    return run_recording(problem, problem.engine(), room, reaches), _columns(number, len(reaches), number)
 
 
-def run_recording(problem: Problem, engine: Engine, paths: tuple[Path, ...], room: Room, spans: Spans) -> Tally:
-    """The problem's parts; columns: their derivatives by every path, for every window, and the pathwise parts."""
-    lanes = sequence_lanes(problem)
+def run_recording(problem: Problem, engine: Engine, room: Room, reaches: np.ndarray) -> Tally:
+    """The problem's parts; columns: their derivatives by every parameter, for every window, and the pathwise parts."""
+    record, units = _recorder(problem, engine, room, reaches), units_of(engine, problem.paths())[:, None, None]
 
     def simulate(first: int, number: int) -> Rows:
-        columns, pathwise = [], []
-        for path in paths:
+        features, slopes, status = record(first)
+        pathwise, events = (np.asarray(leaf, float)[:, :number] for leaf in (slopes.parts, slopes.events))
+        derivatives = (pathwise[:, :, None] + events) / units[..., None]
+        parts, near = np.asarray(features.parts, float)[:number], np.asarray(slopes.near, float)[:, :number]
+        return Rows.of(np.asarray(status)[:number], parts, derivatives, pathwise / units, near)
 
-            def run(room: Room, path=path) -> Any:
-                done = sequence_chunk(
-                    problem.statistic, engine, spans, problem.words, np.uint32(first), path=path,
-                    fixed_start=problem.fixed_start, lanes=lanes, dtype=problem.dtype, **room._asdict(),
-                )  # fmt: skip
-                return done, done[2][0], done[2][2]
-
-            (parts, _), (slopes, events), (status, near, _) = _with_room(run, room)
-            slopes, events = (np.asarray(leaf, float)[:number] / unit_of(engine, path) for leaf in (slopes, events))
-            columns.append((slopes[:, None] + events).reshape(number, -1))
-            pathwise.append(slopes)
-        parts, status, near = (np.asarray(leaf)[:number] for leaf in (parts, status, near))
-        rows = np.concatenate([*columns, *pathwise], axis=1)
-        return Rows(status, np.asarray(parts, float), rows, np.asarray(near, float))
-
-    return run_chunks(simulate, problem.samples, lanes, problem.threads)
+    return run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
 
 
-def differenced(problem: Problem, parameter: int, step: float, room: Room) -> Tally:
-    """The problem's parts; columns: the parts with one parameter lower and higher by `step`, by the same random
-    numbers.
+def _recorder(problem: Problem, engine: Engine, room: Room, reaches: np.ndarray) -> Callable[[int], Any]:
+    """A function of a chunk's first sample: `Features`, their derivatives, status."""
+
+    def record(first: int) -> Any:
+        def run(room: Room) -> Any:
+            features, slopes, (status, sticks, edges) = sequence_chunk(
+                problem.statistic, traced(engine, problem.fixed_start), np.asarray(reaches, problem.dtype),
+                problem.words, np.uint32(first), paths=problem.paths(), lanes=sequence_lanes(problem), room=room,
+                dtype=problem.dtype,
+            )  # fmt: skip
+            return (features, slopes, status), status, sticks, edges
+
+        return _with_room(run, room)
+
+    return record
+
+
+def differenced(
+    problem: Problem, room: Room, steps: np.ndarray, with_pathwise: bool
+) -> tuple[Tally, tuple[Columns, ...]]:
+    """All parameters by central differences of every trajectory, of the given steps (shares of the parameter's size).
+
+    The same random numbers drive both ends. What the windows reached are trajectories whose number of sticks differs.
     """
-    path, engine = problem.paths()[parameter], problem.engine()
-    value = problem.parameters[parameter].value
-    varied = [engine] + [with_numbers(engine, (path,), (value + sign * step,)) for sign in (-1, 1)]
+    engine, paths = problem.engine(), problem.paths()
+    units = units_of(engine, paths)
     values = _counted_values if problem.is_counted else _recorded_values
     lanes, rows = lanes_and_rows(problem) if problem.is_counted else (sequence_lanes(problem), 1)
+    record = _recorder(problem, engine, room, steps[:1])
+
+    def ends(path: Path, value: float, step: float, first: int, number: int) -> Any:
+        varied = [with_numbers(engine, (path,), (value + sign * step,)) for sign in (-1, 1)]
+        (low, low_status, low_count), (high, high_status, high_count) = (
+            values(problem, one, first, number, room) for one in varied
+        )
+        return (high - low) / (2 * step), np.maximum(low_status, high_status), low_count != high_count
 
     def simulate(first: int, number: int) -> Rows:
-        runs = [values(problem, one, first, number, room) for one in varied]
-        status = np.max([status for _, status in runs], axis=0)
-        columns = np.concatenate([parts for parts, _ in runs[1:]], axis=1)
-        return Rows(status, runs[0][0], columns, np.zeros((number, 1)))
+        parts, status, _ = values(problem, engine, first, number, room)
+        differences, statuses, near = zip(*(
+            ends(path, parameter.value, step * unit, first, number)
+            for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
+            for step in steps
+        ), strict=True)  # fmt: skip
+        shape = (len(paths), len(steps), number)
+        slopes = np.moveaxis(np.reshape(differences, (*shape, 2)), 2, 1)
+        pathwise = np.zeros((len(paths), number, 2))
+        if with_pathwise:
+            pathwise = np.asarray(record(first)[1].parts, float)[:, :number] / units[:, None, None]
+        near = np.moveaxis(np.reshape(near, shape), 2, 1).astype(float)
+        return Rows.of(np.max([status, *statuses], axis=0), parts, slopes, pathwise, near)
 
-    return run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
+    tally = run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
+    return tally, _columns(len(paths), len(steps), len(paths))
 
 
 def _counted_values(problem: Problem, engine: Engine, first: int, number: int, room: Room) -> Any:
@@ -153,30 +180,32 @@ def _counted_values(problem: Problem, engine: Engine, first: int, number: int, r
     lanes, rows = lanes_and_rows(problem)
     job = Job(engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)))
     results = chunks_of(engine).summarise(job, lanes=lanes, rows=rows, dtype=problem.dtype)
-    totals = np.stack([np.asarray(leaf, float).reshape(-1)[:number] for leaf in (results.stick_time, results.sticks)])
+    totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
     weights = problem.statistic.weights(problem.t1)
-    return totals.T @ weights[:, :2].T + weights[:, 2], np.asarray(results.status).reshape(-1)[:number]
+    return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
 
 
 def _recorded_values(problem: Problem, engine: Engine, first: int, number: int, room: Room) -> Any:
     def run(room: Room) -> Any:
         done = value_chunk(
-            problem.statistic, engine, problem.words, np.uint32(first),
-            lanes=sequence_lanes(problem), dtype=problem.dtype, **room._asdict(),
+            problem.statistic, traced(engine, problem.fixed_start), problem.words, np.uint32(first),
+            lanes=sequence_lanes(problem), room=room, dtype=problem.dtype,
         )  # fmt: skip
-        return done, done[1], done[2]
+        return done, done[1], done[2], np.zeros(1)
 
-    parts, status, _ = _with_room(run, room)
-    return np.asarray(parts, float)[:number], np.asarray(status)[:number]
+    parts, status, sticks = (np.asarray(leaf)[:number] for leaf in _with_room(run, room))
+    return parts.astype(float), status, sticks
 
 
-def _with_room(run: Callable[[Room], tuple[Any, Any, Any]], room: Room) -> Any:
-    """What `run` gives with room for all sticks; it tells beside it status and number of sticks of every sample."""
+def _with_room(run: Callable[[Room], tuple[Any, Any, Any, Any]], room: Room) -> Any:
+    """What `run` gives with room for everything; it tells beside it status, sticks and edges of every sample."""
     for _ in range(_MOST_DOUBLINGS):
-        done, status, count = run(room)
-        cut, most = np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)), int(np.max(count))
-        if most > room.slots:
-            room = room._replace(slots=8 * -(-most // 8))
+        done, status, sticks, edges = run(room)
+        cut = np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))
+        # One slot more than there are sticks: one may be put in.
+        needed = Room(room.blocks, 8 * -(-(int(np.max(sticks)) + 1) // 8), 8 * -(-int(np.max(edges)) // 8))
+        if needed.slots > room.slots or needed.edges > room.edges:
+            room = Room(room.blocks, max(needed.slots, room.slots), max(needed.edges, room.edges))
         elif np.any(cut):
             room = room._replace(blocks=2 * room.blocks)
         else:
@@ -185,5 +214,5 @@ def _with_room(run: Callable[[Room], tuple[Any, Any, Any]], room: Room) -> Any:
 
 
 def _flat(leaf: Any, number: int) -> np.ndarray:
-    """The first samples of an array (rows, lanes)."""
-    return np.asarray(leaf, float).reshape(-1)[:number]
+    """The first samples of an array (..., rows, lanes)."""
+    return np.asarray(leaf, float).reshape(*np.shape(leaf)[:-2], -1)[..., :number]

@@ -12,7 +12,7 @@ import numpy as np
 from .._types import Array
 from ..dynamics.interval_engine import scales_of, start_motion
 from ..numerics.random_bits import random_words
-from .counting import relative_excess
+from .edges import relative_excess
 from .parameters import Path, number_at, with_numbers
 from .problem import Problem
 

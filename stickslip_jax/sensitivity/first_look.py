@@ -3,11 +3,9 @@
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from .. import _checks
 from .._fast_cpu import cores
-from .._status import Ending
 from ..base_motion.drive import is_random, words_for
 from ..base_motion.random import Uniform
 from ..dynamics.method import EXACT, Exact
@@ -17,11 +15,11 @@ from .parameters import parameters_of
 from .problem import Pilot, Problem
 from .statistic import statistic_of
 
-WINDOWS = (1.0, 0.5, 0.25, 0.125)  # of recorded sequences, to choose from
+COUNTED_WINDOWS, RECORDED_WINDOWS = (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # to choose from
+PAIRED_WINDOWS = (1.0, 0.25)
 _PILOT = 1024  # samples
-_REACH, _WINDOW, _STICKS = 0.005, 1.0, 1e6  # windows at so many sticks
+_REACH, _STICKS = 0.005, 1e6  # the widest window at so many sticks
 _LARGEST_REACH = 0.05
-_SHORT = 0.25  # the share of all sticks that sets the scale of short ones
 
 
 def problem_of(
@@ -55,18 +53,12 @@ def problem_of(
 
 
 def reach_of(problem: Problem, pilot: Pilot) -> float:
-    """How far kernels look, as a share of the parameter, by default."""
-    return min(_REACH * _share_of(problem, pilot), _LARGEST_REACH)
+    """How far kernels look, as a share of the parameter, by default.
 
-
-def windows_of(problem: Problem, pilot: Pilot) -> np.ndarray:
-    """How far kernels look in durations (s), the widest first."""
-    return np.array(WINDOWS) * (_WINDOW * _share_of(problem, pilot) * pilot.short)
-
-
-def _share_of(problem: Problem, pilot: Pilot) -> float:
-    """Windows shrink with the fifth root of the number of sticks, as the best ones of a bias of second order do."""
-    return (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2
+    Windows shrink with the fifth root of the number of sticks, as the best ones of a bias of second order do.
+    """
+    reach = _REACH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2
+    return min(reach if problem.by_intervals or problem.has_sudden_switches else reach / 2, _LARGEST_REACH)
 
 
 def _pilot(
@@ -79,15 +71,8 @@ def _pilot(
     )
     if many.moments.number < 2:
         raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
-    sticks = many.require_sticks()
-    whole = (sticks.start > 0) & (sticks.ending != Ending.HORIZON)
-    durations = (sticks.end - sticks.start)[whole]
-    return Pilot(
-        stick_time=float(many.moments.mean[0]),
-        sticks=float(many.moments.mean[1]),
-        most=int(sticks.count.max()),
-        short=float(np.quantile(durations, _SHORT)) if len(durations) else t1 / 10,
-    )
+    stick_time, sticks = (float(mean) for mean in many.moments.mean[:2])
+    return Pilot(stick_time, sticks, int(many.require_sticks().count.max()))
 
 
 def _checked_start(system: Any, law: Any, y0: Any) -> tuple[Any, ...]:

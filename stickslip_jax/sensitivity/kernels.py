@@ -8,21 +8,16 @@ boundary correction for kernel density estimation"; of flux: Liu and Hong 2011, 
 options with discontinuous payoffs").
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import AnyArray, Array, BoolArray, FloatArray
+from .._types import Array, BoolArray, FloatArray
+from .edges import Edges
 
-
-def grazing_weight(distance: FloatArray, window: AnyArray) -> Array:
-    """``K(u) = 18 u - 24 u^2`` for 0 < u < 1: for durations.
-
-    An arc that grazes the base velocity makes a stick whose duration is the root of a smooth number: its derivative
-    grows as 1/u, and the variance of the sum with it. The factor u takes that away.
-    """
-    u = distance / window
-    return jnp.where((u >= 0) & (u < 1), u * (18 - 24 * u) / window, 0)
+Kernel = Callable[[FloatArray, Array, BoolArray], Array]
 
 
 @jax.custom_jvp
@@ -83,3 +78,10 @@ def flux(weight: Array, distance: FloatArray, where: BoolArray) -> Array:
     """
     distance = jnp.where(where, distance, 0)
     return jnp.where(where, lax.stop_gradient(weight), 0) * (distance - lax.stop_gradient(distance))
+
+
+def through(edges: Edges, reach: Array, both_sides: Kernel, one_side: Kernel) -> Array:
+    """What all numbers of the edges add: `crossing` and `ending` for the flux, twice `hits` to count."""
+    found = [both_sides(number.value, reach, number.decides) for number in edges.both_sides]
+    found += [one_side(number.value, reach, number.decides) for number in edges.one_side]
+    return sum(found[1:], found[0])

@@ -13,19 +13,19 @@ from ..dynamics.lanes import BLOCK, Engine
 from ..dynamics.switched_lanes import SwitchedEngine
 from ..dynamics.switched_run import turns_for
 from ..set_up import checked_step, interval_engine_applies
+from ..systems.mass_spring import MassSpring
+from ..systems.switched_system import SwitchedSystem
 from .parameters import Parameter, Path
+from .sequences import Room
 from .statistic import StickStatistic
 
 
 class Pilot(NamedTuple):
-    """What a first look at the motion tells: means of total stick time (s) and number of sticks, the largest number,
-    and how long short sticks last, s.
-    """
+    """What a first look at the motion tells: means of total stick time (s) and number of sticks, the largest number."""
 
     stick_time: float
     sticks: float
     most: int
-    short: float
 
 
 class Problem(NamedTuple):
@@ -53,6 +53,17 @@ class Problem(NamedTuple):
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
         return interval_engine_applies(self.system, self.law, self.exact)
+
+    @property
+    def has_sudden_switches(self) -> bool:
+        """Whether friction can hold more than slipping meets.
+
+        A mass that just touches the base velocity is then caught for a while or not at all: all that follows differs,
+        the state included, and there is no stick of no length.
+        """
+        if isinstance(self.system, SwitchedSystem):
+            return float(self.system.static_ratio) > 1
+        return isinstance(self.system, MassSpring) and self.system.friction.holds_more
 
     @property
     def is_counted(self) -> bool:
@@ -86,13 +97,6 @@ class Problem(NamedTuple):
         return ("drive", "smooth", *path[1:])
 
 
-class Room(NamedTuple):
-    """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks."""
-
-    blocks: int
-    slots: int
-
-
 def room_for(problem: Problem, pilot: Pilot) -> Room:
     """Enough for nearly every realisation; of others there is more when they come."""
     if problem.by_intervals:
@@ -100,7 +104,8 @@ def room_for(problem: Problem, pilot: Pilot) -> Room:
     else:
         drive, step = checked_step(problem.system, problem.law, problem.exact, problem.t1, "law")
         intervals = turns_for(problem.system, drive, problem.t1, step)
-    return Room(-(-intervals // BLOCK), 8 * -(-pilot.most // 8) + 8)
+    slots = 8 * -(-pilot.most // 8) + 8
+    return Room(-(-intervals // BLOCK), slots, 2 * slots)
 
 
 def lanes_and_rows(problem: Problem) -> tuple[int, int]:

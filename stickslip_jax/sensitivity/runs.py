@@ -10,27 +10,39 @@ import numpy as np
 
 from .._status import Status
 from .._types import Array
-from ..dynamics.lanes import Engine, Job, summarise
+from ..dynamics.lanes import Job, summarise
 from ..numerics.moments import Moments
 from .counting import CountingEngine
 from .parameters import Path, number_at, with_numbers
-from .sequences import Spans, features_of, record_sequences, sequences_of, stacked_parts
+from .sequences import Room, features_of, record_sequences, sequences_of, stacked_parts
 from .statistic import StickStatistic
+from .traces import TracedIntervals, TracedTurns
 
 
 class Rows(NamedTuple):
-    """Of each sample: status (samples,); numerator and denominator (samples, 2); other columns (samples, columns), such
-    as their derivatives; how many sticks and near misses each window reached (samples, windows).
+    """Of each sample: status (samples,); what moments are taken of (samples, columns); how many edges each window
+    reached (parameters, samples, windows).
     """
 
     status: np.ndarray
-    parts: np.ndarray
     columns: np.ndarray
     near: np.ndarray
 
+    @classmethod
+    def of(
+        cls, status: np.ndarray, parts: np.ndarray, slopes: np.ndarray, pathwise: np.ndarray, near: np.ndarray
+    ) -> "Rows":
+        """Columns: numerator and denominator `parts` (samples, 2), their derivatives `slopes` (parameters, samples,
+        windows, 2), the pathwise parts of these (parameters, samples, 2).
+        """
+        columns = (np.moveaxis(leaf, 1, 0).reshape(len(parts), -1) for leaf in (slopes, pathwise))
+        return cls(status, np.concatenate([parts, *columns], axis=1), near)
+
 
 class Tally(NamedTuple):
-    """Sums over samples: moments of the rows ``[parts, columns]`` of the finished ones, and what the windows held."""
+    """Sums over samples: moments of the columns of the finished ones, and what the windows reached (parameters,
+    windows).
+    """
 
     moments: Moments
     near: np.ndarray
@@ -39,7 +51,7 @@ class Tally(NamedTuple):
     def of(cls, rows: Rows) -> "Tally":
         """The sums of one chunk."""
         done = rows.status == Status.FINISHED
-        return cls(Moments.of(np.concatenate([rows.parts, rows.columns], axis=1)[done]), rows.near[done].sum(axis=0))
+        return cls(Moments.of(rows.columns[done]), rows.near[:, done].sum(axis=1))
 
     def merge(self, other: "Tally") -> "Tally":
         """The sums of both."""
@@ -57,19 +69,27 @@ def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: in
     return total
 
 
-def derivative_of(function: Callable[[Any], tuple[Any, Any]], engine: Engine, path: Path, dtype: Any) -> Any:
-    """Value of `function` of the engine's number at `path`, its derivative, its other output.
+def derivatives_of(
+    function: Callable[[Array], tuple[Any, Any]], engine: Any, paths: tuple[Path, ...], dtype: Any
+) -> Any:
+    """Value of `function` of the engine's numbers at `paths`, its derivatives by each, along a first axis, and its
+    other output. All in one pass: the motion is followed once.
 
-    The number is varied in units of its own size (1 where it is 0), so that kernels reach as far for large parameters
-    as for small ones.
+    The numbers are varied in units of their own size (1 where it is 0), so that kernels reach as far for large
+    parameters as for small ones.
     """
-    value = jnp.asarray(number_at(engine, path), dtype)
-    return jax.jvp(function, (value,), (jnp.where(value == 0, 1, jnp.abs(value)),), has_aux=True)
+    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
+    units = jnp.where(values == 0, 1, jnp.abs(values))
+
+    def along(direction):
+        return jax.jvp(function, (values,), (direction,), has_aux=True)
+
+    return jax.vmap(along, out_axes=(None, 0, None))(jnp.diag(units))
 
 
-def unit_of(engine: Engine, path: Path) -> float:
-    """What `derivative_of` varies the number at `path` in."""
-    return abs(float(number_at(engine, path))) or 1.0
+def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
+    """What `derivatives_of` varies the numbers at `paths` in."""
+    return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
 
 
 def _count(
@@ -78,75 +98,72 @@ def _count(
     first: Array,
     used_rows: Array,
     *,
-    path: Path,
+    paths: tuple[Path, ...],
     lanes: int,
     rows: int,
     dtype: Any,
 ) -> Any:
     """Total stick time, number of sticks, and two zeros as `CountingEngine` tells (rows, lanes); their derivatives by
-    the number at `path`, of which the last count what the kernels reached; status (rows, lanes).
+    the numbers at `paths` (paths, rows, lanes), of which the last count what the kernels reached; status (rows, lanes).
     """
 
-    def run(value):
-        job = Job(with_numbers(engine, (path,), (value,)), words, first, used_rows)
+    def run(values):
+        job = Job(with_numbers(engine, paths, values), words, first, used_rows)
         results = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
         counts = (jnp.asarray(results.sticks, dtype), results.slips, results.doubts)
         return (results.stick_time, *counts), results.status
 
-    return derivative_of(run, engine, path, dtype)
+    return derivatives_of(run, engine, paths, dtype)
 
 
 def _sequence(
     statistic: StickStatistic,
-    engine: Engine,
-    spans: Spans,
+    engine: TracedIntervals | TracedTurns,
+    reaches: Array,
     words: Array,
     first: Array,
     *,
-    path: Path,
-    fixed_start: bool,
+    paths: tuple[Path, ...],
     lanes: int,
-    blocks: int,
-    slots: int,
+    room: Room,
     dtype: Any,
 ) -> Any:
-    """Parts (lanes, 2) and zeros (lanes, windows, 2); their derivatives by the number at `path`, which are pathwise and
-    event parts; status (lanes,), what the windows reached (lanes, windows), number of sticks (lanes,).
+    """`Features`; their derivatives by the numbers at `paths`, along a first axis: pathwise parts, event parts and what
+    the windows reached; status, number of sticks, number of edges (lanes,).
     """
 
-    def run(value):
-        varied = with_numbers(engine, (path,), (value,))
-        recorded = record_sequences(varied, words, first, lanes=lanes, blocks=blocks, slots=slots, dtype=dtype)
-        features = features_of(statistic, varied, recorded, spans, fixed_start)
-        return (features.parts, features.events), (recorded.status, features.near, recorded.count)
+    def run(values):
+        varied = with_numbers(engine, tuple(("engine", *path) for path in paths), values)
+        recorded = record_sequences(varied, words, first, lanes=lanes, room=room, dtype=dtype)
+        features = features_of(statistic, varied, recorded, reaches)
+        return features, (recorded.status, recorded.sticks, recorded.edges)
 
-    return derivative_of(run, engine, path, dtype)
+    return derivatives_of(run, engine.engine, paths, dtype)
 
 
 def _values(
     statistic: StickStatistic,
-    engine: Any,
+    engine: TracedIntervals | TracedTurns,
     words: Array,
     first: Array,
     *,
     lanes: int,
-    blocks: int,
-    slots: int,
+    room: Room,
     dtype: Any,
 ) -> Any:
     """Parts (lanes, 2), status and number of sticks (lanes,)."""
-    recorded = record_sequences(engine, words, first, lanes=lanes, blocks=blocks, slots=slots, dtype=dtype)
-    t1 = jnp.asarray(engine.t1, dtype)
+    recorded = record_sequences(engine, words, first, lanes=lanes, room=room, dtype=dtype)
+    t1 = jnp.asarray(engine.engine.t1, dtype)
     parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
-    return parts, recorded.status, recorded.count
+    return parts, recorded.status, recorded.sticks
 
 
-_COUNT_STATIC = ("path", "lanes", "rows", "dtype")
+_COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
 # Wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
 count_chunk = {
     is_own: jax.jit(_count, static_argnames=_COUNT_STATIC, compiler_options=options)
     for is_own, options in ((True, {"xla_cpu_prefer_vector_width": 512}), (False, None))
 }
-_ROOM = ("statistic", "lanes", "blocks", "slots", "dtype")
+_ROOM = ("statistic", "lanes", "room", "dtype")
 value_chunk = jax.jit(_values, static_argnames=_ROOM)
-sequence_chunk = jax.jit(_sequence, static_argnames=("path", "fixed_start", *_ROOM))
+sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_ROOM))

@@ -1,9 +1,9 @@
 """Statistics of recorded stick sequences whose derivatives are those of their expectations.
 
 The derivative of a realisation's functional with the number of sticks held fixed is the pathwise part. The event part
-comes from sticks near the edge of existence (`kernels.py`): of each the functional's jump is what a stick of no length
-in its place adds. There are three edges: the duration of a stick falls to 0; its start passes the horizon; a slip
-between two sticks falls to 0, where they become one.
+comes from the edges of existence (`edges.py`), weighed by kernels (`kernels.py`): at each edge the functional's jump is
+what a stick of no length adds there, or what it changes if a stick is parted in two by a slip of no length. One edge
+more is told by the sticks themselves: one from t = 0 falls to nothing.
 """
 
 from typing import Any, NamedTuple
@@ -13,13 +13,23 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._status import Ending
-from .._types import AnyArray, Array, BoolArray, IntArray
-from ..dynamics.interval_lanes import IntervalEngine
-from ..dynamics.lanes import BLOCK, Engine, Records
+from .._types import AnyArray, Array, IntArray
 from ..numerics.random_bits import random_words
+from .edges import Edges
+from .kernels import crossing, hits, through
 from .kernels import ending as ending_at
-from .kernels import flux, grazing_weight
 from .statistic import StickSequence, StickStatistic
+from .traces import TracedIntervals, TracedTurns
+
+_SAME = 64  # units in the last place by which the same instant may differ, computed twice
+
+
+class Room(NamedTuple):
+    """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks and for edges."""
+
+    blocks: int
+    slots: int
+    edges: int
 
 
 class Recorded(NamedTuple):
@@ -28,23 +38,16 @@ class Recorded(NamedTuple):
     start: Array
     end: Array
     ending: IntArray
-    count: IntArray  # (lanes,), as the following; beyond the slots it tells how many would be needed
-    opening: BoolArray  # whether the first interval had a stick
+    certain: Array  # (lanes,), as the following; until when nothing is random, s
     status: IntArray
-
-
-class Spans(NamedTuple):
-    """How far kernels reach: in durations (s), and over how large a share of the parameter; several to choose from
-    (windows,).
-    """
-
-    durations: AnyArray
-    reaches: AnyArray
+    sticks: IntArray  # how many slots would be needed
+    edges: IntArray
+    near: Edges  # (edges, lanes); in spare slots none decides
 
 
 class Features(NamedTuple):
     """Of each sample: numerator and denominator (lanes, 2), with pathwise derivatives; zeros (lanes, windows, 2) whose
-    derivatives are the event parts; how many sticks and slips each window reached (lanes, windows).
+    derivatives are the event parts; zeros (lanes, windows) whose derivatives tell how many edges each window reached.
     """
 
     parts: Array
@@ -53,53 +56,66 @@ class Features(NamedTuple):
 
 
 def record_sequences(
-    engine: Engine, words: Array, first: Array, *, lanes: int, blocks: int, slots: int, dtype: Any
+    engine: TracedIntervals | TracedTurns, words: Array, first: Array, *, lanes: int, room: Room, dtype: Any
 ) -> Recorded:
-    """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks."""
+    """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks and edges."""
     number = first + jnp.arange(lanes, dtype=jnp.uint32)
-    state = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(words, number))
-    room = Records.empty(BLOCK, lanes, dtype)
+    state, certain = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(words, number))
 
     def advance(state):
         # A lane that has ended idles: nothing happens after the horizon.
-        following, filled = engine.advance(state, dtype, room, 0)
+        following, trace = engine.advance(state, dtype)
         live = ~engine.ended(state)
-        return jax.tree.map(lambda new, old: _where(live, new, old), following, state), filled
+        return jax.tree.map(lambda new, old: _where(live, new, old), following, state), trace
+
+    shapes = jax.eval_shape(advance, state)[1]
+
+    def idle(state):
+        none = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        return state, none._replace(sticks=none.sticks._replace(ending=none.sticks.ending - 1))
 
     def block(state, _):
-        return lax.cond(jnp.all(engine.ended(state)), lambda state: (state, room), advance, state)
+        return lax.cond(jnp.all(engine.ended(state)), idle, advance, state)
 
-    state, filled = lax.scan(block, state, None, length=blocks)
-    room = Records(filled.values.reshape(-1, 3, lanes), filled.ending.reshape(-1, lanes))
-    found = jnp.cumsum(room.ending >= 0, axis=0)
-    # The slot of stick k is the first at which k + 1 have been found. (Scattering would do it at once, but jaxlib
+    state, trace = lax.scan(block, state, None, length=room.blocks)
+    sticks, moments, may_be_near = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
+    kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, room.slots)
+    moments, is_moment, moments_found = _gathered(may_be_near, moments, room.edges)
+    near = engine.edges(state, moments)
+    # In what is certain to come there is nothing to take a density of, but for when the base changes.
+    near = near.only(is_moment & (near.time >= certain), is_moment)
+    start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
+    ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
+    status = jnp.asarray(engine.status(state), jnp.int32)
+    return Recorded(start, end, ending, certain, status, sticks_found, moments_found, near)
+
+
+def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Array]:
+    """The first so many rows of each lane that exist: columns, which slots are filled, how many rows there are."""
+    found = jnp.cumsum(exists, axis=0)
+    # The slot of row k is the first at which k + 1 have been found. (Scattering would do it at once, but jaxlib
     # 0.10.2 breaks down compiling that with the options of `enable_fast_cpu`.)
     wanted = jnp.arange(1, slots + 1)
     at = jax.vmap(lambda found: jnp.searchsorted(found, wanted), in_axes=1, out_axes=1)(found)
-    exists = wanted[:, None] <= found[-1]
-    at = jnp.where(exists, at, 0)
-    start, end = (jnp.where(exists, jnp.take_along_axis(room.values[:, i], at, axis=0), 0) for i in (0, 1))
-    ending = jnp.where(exists, jnp.take_along_axis(room.ending, at, axis=0), -1).astype(jnp.int32)
-    status = jnp.asarray(engine.results(state).status, jnp.int32)
-    return Recorded(start, end, ending, found[-1].astype(jnp.int32), room.ending[0] >= 0, status)
+    filled = wanted[:, None] <= found[-1]
+    at = jnp.where(filled, at, 0)
+    kept = jax.tree.map(lambda column: jnp.take_along_axis(column, at, axis=0), columns)
+    return kept, filled, found[-1].astype(jnp.int32)
 
 
-def features_of(
-    statistic: StickStatistic, engine: Any, recorded: Recorded, spans: Spans, fixed_start: bool
-) -> Features:
-    """The features of all samples; differentiate them to get pathwise and event parts."""
+def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, reaches: AnyArray) -> Features:
+    """The features of all samples; differentiate them to get pathwise and event parts. `reaches` (windows,): how far
+    kernels look, as shares of the parameter.
+    """
     dtype = recorded.start.dtype
-    t1 = jnp.asarray(engine.t1, dtype)
+    t1, reaches = jnp.asarray(engine.engine.t1, dtype), jnp.asarray(reaches, dtype)
 
-    def one(sticks, ending, opening):
-        # What the first interval holds is no random number with a density where all samples begin alike.
-        fixed = opening & fixed_start & isinstance(engine, IntervalEngine)
-        first = jnp.arange(len(ending)) == 0
-        random = sticks.mask & ~(fixed & first & (ending != Ending.BASE_SWITCHED))
-        events, near = _events(statistic, sticks, ending, random, spans, t1)
-        return Features(stacked_parts(statistic, sticks, t1), events, near)
+    def one(sticks, ending, certain, near):
+        events, reached = _events(statistic, sticks, ending, certain, near, reaches, t1)
+        return Features(stacked_parts(statistic, sticks, t1), events, reached)
 
-    return jax.vmap(one)(sequences_of(recorded), recorded.ending.T, recorded.opening)
+    near = jax.tree.map(jnp.transpose, recorded.near)
+    return jax.vmap(one)(sequences_of(recorded), recorded.ending.T, recorded.certain, near)
 
 
 def sequences_of(recorded: Recorded) -> StickSequence:
@@ -111,60 +127,69 @@ def sequences_of(recorded: Recorded) -> StickSequence:
 
 
 def _events(
-    statistic: StickStatistic, sticks: StickSequence, ending: Array, random: Array, spans: Spans, t1: Array
+    statistic: StickStatistic,
+    sticks: StickSequence,
+    ending: Array,
+    certain: Array,
+    near: Edges,
+    reaches: Array,
+    t1: Array,
 ) -> tuple[Array, Array]:
-    """The event parts of one sample's numerator and denominator for each window, and how many sticks and slips they
-    rest on.
-    """
-    numbers = jnp.arange(len(sticks.mask))
+    """The event parts of one sample's numerator and denominator for each window, and how many edges they rest on."""
     fixed = lax.stop_gradient(sticks)
+    numbers = jnp.arange(len(sticks.mask))
 
     def parts(sequence):
         return stacked_parts(statistic, sequence, t1)
 
-    def jump_of_stick(i):
-        return parts(fixed._replace(duration=jnp.where(numbers == i, 0, fixed.duration))) - parts(_without(fixed, i))
+    def jump_at(time, exists, is_slip):
+        return jnp.where(is_slip, _jump_of_slip(parts, fixed, time, exists), _jump_of_stick(parts, fixed, time, exists))
 
-    def jump_at_horizon(i):
-        before = _first(fixed, i)
-        here = numbers == i
-        added = StickSequence(jnp.where(here, t1, before.start), before.duration, before.mask | here)
-        return parts(added) - parts(before)
+    random = (sticks.start >= certain) | (ending == Ending.BASE_SWITCHED)
+    from_start = sticks.mask & (sticks.start == 0) & (ending != Ending.HORIZON) & random
+    time = lax.stop_gradient(near.time)
+    at_edges = jax.vmap(jump_at)(time, near.exists, near.is_slip)
+    at_start = jax.vmap(lambda i: _jump_of_stick(parts, fixed, fixed.start[i], True))(numbers)
 
-    def jump_of_slip(i):
-        # The slip after stick i; its end is moved to its start, and then the sticks are made one.
-        following = jnp.minimum(i + 1, len(numbers) - 1)
-        length = fixed.duration[i] + fixed.duration[following]
-        merged = _without(fixed, following)
-        return parts(fixed) - parts(merged._replace(duration=jnp.where(numbers == i, length, merged.duration)))
+    def window(reach):
+        at = through(near, reach, crossing, ending_at)[:, None] * at_edges
+        first = ending_at(sticks.duration, reach, from_start)[:, None] * at_start
+        reached = jnp.sum(through(near, reach, hits, hits)) + jnp.sum(hits(sticks.duration, reach, from_start))
+        return jnp.sum(at, axis=0) + jnp.sum(first, axis=0), reached
 
+    return jax.vmap(window)(reaches)
+
+
+def _jump_of_stick(parts: Any, sticks: StickSequence, time: Array, exists: Any) -> Array:
+    """What a stick of no length at `time` adds; the one that is there, if it `exists`, is taken away first."""
+    index = jnp.argmin(jnp.where(sticks.mask, jnp.abs(sticks.start - time), jnp.inf))
+    found = exists & sticks.mask[index] & _same(sticks.start[index], time)
+    without = jax.tree.map(lambda a, b: jnp.where(found, a, b), _without(sticks, index), sticks)
+    return parts(_with(without, time)) - parts(without)
+
+
+def _jump_of_slip(parts: Any, sticks: StickSequence, time: Array, exists: Array) -> Array:
+    """What a slip of no length at `time` changes, by which one stick becomes two; zero where it is in none.
+
+    If the slip `exists`, from `time` on, what it parts is made one first.
+    """
+    numbers = jnp.arange(len(sticks.mask))
     end = sticks.start + sticks.duration
-    next_start = jnp.concatenate([sticks.start[1:], jnp.zeros(1, end.dtype)])
-    has_next = jnp.concatenate([sticks.mask[1:], jnp.zeros(1, bool)])
-    duration, slip, left = sticks.duration, next_start - end, t1 - sticks.start
-    wide, reach = spans.durations[:, None], jnp.broadcast_to(spans.reaches[:, None], (len(spans.reaches), len(numbers)))
-    is_over = random & (ending != Ending.HORIZON)
-    at_rest = sticks.start == 0  # from the first instant: no arc arrives there, so none grazes
+    ends_here = jnp.argmin(jnp.where(sticks.mask, jnp.abs(end - time), jnp.inf))
+    holds = jnp.argmax(sticks.mask & (sticks.start < time) & (time < end))
+    index = jnp.where(exists, ends_here, holds)
+    following = jnp.minimum(index + 1, len(numbers) - 1)
+    is_parted = exists & _same(end[index], time) & sticks.mask[following] & (following > index)
+    is_whole = ~exists & sticks.mask[index] & (sticks.start[index] < time) & (time < end[index])
+    last = jnp.where(is_parted, end[following], end[index])
+    one = jax.tree.map(lambda a, b: jnp.where(is_parted, a, b), _without(sticks, following), sticks)
+    whole = one._replace(duration=jnp.where(numbers == index, last - sticks.start[index], one.duration))
+    first = whole._replace(duration=jnp.where(numbers == index, time - sticks.start[index], whole.duration))
+    return jnp.where(is_parted | is_whole, parts(_with(first, time, last - time)) - parts(whole), 0)
 
-    def by_duration(length, where):
-        weight = grazing_weight(length, wide)
-        return flux(weight, length, where), where & (weight != 0)
 
-    def by_reach(length, where):
-        length, where = (jnp.broadcast_to(column, reach.shape) for column in (length, where))
-        return ending_at(length, reach, where)
-
-    edges = (
-        (*by_duration(duration, is_over & ~at_rest), jump_of_stick),
-        (*by_duration(slip, has_next & (ending == Ending.RELEASED)), jump_of_slip),
-        (by_reach(duration, is_over & at_rest), jnp.zeros_like(wide, bool), jump_of_stick),
-        (by_reach(left, random), jnp.zeros_like(wide, bool), jump_at_horizon),
-    )
-    events, near = jnp.zeros((len(wide), 2), end.dtype), jnp.zeros(len(wide), jnp.int32)
-    for flow, reached, jump in edges:
-        events = events + jnp.sum(flow[:, :, None] * jax.vmap(jump)(numbers), axis=1)
-        near = near + jnp.sum(reached, axis=1, dtype=jnp.int32)
-    return events, near
+def _same(one: Array, other: Array) -> Array:
+    return jnp.abs(one - other) <= _SAME * jnp.finfo(one.dtype).eps * (1 + jnp.abs(other))
 
 
 def stacked_parts(statistic: StickStatistic, sticks: StickSequence, t1: Array) -> Array:
@@ -180,10 +205,15 @@ def _without(sticks: StickSequence, i: Array) -> StickSequence:
     return StickSequence(jnp.where(mask, start, 0), jnp.where(mask, duration, 0), mask)
 
 
-def _first(sticks: StickSequence, number: Array) -> StickSequence:
-    """The first so many sticks."""
-    mask = sticks.mask & (jnp.arange(len(sticks.mask)) < number)
-    return StickSequence(jnp.where(mask, sticks.start, 0), jnp.where(mask, sticks.duration, 0), mask)
+def _with(sticks: StickSequence, time: Array, duration: Any = 0) -> StickSequence:
+    """The sequence with one stick more."""
+    numbers = jnp.arange(len(sticks.mask))
+    place = jnp.sum(sticks.mask & (sticks.start < time))
+
+    def put(column, value):
+        return jnp.where(numbers < place, column, jnp.where(numbers == place, value, jnp.roll(column, 1)))
+
+    return StickSequence(put(sticks.start, time), put(sticks.duration, duration), put(sticks.mask, True))
 
 
 def _where(chosen: Array, new: Array, old: Array) -> Array:

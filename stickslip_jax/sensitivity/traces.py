@@ -1,0 +1,136 @@
+"""Lanes that hand out, beside their sticks, how near sticks and slips of no length were."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._types import Array, BoolArray, IntArray
+from ..base_motion.random import RandomPhase, realised_state
+from ..dynamics.interval_engine import StickRecord, scales_of, start_motion, start_totals, status_of
+from ..dynamics.interval_lanes import IntervalEngine
+from ..dynamics.lanes import BLOCK
+from ..dynamics.models import model_of, streams_of
+from ..dynamics.switched_engine import advance, status_of_lane
+from ..dynamics.switched_lanes import SwitchedEngine
+from .edges import Edges, IntervalLane, cross_with_edges, draw_block
+from .turn_edges import Moment, edges_of_moment, may_be_near
+
+
+class Trace(NamedTuple):
+    """What `BLOCK` intervals or turns hold, at most one stick each; all arrays (BLOCK, lanes).
+
+    `moments`: what the engine finds edges from; `may_be_near`: in which there may be any.
+    """
+
+    sticks: StickRecord
+    moments: Any
+    may_be_near: BoolArray
+
+
+class TracedIntervals(eqx.Module):
+    """An `IntervalEngine` that hands out edges."""
+
+    engine: IntervalEngine
+    fixed_start: bool = eqx.field(static=True)
+
+    def begin(self, words: tuple[Array, Array], dtype) -> Any:
+        """One lane at t = 0, and until when nothing in it is random, s."""
+        engine = self.engine
+        x, velocity = realised_state(engine.y0, words, dtype)
+        motion = start_motion(scales_of(engine.system, engine.t1, dtype), (x, velocity))
+        zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.uint32)
+        memory = engine.law.begin(words, dtype)
+        first, _, _ = engine.law.next_interval(memory, engine.law.draw(words, none, dtype), dtype)
+        lane = IntervalLane(memory, motion, start_totals(dtype), zero)
+        return (words, none, lane, jnp.zeros((), bool)), first if self.fixed_start else zero
+
+    def advance(self, state: Any, dtype) -> tuple[Any, Trace]:
+        """Take all lanes a block further."""
+        engine, (words, first, start, _) = self.engine, state
+        scales = scales_of(engine.system, engine.t1, dtype)
+        drawn, numbers = draw_block(engine.law, words, first, dtype)
+
+        def step_one(lane, drawn):
+            moved, stick, edges, _ = cross_with_edges(engine.law, scales, lane, drawn)
+            return moved, Trace(stick, edges, edges.any & (edges.time <= scales.t1))
+
+        lane, trace = lax.scan(jax.vmap(step_one), start, drawn)
+        return (words, first + np.uint32(len(numbers)), lane, lane.motion.t <= start.motion.t), trace
+
+    def edges(self, state: Any, moments: Edges) -> Edges:
+        """The edges of moments (slots, lanes)."""
+        return moments
+
+    def ended(self, state: Any) -> BoolArray:
+        """Which lanes have come to the end of their sample."""
+        _, _, lane, stalled = state
+        return ~(lane.motion.t < jnp.asarray(self.engine.t1, lane.motion.t.dtype)) | stalled
+
+    def status(self, state: Any) -> IntArray:
+        """The `Status` of every lane."""
+        motion = state[2].motion
+        return status_of(motion, jnp.asarray(self.engine.t1, motion.t.dtype))
+
+
+class TracedTurns(eqx.Module):
+    """A `SwitchedEngine` that hands out edges."""
+
+    engine: SwitchedEngine
+    fixed_start: bool = eqx.field(static=True)
+
+    def begin(self, words: tuple[Array, Array], dtype) -> Any:
+        """One lane at t = 0, and until when nothing in it is random, s."""
+        state = self.engine.begin(words, dtype)
+        laws = streams_of(self.engine.system, self.engine.drive).all
+        ends = [feed.piece.end for law, feed in zip(laws, state.lane.feeds, strict=True) if law.is_random]
+        certain = self.fixed_start and ends and not isinstance(self.engine.drive.smooth, RandomPhase)
+        return state, jnp.min(jnp.stack(ends)) if certain else jnp.zeros((), dtype)
+
+    def advance(self, state: Any, dtype) -> tuple[Any, Trace]:
+        """Take all lanes a block further."""
+        engine = self.engine
+        streams = streams_of(engine.system, engine.drive)
+        t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
+
+        def turn_one(lane, smooth):
+            model = model_of(engine.system, smooth, engine.solver)
+            moved, stick = advance(model, streams, t1, step, lane)
+            moment = Moment.of(lane, moved)
+            return moved, Trace(stick, moment, may_be_near(model, streams, t1, moment))
+
+        def turn(lanes, _):
+            return jax.vmap(turn_one)(lanes, state.smooth)
+
+        lanes, trace = lax.scan(turn, state.lane, None, length=BLOCK)
+        return state._replace(lane=lanes), trace
+
+    def edges(self, state: Any, moments: Moment) -> Edges:
+        """The edges of moments (slots, lanes)."""
+        engine = self.engine
+        streams = streams_of(engine.system, engine.drive)
+        dtype = moments.t.dtype
+        t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
+
+        def edges_of(moment, smooth):
+            return edges_of_moment(model_of(engine.system, smooth, engine.solver), streams, t1, step, moment)
+
+        return jax.vmap(jax.vmap(edges_of), in_axes=(0, None))(moments, state.smooth)
+
+    def ended(self, state: Any) -> BoolArray:
+        """Which lanes have come to the end of their sample."""
+        return self.engine.ended(state)
+
+    def status(self, state: Any) -> IntArray:
+        """The `Status` of every lane."""
+        return jax.vmap(lambda lane: status_of_lane(lane, jnp.asarray(self.engine.t1, lane.t.dtype)))(state.lane)
+
+
+def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedTurns:
+    """`engine`, to hand out edges; `fixed_start` tells that all samples begin in the same state."""
+    if isinstance(engine, IntervalEngine):
+        return TracedIntervals(engine, fixed_start)
+    return TracedTurns(engine, fixed_start)
