@@ -1,6 +1,5 @@
 """Figures of sensitivities: what is drawn is what was computed."""
 
-
 import matplotlib as mpl
 import numpy as np
 import pytest

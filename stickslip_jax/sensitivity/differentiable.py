@@ -48,14 +48,37 @@ def differentiable(
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
     rows, reach = -(-problem.samples // _LANES), reach_of(problem, pilot)
     means = (_counted if problem.is_counted else _recorded)(problem, pilot, reach, rows)
+    estimate = _ratio(means, reach if problem.has_sudden_switches else None)
     number = len(problem.parameters)
 
+    def of(values: Any) -> Array:
+        values = jnp.asarray(values, problem.dtype)
+        if values.shape != (() if isinstance(wrt, str) else (number,)):
+            raise ValueError(
+                f"Argument values must hold {'one number' if isinstance(wrt, str) else f'{number} numbers'}, one for "
+                f"each of {wrt}, but an array of shape {values.shape} was given."
+            )
+        return estimate(values.reshape(number))
+
+    return of
+
+
+# Means of numerator and denominator at parameter values; with the same values again for second argument, to
+# differentiate by these.
+Means = Callable[..., Array]
+
+
+def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
+    """The ratio of both means, whose derivative comes from theirs, all in one pass; with a `step` (a share of each
+    value), from central differences.
+    """
+
     def slopes(values: Array, units: Array) -> Array:
-        """Of both means, by every value in these units, (number, 2)."""
+        """Of both means, by every value in these units, (values, 2)."""
 
         def along(direction):
-            if problem.has_sudden_switches:
-                return (means(values + reach * direction) - means(values - reach * direction)) / (2 * reach)
+            if step is not None:
+                return (means(values + step * direction) - means(values - step * direction)) / (2 * step)
             return jax.jvp(lambda varied: means(values, varied), (values,), (direction,))[1]
 
         return jax.vmap(along)(jnp.diag(units))
@@ -74,21 +97,7 @@ def differentiable(
         slope = (by_unit[:, 0] - above / below * by_unit[:, 1]) / below / units
         return above / below, jnp.sum(slope * moves)
 
-    def of(values: Any) -> Array:
-        values = jnp.asarray(values, problem.dtype)
-        if values.shape != (() if isinstance(wrt, str) else (number,)):
-            raise ValueError(
-                f"Argument values must hold {'one number' if isinstance(wrt, str) else f'{number} numbers'}, one for "
-                f"each of {wrt}, but an array of shape {values.shape} was given."
-            )
-        return estimate(values.reshape(number))
-
-    return of
-
-
-# Means of numerator and denominator at parameter values; with the same values again for second argument, to
-# differentiate by these.
-Means = Callable[..., Array]
+    return estimate
 
 
 def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:

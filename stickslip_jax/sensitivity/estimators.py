@@ -93,7 +93,10 @@ def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ..
         # The number of sticks of one trajectory does not change.
         pathwise = time[..., None] * weights[:, 0]
         parts = np.stack([_flat(leaf, number) for leaf in totals], axis=-1) @ weights[:, :2].T + weights[:, 2]
-        near = np.stack([_flat(near, number)] * 2, axis=-1)
+        # The likelihood takes no window: it rests on all sticks.
+        near = [_flat(totals[1], number) if path[0] == "likelihood" else reached
+                for path, reached in zip(paths, _flat(near, number), strict=True)]  # fmt: skip
+        near = np.stack([near] * 2, axis=-1)
         return Rows.of(_flat(status, number).astype(int), parts, slopes, pathwise, near)
 
     return run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
