@@ -9,6 +9,7 @@ import numpy as np
 from .. import _checks
 from .._types import Array
 from ..dynamics.method import EXACT
+from . import windows
 from .estimate import Gradient, Sensitivities, Sensitivity, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
@@ -18,9 +19,6 @@ from .runs import Tally
 from .statistic import OfTotals
 
 _METHODS = ("corrected", "finite-difference")
-_AGREE = 2.0  # standard errors
-_TORN = 4.0  # standard errors: chance alone takes two windows so far apart once in 16,000 times
-_FEW = 100  # sticks
 
 
 def sensitivity(
@@ -96,10 +94,7 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
     grazing = warn_if_grazing(problem)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
-        chosen = _widest(tally, where)
-        got = gradient_of_ratio(
-            tally.moments, where.derivative[chosen], where.pathwise, parameter.value if elasticity else None
-        )
+        got, chosen = windows.estimate(tally, where, tally.near[index], parameter.value if elasticity else None)
         if parameter.name in grazing:
             got = got._replace(derivative=math.nan, standard_error=math.nan)
         near = int(tally.near[index, chosen])
@@ -118,7 +113,11 @@ def _warn_of_windows(
     tally: Tally, columns: tuple[Columns, ...], results: dict[str, Sensitivity], told: tuple[str, ...]
 ) -> None:
     """RuntimeWarning where windows disagree (but for parameters `told` of already), or hold few sticks."""
-    torn = [name for name, where in zip(results, columns, strict=True) if name not in told and _torn(tally, where)]
+    torn = [
+        name
+        for name, where, near in zip(results, columns, tally.near, strict=True)
+        if name not in told and windows.is_torn(tally, where, near)
+    ]
     if torn:
         warnings.warn(
             f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one "
@@ -128,7 +127,7 @@ def _warn_of_windows(
             stacklevel=4,
         )
     few = min(result.sticks_in_window for result in results.values())
-    if few < _FEW:
+    if few < windows.FEW:
         warnings.warn(
             f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
             RuntimeWarning,
@@ -178,31 +177,6 @@ def _result(
         sticks_in_window=near,
         reach=reach,
     )
-
-
-def _widest(tally: Tally, where: Columns, agree: float = _AGREE) -> int:
-    """The number of the widest window whose derivative agrees with those of all smaller ones (Lepski's rule)."""
-    mean, covariance = tally.moments.mean, tally.moments.covariance_of_mean
-    a, b = mean[:2]
-    if not b > 0:
-        return len(where.derivative) - 1
-
-    def weights(column):
-        of = np.zeros(len(mean))
-        of[column : column + 2] = 1 / b, -a / b**2
-        return of
-
-    for number, column in enumerate(where.derivative):
-        differences = [weights(column) - weights(smaller) for smaller in where.derivative[number + 1 :]]
-        if all(abs(of @ mean) <= agree * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
-            return number
-    return len(where.derivative) - 1
-
-
-def _torn(tally: Tally, where: Columns) -> bool:
-    """Whether even the two narrowest windows disagree, by more than chance allows."""
-    has_any = tally.moments.mean[1] > 0  # else there is no value either
-    return has_any and len(where.derivative) > 1 and _widest(tally, where, _TORN) == len(where.derivative) - 1
 
 
 def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:

@@ -15,6 +15,7 @@ from jax import lax
 from .._status import Ending
 from .._types import Array, BoolArray, FloatArray
 from ..base_motion.laws import BangBangLaw
+from ..dynamics.arcs import carry_across
 from ..dynamics.interval_engine import Motion, Scales, StickRecord, Totals, cross_interval
 from ..dynamics.lanes import BLOCK
 from ..numerics.elementary import angle_of
@@ -48,8 +49,8 @@ class Edges(NamedTuple):
     grazing: Number
     race: Number
     horizon: Number
-    crossing: Number | None
-    leaving: Number | None
+    crossing: Number | None = None
+    leaving: Number | None = None
 
     @property
     def both_sides(self) -> tuple[Number, ...]:
@@ -121,13 +122,16 @@ def _edges(
     stuck, moving = stick.ending >= 0, velocity != 0
     arc = _first_arc(scales, motion, cut_velocity, duration, velocity)
     speed = jnp.abs(jnp.where(moving, velocity, 1))
-    end, left = motion.t + duration, scales.t1 - stick.start
-    spare = duration - (stick.start - motion.t)
+    # When the mass would have arrived, crossings included, had the interval lasted a little longer.
+    span = (jnp.minimum(motion.t + duration, scales.t1) - motion.t) * scales.omega + 2 * np.pi
+    longer = carry_across(motion.x, motion.p, velocity * scales.per_omega, scales.half_width, span)
+    arrival = jnp.where(stuck, stick.start - motion.t, longer.entered * scales.per_omega)
+    end, spare, left = motion.t + duration, duration - arrival, scales.t1 - (motion.t + arrival)
     # An arc from below ends in a stick that lasts, or grazes; one from above may arrive at the release edge, where
     # it crosses.
     leaves = stuck & moving & ~(arc.is_below & arc.would_stick)
     to_edge = (scales.half_width - jnp.sign(velocity) * stick.position) / speed
-    misses = arc.would_stick & ~stuck & (motion.t < scales.t1)
+    misses = longer.stuck & ~stuck & (motion.t < scales.t1)
     is_late, is_beyond = misses & (spare <= 0) & (left > 0), misses & (left <= 0) & (spare > 0)
     missed = jnp.where(is_late, end, jnp.where(is_beyond, scales.t1, motion.t + arc.top))
     return Edges(
@@ -137,7 +141,6 @@ def _edges(
         grazing=Number(arc.excess, arc.meets),
         race=Number(spare, stuck | is_late),
         horizon=Number(left, stuck | is_beyond),
-        crossing=None,
         leaving=Number(to_edge, leaves),
     )
 

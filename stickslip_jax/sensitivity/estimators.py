@@ -96,7 +96,7 @@ def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ..
         # The likelihood takes no window: it rests on all sticks.
         near = [_flat(totals[1], number) if path[0] == "likelihood" else reached
                 for path, reached in zip(paths, _flat(near, number), strict=True)]  # fmt: skip
-        near = np.stack([near] * 2, axis=-1)
+        near = np.stack([near[: len(problem.parameters)]] * 2, axis=-1)
         return Rows.of(_flat(status, number).astype(int), parts, slopes, pathwise, near)
 
     return run_chunks(simulate, problem.samples, lanes * rows, problem.threads)

@@ -40,22 +40,29 @@ class Rows(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Sums over samples: moments of the columns of the finished ones, and what the windows reached (parameters,
-    windows).
+    """Sums over samples: moments of the columns of the finished ones, of both halves of them (every other one), and
+    what the windows reached (parameters, windows).
     """
 
-    moments: Moments
+    halves: tuple[Moments, Moments]
     near: np.ndarray
 
     @classmethod
     def of(cls, rows: Rows) -> "Tally":
         """The sums of one chunk."""
         done = rows.status == Status.FINISHED
-        return cls(Moments.of(rows.columns[done]), rows.near[:, done].sum(axis=1))
+        columns = rows.columns[done]
+        return cls((Moments.of(columns[::2]), Moments.of(columns[1::2])), rows.near[:, done].sum(axis=1))
+
+    @property
+    def moments(self) -> Moments:
+        """Of all."""
+        return self.halves[0].merge(self.halves[1])
 
     def merge(self, other: "Tally") -> "Tally":
         """The sums of both."""
-        return Tally(self.moments.merge(other.moments), self.near + other.near)
+        first, second = (one.merge(two) for one, two in zip(self.halves, other.halves, strict=True))
+        return Tally((first, second), self.near + other.near)
 
 
 def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Tally:

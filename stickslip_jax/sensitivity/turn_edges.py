@@ -94,7 +94,6 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
         race=race,
         horizon=horizon,
         crossing=_crossing(model, streams, moment, switched & ~sticking),
-        leaving=None,
     )
 
 
