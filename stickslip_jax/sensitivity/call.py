@@ -56,13 +56,17 @@ def sensitivity(
     - `method`: "corrected", or "finite-difference": central differences with common random numbers, of `step` times the
       parameter's size; biased by order ``step^2``.
     - `reach`: how far the corrected method looks for sticks about to be born or lost, as a relative change of the
-      parameter. By default ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05. Its bias is of order ``reach^2``.
+      parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks / 10^6)^(-1/5)``,
+      at most 0.05; half of it unless the base velocity is piecewise constant, without damping and force. The bias is of
+      order ``reach^2``.
 
-    How the event part is found. On a base of piecewise-constant velocity, without damping and force, and for
-    statistics of totals, near misses are seen too, and what Poisson switching decides is integrated out; the derivative
-    by its rate comes from the likelihood. Elsewhere it comes from sticks (and slips between two) shorter than a window,
-    ``(sticks / 10^6)^(-1/5)`` times the lower quartile of durations. All windows come in several widths; the widest is
-    taken whose answer is within 2 standard errors of those of the narrower ones. The bias is of order ``window^2``.
+    How the event part is found. Near misses count as much as short sticks: both tell how dense trajectories are where a
+    stick (or a slip between two) is born. For statistics of totals on a base of piecewise-constant velocity, without
+    damping and force, what Poisson switching decides is integrated out, and the derivative by its rate comes from the
+    likelihood. Where a stick can hold more than a slip meets (`mu_static`), one that is caught moves differently ever
+    after; there the event part comes from pairs of trajectories with the parameter changed up and down by `reach`, and
+    the same random numbers. Windows come in several widths; the widest is taken whose answer is within 2 standard
+    errors of those of the narrower ones, and each half of the samples chooses for the other.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory

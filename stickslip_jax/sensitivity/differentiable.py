@@ -127,7 +127,7 @@ def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
 def _recorded(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
     """By recorded sequences."""
     engine, paths, room = problem.engine(), problem.paths(), room_for(problem, pilot)
-    room = Room(2 * room.blocks, 2 * room.slots, 2 * room.edges)
+    room = Room(2 * room.blocks, 2 * room.slots, 0 if problem.has_sudden_switches else 2 * room.edges)
     # One window, as wide as may be: which is best cannot be asked inside a compiled function.
     reaches = np.array([reach])
 

@@ -10,7 +10,7 @@ from ..base_motion.laws import PoissonSwitching
 from ..dynamics.chunks import chunks_of
 from ..dynamics.lanes import Engine, Job
 from .counting import CountingEngine, Likelihood
-from .parameters import Path, with_numbers
+from .parameters import Parameter, Path, check_numbers, with_numbers
 from .problem import Pilot, Problem, lanes_and_rows, sequence_lanes
 from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
 from .sequences import Room
@@ -150,22 +150,24 @@ def differenced(
     units = units_of(engine, paths)
     values = _counted_values if problem.is_counted else _recorded_values
     lanes, rows = lanes_and_rows(problem) if problem.is_counted else (sequence_lanes(problem), 1)
+    room = room._replace(edges=0)
     record = _recorder(problem, engine, room, steps[:1])
 
-    def ends(path: Path, value: float, step: float, first: int, number: int) -> Any:
-        varied = [with_numbers(engine, (path,), (value + sign * step,)) for sign in (-1, 1)]
-        (low, low_status, low_count), (high, high_status, high_count) = (
-            values(problem, one, first, number, room) for one in varied
-        )
-        return (high - low) / (2 * step), np.maximum(low_status, high_status), low_count != high_count
+    pairs = [
+        (step * unit, *_ends(engine, path, parameter, step * unit))
+        for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
+        for step in steps
+    ]
 
     def simulate(first: int, number: int) -> Rows:
+        def difference(length: float, *ends: Engine) -> Any:
+            (low, low_status, low_count), (high, high_status, high_count) = (
+                values(problem, end, first, number, room) for end in ends
+            )
+            return (high - low) / (2 * length), np.maximum(low_status, high_status), low_count != high_count
+
         parts, status, _ = values(problem, engine, first, number, room)
-        differences, statuses, near = zip(*(
-            ends(path, parameter.value, step * unit, first, number)
-            for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
-            for step in steps
-        ), strict=True)  # fmt: skip
+        differences, statuses, near = zip(*(difference(*pair) for pair in pairs), strict=True)
         shape = (len(paths), len(steps), number)
         slopes = np.moveaxis(np.reshape(differences, (*shape, 2)), 2, 1)
         pathwise = np.zeros((len(paths), number, 2))
@@ -176,6 +178,20 @@ def differenced(
 
     tally = run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
     return tally, _columns(len(paths), len(steps), len(paths))
+
+
+def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> list[Engine]:
+    """The engine with the parameter lower and higher. Raises ValueError where one of them is not allowed."""
+    ends = [with_numbers(engine, (path,), (parameter.value + sign * length,)) for sign in (-1, 1)]
+    try:
+        for end in ends:
+            check_numbers(end)
+    except ValueError as error:
+        raise ValueError(
+            f"Argument step (or reach) must be smaller: {parameter.name} = {parameter.value:g} is to be varied by "
+            f"{length:g}, which it does not allow. {error}"
+        ) from error
+    return ends
 
 
 def _counted_values(problem: Problem, engine: Engine, first: int, number: int, room: Room) -> Any:

@@ -52,6 +52,17 @@ def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
     )
 
 
+def check_numbers(tree: Any) -> None:
+    """Check all modules in `tree` as they were when they were made. Raises their ValueError."""
+    if isinstance(tree, eqx.Module):
+        for field in dataclasses.fields(tree):
+            check_numbers(getattr(tree, field.name, None))
+        getattr(tree, "__check_init__", lambda: None)()
+    elif isinstance(tree, (tuple, list)):
+        for part in tree:
+            check_numbers(part)
+
+
 def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
     shown = [_shown(path) for path, _ in known]
     fits = [i for i, full in enumerate(shown) if full == name or full.endswith(f".{name}")]

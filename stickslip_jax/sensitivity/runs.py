@@ -14,7 +14,7 @@ from ..dynamics.lanes import Job, summarise
 from ..numerics.moments import Moments
 from .counting import CountingEngine
 from .parameters import Path, number_at, with_numbers
-from .sequences import Room, features_of, record_sequences, sequences_of, stacked_parts
+from .sequences import Room, features_of, record_sequences
 from .statistic import StickStatistic
 from .traces import TracedIntervals, TracedTurns
 
@@ -158,11 +158,9 @@ def _values(
     room: Room,
     dtype: Any,
 ) -> Any:
-    """Parts (lanes, 2), status and number of sticks (lanes,)."""
+    """Parts (lanes, 2), status and number of sticks (lanes,). `room` has none for edges."""
     recorded = record_sequences(engine, words, first, lanes=lanes, room=room, dtype=dtype)
-    t1 = jnp.asarray(engine.engine.t1, dtype)
-    parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
-    return parts, recorded.status, recorded.sticks
+    return features_of(statistic, engine, recorded, np.zeros(0)).parts, recorded.status, recorded.sticks
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")

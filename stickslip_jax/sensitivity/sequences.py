@@ -25,7 +25,9 @@ _SAME = 64  # units in the last place by which the same instant may differ, comp
 
 
 class Room(NamedTuple):
-    """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks and for edges."""
+    """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks and for edges; none for
+    edges if they are not asked for.
+    """
 
     blocks: int
     slots: int
@@ -42,7 +44,7 @@ class Recorded(NamedTuple):
     status: IntArray
     sticks: IntArray  # how many slots would be needed
     edges: IntArray
-    near: Edges  # (edges, lanes); in spare slots none decides
+    near: Edges | None  # (edges, lanes); in spare slots none decides
 
 
 class Features(NamedTuple):
@@ -64,7 +66,7 @@ def record_sequences(
 
     def advance(state):
         # A lane that has ended idles: nothing happens after the horizon.
-        following, trace = engine.advance(state, dtype)
+        following, trace = engine.advance(state, dtype, with_edges=room.edges > 0)
         live = ~engine.ended(state)
         return jax.tree.map(lambda new, old: _where(live, new, old), following, state), trace
 
@@ -80,10 +82,12 @@ def record_sequences(
     state, trace = lax.scan(block, state, None, length=room.blocks)
     sticks, moments, may_be_near = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
     kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, room.slots)
-    moments, is_moment, moments_found = _gathered(may_be_near, moments, room.edges)
-    near = engine.edges(state, moments)
-    # In what is certain to come there is nothing to take a density of, but for when the base changes.
-    near = near.only(is_moment & (near.time >= certain), is_moment)
+    near, moments_found = None, jnp.zeros_like(sticks_found)
+    if room.edges > 0:
+        moments, is_moment, moments_found = _gathered(may_be_near, moments, room.edges)
+        near = engine.edges(state, moments)
+        # In what is certain to come there is nothing to take a density of, but for when the base changes.
+        near = near.only(is_moment & (near.time >= certain), is_moment)
     start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
     ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
     status = jnp.asarray(engine.status(state), jnp.int32)
@@ -104,11 +108,17 @@ def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Arra
 
 
 def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, reaches: AnyArray) -> Features:
-    """The features of all samples; differentiate them to get pathwise and event parts. `reaches` (windows,): how far
-    kernels look, as shares of the parameter.
+    """The features of all samples; differentiate them to get pathwise and event parts (none without edges).
+
+    `reaches` (windows,): how far kernels look, as shares of the parameter.
     """
     dtype = recorded.start.dtype
     t1, reaches = jnp.asarray(engine.engine.t1, dtype), jnp.asarray(reaches, dtype)
+
+    if recorded.near is None:
+        parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
+        nothing = jnp.zeros((len(parts), len(reaches)), dtype)
+        return Features(parts, nothing[..., None] * jnp.zeros(2, dtype), nothing)
 
     def one(sticks, ending, certain, near):
         events, reached = _events(statistic, sticks, ending, certain, near, reaches, t1)

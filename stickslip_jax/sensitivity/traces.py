@@ -23,12 +23,12 @@ from .turn_edges import Moment, edges_of_moment, may_be_near
 class Trace(NamedTuple):
     """What `BLOCK` intervals or turns hold, at most one stick each; all arrays (BLOCK, lanes).
 
-    `moments`: what the engine finds edges from; `may_be_near`: in which there may be any.
+    `moments`: what the engine finds edges from; `may_be_near`: in which there may be any. None without edges.
     """
 
     sticks: StickRecord
     moments: Any
-    may_be_near: BoolArray
+    may_be_near: BoolArray | None
 
 
 class TracedIntervals(eqx.Module):
@@ -48,7 +48,7 @@ class TracedIntervals(eqx.Module):
         lane = IntervalLane(memory, motion, start_totals(dtype), zero)
         return (words, none, lane, jnp.zeros((), bool)), first if self.fixed_start else zero
 
-    def advance(self, state: Any, dtype) -> tuple[Any, Trace]:
+    def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
         """Take all lanes a block further."""
         engine, (words, first, start, _) = self.engine, state
         scales = scales_of(engine.system, engine.t1, dtype)
@@ -56,6 +56,8 @@ class TracedIntervals(eqx.Module):
 
         def step_one(lane, drawn):
             moved, stick, edges, _ = cross_with_edges(engine.law, scales, lane, drawn)
+            if not with_edges:
+                return moved, Trace(stick, None, None)
             return moved, Trace(stick, edges, edges.any & (edges.time <= scales.t1))
 
         lane, trace = lax.scan(jax.vmap(step_one), start, drawn)
@@ -90,7 +92,7 @@ class TracedTurns(eqx.Module):
         certain = self.fixed_start and ends and not isinstance(self.engine.drive.smooth, RandomPhase)
         return state, jnp.min(jnp.stack(ends)) if certain else jnp.zeros((), dtype)
 
-    def advance(self, state: Any, dtype) -> tuple[Any, Trace]:
+    def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
         """Take all lanes a block further."""
         engine = self.engine
         streams = streams_of(engine.system, engine.drive)
@@ -99,6 +101,8 @@ class TracedTurns(eqx.Module):
         def turn_one(lane, smooth):
             model = model_of(engine.system, smooth, engine.solver)
             moved, stick = advance(model, streams, t1, step, lane)
+            if not with_edges:
+                return moved, Trace(stick, None, None)
             moment = Moment.of(lane, moved)
             return moved, Trace(stick, moment, may_be_near(model, streams, t1, moment))
 

@@ -1,0 +1,193 @@
+"""The parts of a sensitivity: edges of existence, what they change in a sequence of sticks, the choice of a window."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import stickslip_jax as ss
+from stickslip_jax.numerics.moments import Moments
+from stickslip_jax.numerics.roots import lowest_between, steepest_fall
+from stickslip_jax.sensitivity import sequences, windows
+from stickslip_jax.sensitivity.estimate import gradient_of_ratio
+from stickslip_jax.sensitivity.estimators import Columns
+from stickslip_jax.sensitivity.first_look import problem_of
+from stickslip_jax.sensitivity.parameters import with_numbers
+from stickslip_jax.sensitivity.problem import room_for
+from stickslip_jax.sensitivity.runs import Tally, derivatives_of
+from stickslip_jax.sensitivity.statistic import StickSequence
+from stickslip_jax.sensitivity.traces import traced
+
+LANES = 512
+
+
+def oscillator(**more):
+    return ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(4 / 4.4), **more)
+
+
+ANYWHERE = (ss.Uniform(-0.5, 0.5), ss.Uniform(-0.9, 0.9))
+MOTIONS = {
+    "bang-bang": (oscillator(), ss.PoissonSwitching(1.0, 1.0), 20.0, ANYWHERE, 8),
+    "damped": (oscillator(damping=0.1), ss.PoissonSwitching(1.0, 1.0), 20.0, ANYWHERE, 8),
+    "harmonic": (oscillator(), ss.RandomPhase(ss.Harmonic(1.0, 1.3)), 20.0, ANYWHERE, 32),
+    "motor and cart": (
+        ss.MotorCart(mu=0.2),
+        ss.RandomPhase(ss.SourceVoltage()),
+        1.5,
+        (ss.Uniform(0.0, 2 * np.pi), 0.0, 0.0),
+        16,
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "name", ["damped", *(pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS if name != "damped")]
+)
+def test_what_is_near_happens(name):
+    """A number that is 0 at a relative change u of the parameter, to first order: changing it by 2 u makes or loses one
+    stick, as the number's sign tells. Of those with u < 5e-4, nearly all do.
+    """
+    system, law, t1, y0, chunks = MOTIONS[name]
+    problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
+    engine, room = traced(problem.engine(), False), room_for(problem, pilot)._replace(slots=40, edges=120)
+    path, mu = problem.paths(), problem.parameters[0].value
+
+    def record(values, first):
+        varied = with_numbers(engine, (("engine", *path[0]),), values)
+        recorded = sequences.record_sequences(varied, problem.words, first, lanes=LANES, room=room, dtype=problem.dtype)
+        numbers = recorded.near.both_sides
+        return jnp.stack([number.value for number in numbers]), (
+            jnp.stack([number.decides for number in numbers]), recorded.sticks
+        )  # fmt: skip
+
+    @jax.jit
+    def near(first):
+        return derivatives_of(lambda values: record(values, first), engine.engine, path, problem.dtype)
+
+    counts = jax.jit(lambda values, first: record(values, first)[1][1])
+    right = seen = 0
+    for first in range(0, chunks * LANES, LANES):
+        value, slope, (decides, sticks) = near(np.uint32(first))
+        u = np.where(decides, value / np.where(slope[0] == 0, np.nan, slope[0]), np.nan)
+        for kind, slot, lane in zip(*np.nonzero(np.abs(u) < 5e-4), strict=True):
+            if np.sum(np.abs(u[:, :, lane]) < 2e-3) == 1:  # alone
+                shifted = counts(jnp.array([mu * (1 - 2 * u[kind, slot, lane])]), np.uint32(first))
+                seen += 1
+                # Where it is positive the stick is there now, or the slip that makes one stick two.
+                right += int(shifted[lane] - sticks[lane]) == (-1 if value[kind, slot, lane] > 0 else 1)
+    assert seen >= 8
+    assert right >= 0.9 * seen, (right, seen)
+
+
+def sequence(*sticks):
+    """Sticks (start, end), and three spare slots."""
+    start, end = (np.array([stick[i] for stick in sticks] + [0.0] * 3) for i in (0, 1))
+    return StickSequence(jnp.array(start), jnp.array(end - start), jnp.arange(len(start)) < len(sticks))
+
+
+def listed(sticks):
+    return [(round(float(a), 9), round(float(a + d), 9)) for a, d, m in zip(*sticks, strict=True) if m]
+
+
+def parts(sticks):
+    """Numbers that tell everything about a sequence: its length, and sums weighed by place and time."""
+    place = jnp.cumsum(sticks.mask)
+    return jnp.stack([
+        jnp.sum(sticks.mask), jnp.sum(sticks.mask * place * sticks.start), jnp.sum(place * sticks.duration)
+    ])  # fmt: skip
+
+
+def test_stick_of_no_length():
+    """Put between two; in the place of one that is there; and at the end."""
+    two = sequence((1.0, 2.0), (4.0, 7.0))
+    between = parts(sequence((1.0, 2.0), (3.0, 3.0), (4.0, 7.0))) - parts(two)
+    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(3.0), False), between)
+    replaced = parts(sequence((1.0, 1.0), (4.0, 7.0))) - parts(sequence((4.0, 7.0)))
+    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(1.0), True), replaced)
+    last = parts(sequence((1.0, 2.0), (4.0, 7.0), (9.0, 9.0))) - parts(two)
+    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(9.0), False), last)
+    # An arrival whose stick was too short to be one: nothing is taken away.
+    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(3.0), True), between)
+
+
+def test_slip_of_no_length():
+    """In a stick; in the place of the slip that is there; outside of all sticks."""
+    two = sequence((1.0, 2.0), (4.0, 7.0))
+    parted = parts(sequence((1.0, 2.0), (4.0, 5.0), (5.0, 7.0))) - parts(two)
+    np.testing.assert_allclose(sequences._jump_of_slip(parts, two, jnp.array(5.0), jnp.array(False)), parted)
+    joined = parts(sequence((1.0, 2.0), (2.0, 7.0))) - parts(sequence((1.0, 7.0)))
+    np.testing.assert_allclose(sequences._jump_of_slip(parts, two, jnp.array(2.0), jnp.array(True)), joined)
+    for time, exists in ((3.0, False), (7.0, True), (3.0, True)):
+        np.testing.assert_array_equal(sequences._jump_of_slip(parts, two, jnp.array(time), jnp.array(exists)), 0)
+
+
+@given(
+    left=st.floats(0.05, 3.0), right=st.floats(0.05, 3.0), bend=st.floats(0.1, 5.0), third=st.floats(-0.9, 0.9)
+)  # fmt: skip
+def test_lowest_point_of_a_cubic(left, right, bend, third):
+    """Known here: ``bend u^2 / 2 + e u^3 / 6`` is lowest at 0, as far as its other extremum is outside."""
+    e = third * bend / max(left, right)
+
+    def cubic(u):
+        return bend * u * u / 2 + e * u**3 / 6, bend * u + e * u * u / 2
+
+    length = left + right
+    (s0, d0), (s1, d1) = cubic(-left), cubic(right)
+    u, second = lowest_between(*(jnp.asarray(number) for number in (s0, d0 * length, s1, d1 * length)))
+    assert u == pytest.approx(left / length, abs=1e-9)
+    assert second == pytest.approx(bend * length**2, rel=1e-9)
+    assert steepest_fall(*(jnp.asarray(number) for number in (s0, d0 * length, s1, d1 * length))) == 0
+
+
+def test_fall_inside_a_step():
+    """A cubic that rises, falls and rises falls most steeply where it bends; one that only rises never falls."""
+    # p' = (u - 0.2) (u - 0.6)
+    p = np.polynomial.Polynomial.fromroots([0.2, 0.6]).integ()
+    ends = [p(0.0), p.deriv()(0.0), p(1.0), p.deriv()(1.0)]
+    assert steepest_fall(*map(jnp.asarray, ends)) == pytest.approx(0.4)
+    assert steepest_fall(*map(jnp.asarray, (0.0, 1.0, 2.0, 3.0))) == 1
+
+
+def tally_of(rng, bias, number=4000):
+    """Samples of ``a / b`` with b = 1, and of its derivative 1 by a wide window, which is biased, and a narrow one."""
+    wide, narrow = 1 + bias + rng.normal(size=number), 1 + 2 * rng.normal(size=number)
+    zero = np.zeros(number)
+    rows = np.stack([zero, zero + 1, wide, zero, narrow, zero, zero, zero], axis=1)
+    near = np.array([[1000.0, 250.0]])
+    return Tally((Moments.of(rows[::2]), Moments.of(rows[1::2])), near), Columns((2, 4), 6)
+
+
+def test_window_is_wide_unless_it_disagrees():
+    tally, where = tally_of(np.random.default_rng(3), 0.0)
+    got, window = windows.estimate(tally, where, tally.near[0], None)
+    assert window == 0
+    assert got == gradient_of_ratio(tally.moments, 2, 6, None)
+    tally, where = tally_of(np.random.default_rng(3), 1.0)
+    got, window = windows.estimate(tally, where, tally.near[0], None)
+    assert window == 1
+    assert got == gradient_of_ratio(tally.moments, 4, 6, None)
+    assert windows.is_torn(tally, where, tally.near[0])
+    # A narrow window that holds too little judges nothing.
+    assert windows.estimate(tally, where, np.array([1000, windows.FEW - 1]), None)[1] == 0
+
+
+def test_choosing_a_window_leaves_errors_honest():
+    """Where no window is biased: z-scores of 2000 repeats have the standard deviation 1 within sampling error; not so
+    if the samples choose for themselves.
+    """
+    rng, scores, own, narrow = np.random.default_rng(5), [], [], 0
+    for _ in range(2000):
+        tally, where = tally_of(rng, 0.0, number=400)
+        got, window = windows.estimate(tally, where, tally.near[0], None)
+        scores.append((got.derivative - 1) / got.standard_error)
+        narrow += window
+        chosen = where.derivative[windows._widest(tally.moments, where, tally.near[0], windows._AGREE)]
+        naive = gradient_of_ratio(tally.moments, chosen, 6, None)
+        own.append((naive.derivative - 1) / naive.standard_error)
+    bound = 4 / np.sqrt(2 * 2000)
+    assert narrow > 100
+    assert abs(np.mean(scores)) < 4 / np.sqrt(2000)
+    assert abs(np.std(scores) - 1) < bound
+    assert np.std(own) > 1 + bound / 2
