@@ -60,7 +60,7 @@ class TracedIntervals(eqx.Module):
                 return moved, Trace(stick, None, None)
             return moved, Trace(stick, edges, edges.any & (edges.time <= scales.t1))
 
-        lane, trace = lax.scan(jax.vmap(step_one), start, drawn)
+        lane, trace = lax.scan(jax.vmap(step_one), start, drawn, length=BLOCK)
         return (words, first + np.uint32(len(numbers)), lane, lane.motion.t <= start.motion.t), trace
 
     def edges(self, state: Any, moments: Edges) -> Edges:
