@@ -303,12 +303,13 @@ def test_stick_time_has_no_event_part():
     assert pooled.derivative == pytest.approx(relative.derivative - count.derivative, rel=1e-9)
 
 
-def test_independent_of_threads_and_chunks():
+def test_independent_of_threads_chunks_and_other_parameters():
     case = poisson(1.4, 1.0)
     system, law = case.pop("system"), case.pop("law")
     options = {"wrt": "mu", "samples": 16_384, "key": jax.random.key(3), **case}
     one, two = (ss.sensitivity(ss.mean_stick_count, system, law, threads=2, **options) for _ in range(2))
-    other = ss.sensitivity(ss.mean_stick_count, system, law, threads=1, chunk=8192, **options)
+    options["wrt"] = ("speed", "rate", "mu")
+    other = ss.sensitivity(ss.mean_stick_count, system, law, threads=1, chunk=8192, **options)["mu"]
     assert (one.value, one.derivative, one.standard_error) == (two.value, two.derivative, two.standard_error)
     assert other.derivative == pytest.approx(one.derivative, rel=1e-9)
     assert other.standard_error == pytest.approx(one.standard_error, rel=1e-9)
@@ -398,6 +399,13 @@ BAD = {
     "samples": ({"samples": 1}, "Argument samples must be a whole number of at least 2"),
     "exact": ({"exact": ss.Regularized(1e-3)}, "Argument exact must be Exact"),
     "system": ({"system": 3}, "Argument system must be"),
+    "reach, static friction": (
+        {"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9, mu_static=0.9)), "wrt": "mu_static"},
+        "Argument step .or reach. must be smaller: mu_static = 0.9 .* must be at least mu",
+    ),
+    "step, a negative rate": (
+        {"wrt": "rate", "method": "finite-difference", "step": 1.5}, "must be smaller: rate = 1 .* Argument rate must"
+    ),
     "nothing random": ({"law": ss.SquareWave(1.0, 2.0)}, "Argument law must be random"),
     "key": ({"key": None}, "Argument key must be"),
 }  # fmt: skip

@@ -104,13 +104,8 @@ def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ..
 
 def recorded(problem: Problem, room: Room, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
     """All parameters by recorded sequences, with windows of all `reaches`."""
-    number = len(problem.parameters)
-    return run_recording(problem, problem.engine(), room, reaches), _columns(number, len(reaches), number)
-
-
-def run_recording(problem: Problem, engine: Engine, room: Room, reaches: np.ndarray) -> Tally:
-    """The problem's parts; columns: their derivatives by every parameter, for every window, and the pathwise parts."""
-    record, units = _recorder(problem, engine, room, reaches), units_of(engine, problem.paths())[:, None, None]
+    parameters, units = len(problem.parameters), units_of(problem.engine(), problem.paths())[:, None, None]
+    record = _recorder(problem, room, reaches)
 
     def simulate(first: int, number: int) -> Rows:
         features, slopes, status = record(first)
@@ -119,18 +114,19 @@ def run_recording(problem: Problem, engine: Engine, room: Room, reaches: np.ndar
         parts, near = np.asarray(features.parts, float)[:number], np.asarray(slopes.near, float)[:, :number]
         return Rows.of(np.asarray(status)[:number], parts, derivatives, pathwise / units, near)
 
-    return run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
+    tally = run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
+    return tally, _columns(parameters, len(reaches), parameters)
 
 
-def _recorder(problem: Problem, engine: Engine, room: Room, reaches: np.ndarray) -> Callable[[int], Any]:
+def _recorder(problem: Problem, room: Room, reaches: np.ndarray) -> Callable[[int], Any]:
     """A function of a chunk's first sample: `Features`, their derivatives, status."""
+    engine = traced(problem.engine(), problem.fixed_start)
 
     def record(first: int) -> Any:
         def run(room: Room) -> Any:
             features, slopes, (status, sticks, edges) = sequence_chunk(
-                problem.statistic, traced(engine, problem.fixed_start), np.asarray(reaches, problem.dtype),
-                problem.words, np.uint32(first), paths=problem.paths(), lanes=sequence_lanes(problem), room=room,
-                dtype=problem.dtype,
+                problem.statistic, engine, np.asarray(reaches, problem.dtype), problem.words, np.uint32(first),
+                paths=problem.paths(), lanes=sequence_lanes(problem), room=room, dtype=problem.dtype,
             )  # fmt: skip
             return (features, slopes, status), status, sticks, edges
 
@@ -151,8 +147,7 @@ def differenced(
     values = _counted_values if problem.is_counted else _recorded_values
     lanes, rows = lanes_and_rows(problem) if problem.is_counted else (sequence_lanes(problem), 1)
     room = room._replace(edges=0)
-    record = _recorder(problem, engine, room, steps[:1])
-
+    record = _recorder(problem, room, steps[:1])
     pairs = [
         (step * unit, *_ends(engine, path, parameter, step * unit))
         for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)

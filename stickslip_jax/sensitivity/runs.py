@@ -51,8 +51,8 @@ class Tally(NamedTuple):
     def of(cls, rows: Rows) -> "Tally":
         """The sums of one chunk."""
         done = rows.status == Status.FINISHED
-        columns = rows.columns[done]
-        return cls((Moments.of(columns[::2]), Moments.of(columns[1::2])), rows.near[:, done].sum(axis=1))
+        first, second = (Moments.of(rows.columns[half::2][done[half::2]]) for half in (0, 1))
+        return cls((first, second), rows.near[:, done].sum(axis=1))
 
     @property
     def moments(self) -> Moments:
