@@ -250,7 +250,7 @@ def first_durations():
 def test_first_duration(first_durations):
     corrected, differences = first_durations
     assert abs(z_score(corrected, differences)) < AGREE
-    assert corrected.sticks_in_window > 500
+    assert corrected.sticks_in_window > 100
     assert corrected.reach > 0
     assert math.isnan(differences.pathwise)
 
@@ -441,3 +441,13 @@ def test_special_base_speeds_are_told(w):
     with pytest.warns(RuntimeWarning, match=f"w = .* is exactly {w:g}, .* with respect to mu, speed: its slope"):
         ss.sensitivity(ss.mean_stick_count, system, law, wrt=("mu", "speed", "rate"), **options)
     ss.sensitivity(ss.mean_stick_count, system, law, wrt="rate", **options)
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+def test_single_precision_is_refused_where_it_hides_near_misses():
+    options = {"wrt": "mu", "t1": 5.0, "samples": 64, "key": jax.random.key(0)}
+    law = ss.PoissonSwitching(1.0, 1.0)
+    with jax.enable_x64(False):
+        for call in (ss.sensitivity, ss.differentiable):
+            with pytest.raises(ValueError, match=r"must be a MassSpring without damping .* single precision"):
+                call(ss.mean_stick_count, oscillator(1.4, damping=0.1), law, **options)

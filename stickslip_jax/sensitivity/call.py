@@ -13,7 +13,7 @@ from . import windows
 from .estimate import Gradient, Sensitivities, Sensitivity, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
-from .first_look import COUNTED_WINDOWS, PAIRED_WINDOWS, RECORDED_WINDOWS, problem_of, reach_of
+from .first_look import COUNTED_WINDOWS, PAIRED_WINDOWS, RECORDED_WINDOWS, problem_of, reach_of, require_precision
 from .problem import Pilot, Problem, room_for
 from .runs import Tally
 from .statistic import OfTotals
@@ -71,7 +71,7 @@ def sensitivity(
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory
     begins with an arc that exactly grazes the base velocity: the derivative does not exist there, and is NaN. Raises
-    ValueError for arguments outside these bounds.
+    ValueError for arguments outside these bounds, and in single precision for motion that has no closed form.
     """
     _check_options(elasticity, method, step, reach)
     problem, pilot = problem_of(
@@ -85,6 +85,7 @@ def sensitivity(
 
 
 def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
+    require_precision(problem)
     widest, room = reach_of(problem, pilot) if reach is None else float(reach), room_for(problem, pilot)
     if problem.has_sudden_switches:
         reaches = widest * np.array(PAIRED_WINDOWS)

@@ -12,7 +12,7 @@ from .._status import Status
 from .._types import Array
 from ..dynamics.lanes import Job, summarise
 from .estimators import RATE, counting_engine
-from .first_look import problem_of, reach_of
+from .first_look import problem_of, reach_of, require_precision
 from .parameters import Path, with_numbers
 from .problem import Pilot, Problem, room_for
 from .sequences import Room, features_of, record_sequences
@@ -46,6 +46,7 @@ def differentiable(
     or one has far more sticks than those of the parameters given here.
     """
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
+    require_precision(problem)
     rows, reach = -(-problem.samples // _LANES), reach_of(problem, pilot)
     means = (_counted if problem.is_counted else _recorded)(problem, pilot, reach, rows)
     estimate = _ratio(means, reach if problem.has_sudden_switches else None)

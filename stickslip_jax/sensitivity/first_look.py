@@ -47,9 +47,18 @@ def problem_of(
     pilot = _pilot(system, law, t1, y0, samples, key, exact, threads)
     parameters = parameters_of({"system": system, "law": law, "y0": y0}, wrt)
     words, dtype = words_for(law, key), jnp.result_type(float)
-    return Problem(
-        statistic, system, law, float(t1), y0, exact, words, parameters, samples, threads, size, dtype
-    ), pilot
+    problem = Problem(statistic, system, law, float(t1), y0, exact, words, parameters, samples, threads, size, dtype)
+    return problem, pilot
+
+
+def require_precision(problem: Problem) -> None:
+    """Raises ValueError where float32 cannot tell a near miss."""
+    if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
+        raise ValueError(
+            "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
+            "velocity, in single precision: round-off hides how nearly an arc of any other motion missed. Call "
+            "jax.config.update('jax_enable_x64', True) first, or use method='finite-difference'."
+        )
 
 
 def reach_of(problem: Problem, pilot: Pilot) -> float:

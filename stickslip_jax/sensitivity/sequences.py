@@ -167,7 +167,9 @@ def _events(
         reached = jnp.sum(through(near, reach, hits, hits)) + jnp.sum(hits(sticks.duration, reach, from_start))
         return jnp.sum(at, axis=0) + jnp.sum(first, axis=0), reached
 
-    return jax.vmap(window)(reaches)
+    # One after the other: jax 0.10.2 cannot map over them where this is differentiated inside of a loop.
+    events, reached = zip(*(window(reach) for reach in reaches), strict=True)
+    return jnp.stack(events), jnp.stack(reached)
 
 
 def _jump_of_stick(parts: Any, sticks: StickSequence, time: Array, exists: Any) -> Array:
