@@ -41,8 +41,7 @@ def sensitivity(
 ) -> Sensitivity | Sensitivities:
     """The derivative of a stick statistic's expectation with respect to parameters, with its standard error.
 
-    Sticks are born and lost as parameters change, so differentiating the simulated mean is wrong. Here the pathwise
-    derivative is corrected by the flux of sticks through the edge of existence.
+    Sticks are born and lost as parameters change, so differentiating the simulated mean is wrong.
 
     - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration` (pooled), or a `StickStatistic`:
       `TOTAL_STICK_TIME`, `RealisationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
@@ -61,12 +60,12 @@ def sensitivity(
       order ``reach^2``.
 
     How the event part is found. Near misses count as much as short sticks: both tell how dense trajectories are where a
-    stick (or a slip between two) is born. For statistics of totals on a base of piecewise-constant velocity, without
-    damping and force, what Poisson switching decides is integrated out, and the derivative by its rate comes from the
-    likelihood. Where a stick can hold more than a slip meets (`mu_static`), one that is caught moves differently ever
-    after; there the event part comes from pairs of trajectories with the parameter changed up and down by `reach`, and
-    the same random numbers. Windows come in several widths; the widest is taken whose answer is within 2 standard
-    errors of those of the narrower ones, and each half of the samples chooses for the other.
+    stick (or a slip between two) is born. What Poisson switching decides for statistics of totals (base as above) is
+    integrated out, and the derivative by its rate comes from the likelihood. Where a stick can hold more than a slip
+    meets (`mu_static`), one that is caught moves differently ever after; there the event part comes from pairs of
+    trajectories with the parameter changed up and down by `reach`, and the same random numbers. Windows come in several
+    widths; the widest is taken whose answer is within 2 standard errors of those of the narrower ones, and each half of
+    the samples chooses for the other.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory

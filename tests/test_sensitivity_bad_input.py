@@ -1,0 +1,68 @@
+"""What `sensitivity` refuses, and says."""
+
+import jax
+import pytest
+
+import stickslip_jax as ss
+
+OSCILLATOR = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4))
+
+BAD = {
+    "statistic": ({"statistic": "mean"}, "Argument statistic must be"),
+    "wrt": ({"wrt": "muu"}, "Argument wrt must name one of .*system.friction.mu"),
+    "wrt, nothing": ({"wrt": ()}, "Argument wrt must be a parameter's name"),
+    "wrt, not set": ({"wrt": "damping"}, "Argument wrt must name numbers that are set"),
+    "wrt, ambiguous": (
+        {"wrt": "amplitude", "law": ss.WithJumps(ss.Harmonic(1.0, 1.3), ss.PoissonSwitching(1.0, 1.0)),
+         "system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4), force=ss.Harmonic(0.1, 0.7))},
+        "Argument wrt must be unambiguous",
+    ),
+    "method": ({"method": "naive"}, "Argument method must be one of"),
+    "step": ({"step": 0.0}, "Argument step must be positive"),
+    "reach": ({"reach": -1.0}, "Argument reach must be positive"),
+    "elasticity": ({"elasticity": 1}, "Argument elasticity must be True or False"),
+    "samples": ({"samples": 1}, "Argument samples must be a whole number of at least 2"),
+    "exact": ({"exact": ss.Regularized(1e-3)}, "Argument exact must be Exact"),
+    "system": ({"system": 3}, "Argument system must be"),
+    "reach, static friction": (
+        {"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9, mu_static=0.9)), "wrt": "mu_static"},
+        "Argument step .or reach. must be smaller: mu_static = 0.9 .* must be at least mu",
+    ),
+    "step, a negative rate": (
+        {"wrt": "rate", "method": "finite-difference", "step": 1.5}, "must be smaller: rate = 1 .* Argument rate must"
+    ),
+    "nothing random": ({"law": ss.SquareWave(1.0, 2.0)}, "Argument law must be random"),
+    "key": ({"key": None}, "Argument key must be"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input(name):
+    wrong, message = BAD[name]
+    given = {
+        "statistic": ss.mean_stick_count, "system": OSCILLATOR, "law": ss.PoissonSwitching(1.0, 1.0), "wrt": "mu",
+        "t1": 5.0, "samples": 64, "key": jax.random.key(0),
+    } | wrong  # fmt: skip
+    with pytest.raises(ValueError, match=message):
+        ss.sensitivity(given.pop("statistic"), given.pop("system"), given.pop("law"), **given)
+
+
+@pytest.mark.parametrize("build", [lambda: ss.StickDuration(0), lambda: ss.StickStart(1.5)])
+def test_bad_stick_number(build):
+    with pytest.raises(ValueError, match="Argument number must be a whole number of at least 1"):
+        build()
+
+
+def test_bad_functional():
+    with pytest.raises(ValueError, match="Argument function must be a function of a StickSequence"):
+        ss.StickFunctional(3)
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+def test_single_precision_is_refused_where_it_hides_near_misses():
+    options = {"wrt": "mu", "t1": 5.0, "samples": 64, "key": jax.random.key(0)}
+    law, damped = ss.PoissonSwitching(1.0, 1.0), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4), damping=0.1)
+    with jax.enable_x64(False):
+        for call in (ss.sensitivity, ss.differentiable):
+            with pytest.raises(ValueError, match=r"must be a MassSpring without damping .* single precision"):
+                call(ss.mean_stick_count, damped, law, **options)
