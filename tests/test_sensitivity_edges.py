@@ -87,10 +87,6 @@ def sequence(*sticks):
     return StickSequence(jnp.array(start), jnp.array(end - start), jnp.arange(len(start)) < len(sticks))
 
 
-def listed(sticks):
-    return [(round(float(a), 9), round(float(a + d), 9)) for a, d, m in zip(*sticks, strict=True) if m]
-
-
 def parts(sticks):
     """Numbers that tell everything about a sequence: its length, and sums weighed by place and time."""
     place = jnp.cumsum(sticks.mask)

@@ -38,6 +38,13 @@ class _Lanes(NamedTuple):
     stalled: BoolArray  # whether the last block did not move it: the law has no more intervals
 
 
+def draw_block(law: BangBangLaw, words: tuple[Array, Array], first: Array, dtype: Any) -> tuple[Any, Array]:
+    """What is random in the `BLOCK` intervals from number `first` (lanes,) on, (BLOCK, lanes), and their numbers."""
+    draw = jax.vmap(lambda words, number: law.draw(words, number, dtype))
+    numbers = first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
+    return jax.vmap(draw, in_axes=(None, 0))(words, numbers), numbers
+
+
 class IntervalEngine(Engine):
     """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0` (numbers, or `Uniform` values)."""
 
@@ -58,10 +65,7 @@ class IntervalEngine(Engine):
 
     def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
         law, scales = self.law, self._scales(dtype)
-        # All draws of the block at once, laid out (BLOCK, lanes) as the scan reads them.
-        draw = jax.vmap(lambda words, number: law.draw(words, number, dtype))
-        numbers = state.first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
-        drawn = jax.vmap(draw, in_axes=(None, 0))(state.words, numbers)
+        drawn, _ = draw_block(law, state.words, state.first, dtype)
 
         def step_one(lane, drawn):
             memory, motion, totals = lane

@@ -17,9 +17,10 @@ from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from ..base_motion.laws import BangBangLaw, PoissonSwitching
 from ..base_motion.random import realised_state
 from ..dynamics.interval_engine import Scales, scales_of, start_motion, start_totals, status_of
+from ..dynamics.interval_lanes import draw_block
 from ..dynamics.lanes import Engine, LaneResults
 from ..systems.mass_spring import MassSpring
-from .edges import Edges, IntervalLane, cross_with_edges, draw_block
+from .edges import Edges, IntervalLane, cross_with_edges
 from .kernels import crossing, ending, flux, hits, through
 
 

@@ -7,7 +7,6 @@ interval, when the mass arrives at the base velocity q inside the band. `turn_ed
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -17,7 +16,6 @@ from .._types import Array, BoolArray, FloatArray
 from ..base_motion.laws import BangBangLaw
 from ..dynamics.arcs import carry_across
 from ..dynamics.interval_engine import Motion, Scales, StickRecord, Totals, cross_interval
-from ..dynamics.lanes import BLOCK
 from ..numerics.elementary import angle_of
 
 _TOUCH_ULPS = {8: 4096, 4: 64}  # within so many units in the last place, R and q are equal
@@ -88,13 +86,6 @@ class IntervalLane(NamedTuple):
     motion: Motion
     totals: Totals
     cut_velocity: FloatArray
-
-
-def draw_block(law: BangBangLaw, words: tuple[Array, Array], first: Array, dtype: Any) -> tuple[Any, Array]:
-    """What is random in the `BLOCK` intervals from number `first` (lanes,) on, (BLOCK, lanes), and their numbers."""
-    draw = jax.vmap(lambda words, number: law.draw(words, number, dtype))
-    numbers = first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
-    return jax.vmap(draw, in_axes=(None, 0))(words, numbers), numbers
 
 
 def cross_with_edges(

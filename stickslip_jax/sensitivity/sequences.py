@@ -147,7 +147,6 @@ def _events(
 ) -> tuple[Array, Array]:
     """The event parts of one sample's numerator and denominator for each window, and how many edges they rest on."""
     fixed = lax.stop_gradient(sticks)
-    numbers = jnp.arange(len(sticks.mask))
 
     def parts(sequence):
         return stacked_parts(statistic, sequence, t1)
@@ -155,17 +154,18 @@ def _events(
     def jump_at(time, exists, is_slip):
         return jnp.where(is_slip, _jump_of_slip(parts, fixed, time, exists), _jump_of_stick(parts, fixed, time, exists))
 
-    random = (sticks.start >= certain) | (ending == Ending.BASE_SWITCHED)
-    from_start = sticks.mask & (sticks.start == 0) & (ending != Ending.HORIZON) & random
+    # Only the first stick can begin at t = 0.
+    random = (certain == 0) | (ending[0] == Ending.BASE_SWITCHED)
+    from_start = sticks.mask[0] & (sticks.start[0] == 0) & (ending[0] != Ending.HORIZON) & random
     time = lax.stop_gradient(near.time)
     at_edges = jax.vmap(jump_at)(time, near.exists, near.is_slip)
-    at_start = jax.vmap(lambda i: _jump_of_stick(parts, fixed, fixed.start[i], True))(numbers)
+    at_start = _jump_of_stick(parts, fixed, fixed.start[0], True)
 
     def window(reach):
         at = through(near, reach, crossing, ending_at)[:, None] * at_edges
-        first = ending_at(sticks.duration, reach, from_start)[:, None] * at_start
-        reached = jnp.sum(through(near, reach, hits, hits)) + jnp.sum(hits(sticks.duration, reach, from_start))
-        return jnp.sum(at, axis=0) + jnp.sum(first, axis=0), reached
+        first = ending_at(sticks.duration[0], reach, from_start) * at_start
+        reached = jnp.sum(through(near, reach, hits, hits)) + hits(sticks.duration[0], reach, from_start)
+        return jnp.sum(at, axis=0) + first, reached
 
     # One after the other: jax 0.10.2 cannot map over them where this is differentiated inside of a loop.
     events, reached = zip(*(window(reach) for reach in reaches), strict=True)

@@ -11,12 +11,12 @@ from jax import lax
 from .._types import Array, BoolArray, IntArray
 from ..base_motion.random import RandomPhase, realised_state
 from ..dynamics.interval_engine import StickRecord, scales_of, start_motion, start_totals, status_of
-from ..dynamics.interval_lanes import IntervalEngine
+from ..dynamics.interval_lanes import IntervalEngine, draw_block
 from ..dynamics.lanes import BLOCK
 from ..dynamics.models import model_of, streams_of
-from ..dynamics.switched_engine import advance, status_of_lane
+from ..dynamics.switched_engine import advance
 from ..dynamics.switched_lanes import SwitchedEngine
-from .edges import Edges, IntervalLane, cross_with_edges, draw_block
+from .edges import Edges, IntervalLane, cross_with_edges
 from .turn_edges import Moment, edges_of_moment, may_be_near
 
 
@@ -130,7 +130,7 @@ class TracedTurns(eqx.Module):
 
     def status(self, state: Any) -> IntArray:
         """The `Status` of every lane."""
-        return jax.vmap(lambda lane: status_of_lane(lane, jnp.asarray(self.engine.t1, lane.t.dtype)))(state.lane)
+        return jnp.asarray(self.engine.results(state).status)
 
 
 def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedTurns:
