@@ -16,8 +16,6 @@ from typing import Any
 
 import jax
 
-from ._fast_cpu import enable_fast_cpu
-
 
 def main(tokens: Sequence[str] | None = None) -> int:
     """Run the command given by `tokens` (default: those of the process, as the console script does).
@@ -84,11 +82,8 @@ def _run(tokens: Sequence[str]) -> int:
 
 
 def _prepare_jax(dtype: str) -> None:
-    """Choose the precision, and what makes CPUs fast, before JAX starts."""
+    """Choose the precision before JAX starts."""
     jax.config.update("jax_enable_x64", dtype == "float64")
-    # Refused where JAX has started already or computes on another device: slower, and just as right.
-    with contextlib.suppress(RuntimeError):
-        enable_fast_cpu()
 
 
 def _fail(reason: Any, code: int) -> int:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import _checks
-from ._fast_cpu import cores, fast_cpu_enabled
+from ._fast_cpu import cores
 from ._types import Array
 from .base_motion.drive import drive_of, is_random, words_for
 from .base_motion.laws import BangBangLaw
@@ -210,9 +210,8 @@ class _Plan(NamedTuple):
 
     @classmethod
     def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        # Compiled into one native function, the lanes' arrays should stay in the cache; launched operation by
-        # operation, they should be long enough to hide the launches (benchmarks/README.md).
-        lanes, rows = (256, 16) if fast_cpu_enabled() else (4096, 4)
+        # The lanes' arrays should stay in the cache (benchmarks/README.md).
+        lanes, rows = (256, 16)
         if chunk is not None:
             # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk), max(samples, 4096))

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 
 from ..base_motion.smooth import UserMotion
+from ..numerics.compiling import native_loop
 from ..systems.friction import FrictionCurve
 from . import lanes, regularized_lanes
 
@@ -39,11 +40,12 @@ solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 def _compiled(options: dict[str, Any] | None) -> Chunks:
     sizes = ("lanes", "rows", "dtype")
+    summarise, record = native_loop(lanes.summarise, sizes), native_loop(lanes.record, ("dtype",))
     return Chunks(
-        jax.jit(lanes.summarise, compiler_options=options, static_argnames=sizes),
+        jax.jit(summarise, compiler_options=options, static_argnames=sizes),
         jax.jit(lanes.open_stream, compiler_options=options, static_argnames=sizes),
         # The room is handed on from call to call: fresh memory for each would cost a third of the time.
-        jax.jit(lanes.record, compiler_options=options, static_argnames=("dtype",), donate_argnames=("room",)),
+        jax.jit(record, compiler_options=options, static_argnames=("dtype",), donate_argnames=("room",)),
     )
 
 

@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._fast_cpu import fast_cpu_enabled
 from .._types import Array
 from ..base_motion.laws import BangBangLaw
 from ..base_motion.random import Uniform
@@ -110,7 +109,7 @@ def room_for(problem: Problem, pilot: Pilot) -> Room:
 
 def lanes_and_rows(problem: Problem) -> tuple[int, int]:
     """In how many lanes and rows a chunk is counted."""
-    lanes, rows = (256, 16) if fast_cpu_enabled() else (2048, 4)
+    lanes, rows = (256, 16)
     share = _share(problem)
     lanes = min(lanes, max(64, 1 << (share - 1).bit_length()))
     return lanes, max(1, min(rows, -(-share // lanes)))
