@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._types import BoolArray, FloatArray
+from ..numerics.compiling import computed_once
 from ..numerics.elementary import angle_of, sincos
 
 # The arc of a mass that left a stick at base velocity w has R = w exactly. If the base comes back to w while the mass
@@ -51,21 +52,40 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
 
     At most one stick happens: from a release on, the mass circles tangentially below the base velocity.
     """
-    mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
-    q = jnp.abs(v)
-    span = jnp.where(span < _LONGEST_SPAN, span, jnp.nan)
-    first = _first_arc(mirror * x, mirror * p, q, a, span)
+    mirror, x, p, q, span = _mirrored(x, p, v, span)
+    first = _first_arc(x, p, q, a, span)
     first_side, first_offset, first_p, excess, first_h, angle, arrived_first = first
     side, h, entered, arrived = _follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
+    position, left, released, stuck = _stick(side, h, entered, arrived, q, a, span)
+    centre, offset, p_start, angle = _last_arc(
+        side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p
+    )
+    sine, cosine = sincos(angle)
+    # A radius whose square overflows would miss its arrivals: infinity times zero makes it NaN, which is reported.
+    x_end = centre + offset * cosine + p_start * sine + 0 * excess
+    p_end = p_start * cosine - offset * sine
+    return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
 
+
+@computed_once
+def _mirrored(x, p, v, span):
+    mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
+    return mirror, mirror * x, mirror * p, jnp.abs(v), jnp.where(span < _LONGEST_SPAN, span, jnp.nan)
+
+
+@computed_once
+def _stick(side, h, entered, arrived, q, a, span):
     # Stick from `entered` at x = side (a - h) until the spring reaches the friction limit at x = +a.
     position = side * (a - h)
     moving = q > 0
     release = jnp.where(moving, entered + (a - position) / jnp.where(moving, q, 1), jnp.inf)
     released = arrived & (release <= span)
     left = jnp.where(released, release, span)
-    stuck = arrived & (left > entered)
+    return position, left, released, arrived & (left > entered)
 
+
+@computed_once
+def _last_arc(side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p):
     # One rotation ends the interval: about +a from the release point, or about the centre of the arc under way from
     # where that arc began: the interval's first state, or (after a crossing) distance h beyond the centre at p = q.
     # A mass still stuck at the end is a rotation by angle 0 of its last point.
@@ -75,11 +95,7 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     centre = jnp.where(arrived, a, side * a)
     p_start = jnp.where(arrived_first, q, first_p)
     angle = jnp.where(arrived, span - left, span - jnp.where(crossed, entered, 0))
-    sine, cosine = sincos(angle)
-    # A radius whose square overflows would miss its arrivals: infinity times zero makes it NaN, which is reported.
-    x_end = centre + offset * cosine + p_start * sine + 0 * excess
-    p_end = p_start * cosine - offset * sine
-    return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
+    return centre, offset, p_start, angle
 
 
 def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> BoolArray:
@@ -103,24 +119,37 @@ def _first_arc(x, p, q, a, span):
     Returns its side, offset from its centre and p; ``R^2 - q^2``; its root, the distance h at which the arc meets the
     base velocity; the angle at which it does, and whether within the span.
     """
+    at_rest, side, D, p = _seen_from_centre(x, p, q, a)
+    excess, reaches, h = _meeting(at_rest, D, p, q, a)
+    angle = _angle_to_meeting(D, p, q, h, side)
+    return side, side * D, p, excess, h, angle, reaches & (angle < span)
+
+
+@computed_once
+def _seen_from_centre(x, p, q, a):
     at_rest = _rests(x, p, q, a)
     x, p = jnp.where(at_rest, jnp.clip(x, -a, a), x), jnp.where(at_rest, 0, p)
-
     above = (p > q) | ((p == q) & (x < -a))
     side = jnp.where(above, -1, 1).astype(x.dtype)
-    D = side * x - a
+    return at_rest, side, side * x - a, p
+
+
+@computed_once
+def _meeting(at_rest, D, p, q, a):
     excess = D * D + (p - q) * (p + q)  # R^2 - q^2, free of cancellation near p = q
-    ulp = _TOUCH_ULPS[x.dtype.itemsize] * jnp.finfo(x.dtype).eps
+    ulp = _TOUCH_ULPS[D.dtype.itemsize] * jnp.finfo(D.dtype).eps
     roundoff = ulp * (D * D + q * q + a * (jnp.abs(D) + q))
     reaches = at_rest | (excess > jnp.where(p < q, roundoff, 0))
     positive = excess > 0
     h = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
+    return excess, reaches, h
+
+
+def _angle_to_meeting(D, p, q, h, side):
     # Half the clockwise angle from (D, p) to (-h, q) on the same circle. Each form is free of cancellation where it is
     # used, never negative, and 0 when the state is already on the base velocity inside the band.
     before = D <= 0
-    angle = 2 * angle_of(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
-    arrived = reaches & (angle < span)
-    return side, side * D, p, excess, h, angle, arrived
+    return _twice_the_angle(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
 
 
 @jax.custom_jvp
@@ -162,6 +191,11 @@ def _cross(state, q, a, span):
     _, side, h, entered, _ = state
     side = -side
     h = h - 2 * a
-    arrival = entered + 2 * angle_of(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
+    arrival = entered + _twice_the_angle(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
     arrived = arrival < span
     return arrived & (h > 2 * a), side, h, jnp.where(arrived, arrival, entered), arrived
+
+
+@computed_once
+def _twice_the_angle(y, x):
+    return 2 * angle_of(y, x)

@@ -10,6 +10,7 @@ from jax import lax
 from .._types import Array, BoolArray, Scalar
 from ..base_motion.laws import BangBangLaw
 from ..base_motion.random import realised_state
+from ..numerics.compiling import computed_once
 from ..systems.mass_spring import MassSpring
 from .interval_engine import (
     Motion,
@@ -57,7 +58,7 @@ class IntervalEngine(Engine):
         scales = self._scales(dtype)
         x, velocity = realised_state(self.y0, words, dtype)
         motion = start_motion(scales, (x, velocity))
-        memory = self.law.begin(words, dtype)
+        memory = computed_once(lambda words: self.law.begin(words, dtype))(words)
         zero = jnp.zeros((), jnp.uint32)
         _, base, _ = self.law.next_interval(memory, self.law.draw(words, zero, dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)

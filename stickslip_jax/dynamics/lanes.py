@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 
 from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
-from ..numerics.random_bits import random_words
+from ..numerics.random_bits import stored_words
 
 BLOCK = 24  # intervals or steps taken at once; a lane idles for half a block on average after its sample's end
 
@@ -135,8 +135,7 @@ def _advance_stream(job: Job, stream: Stream, dtype, room: Any = None, slot: Arr
     """Take all lanes a block further; those whose sample has ended note its results and start their next."""
     state, room = job.engine.advance(stream.state, dtype, room, slot)
     ended = job.engine.ended(state) & (stream.row < job.used_rows)
-    here = ended & (jnp.arange(stream.results.status.shape[0])[:, None] == stream.row)
-    results = jax.tree.map(lambda kept, new: jnp.where(here, new, kept), stream.results, job.engine.results(state))
+    results = _note(stream.results, stream.row, ended, job.engine.results(state))
     row = stream.row + ended
     fresh = _start_row(job, row, dtype)
 
@@ -146,9 +145,29 @@ def _advance_stream(job: Job, stream: Stream, dtype, room: Any = None, slot: Arr
     return Stream(row, jax.tree.map(pick, fresh, state), results), room
 
 
+def _note(results: LaneResults, row: IntArray, ended: BoolArray, new: LaneResults) -> LaneResults:
+    """`results` (rows, lanes) with those of the lanes that `ended` put into their rows.
+
+    Lanes keep abreast, so only a few rows are touched: far fewer than there are.
+    """
+    first = jnp.min(jnp.where(ended, row, np.int32(2**31 - 1)))
+    last = jnp.max(jnp.where(ended, row, np.int32(-1)))
+
+    def note_row(carry):
+        at, results = carry
+
+        def note(kept, new):
+            old = lax.dynamic_index_in_dim(kept, at, keepdims=False)
+            return lax.dynamic_update_index_in_dim(kept, jnp.where(ended & (row == at), new, old), at, 0)
+
+        return at + 1, jax.tree.map(note, results, new)
+
+    return lax.while_loop(lambda carry: carry[0] <= last, note_row, (first, results))[1]
+
+
 def _start_row(job: Job, row: IntArray, dtype) -> Any:
     """Every lane at t = 0 of its sample in row `row` (lanes,)."""
     lanes = len(row)
     lane = jnp.arange(lanes, dtype=jnp.uint32)
-    words = random_words(job.words, job.first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes))
+    words = stored_words(job.words, job.first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes))
     return jax.vmap(lambda high, low: job.engine.begin((high, low), dtype))(*words)

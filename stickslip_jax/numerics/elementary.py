@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 
 from .._types import FloatArray
+from .compiling import computed_once
 
 _SIN = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
         2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
@@ -49,16 +50,24 @@ def _horner(coefficients: tuple[float, ...], z: FloatArray) -> FloatArray:
 @jax.custom_jvp
 def sincos(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """``(sin(angle), cos(angle))``, the angle in radians and below 2^30. NaN where it is NaN or infinite."""
-    turns = jnp.round(angle * (2 / np.pi))
-    high, middle, low = _HALF_PI_PARTS[np.dtype(angle.dtype)]
-    r = ((angle - turns * high) - turns * middle) - turns * low
-    z = r * r
-    sine = r + r * z * _horner(_SIN, z)
-    cosine = 1 - 0.5 * z + z * z * _horner(_COS, z)
-    quadrant = turns.astype(jnp.int32)
+    r, quadrant = _reduced(angle)
+    sine, cosine = _polynomials(r)
     swap = (quadrant & 1) == 1
     s, c = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
     return jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
+
+
+@computed_once
+def _reduced(angle: FloatArray):
+    turns = jnp.round(angle * (2 / np.pi))
+    high, middle, low = _HALF_PI_PARTS[np.dtype(angle.dtype)]
+    return ((angle - turns * high) - turns * middle) - turns * low, turns.astype(jnp.int32)
+
+
+@computed_once
+def _polynomials(r: FloatArray):
+    z = r * r
+    return r + r * z * _horner(_SIN, z), 1 - 0.5 * z + z * z * _horner(_COS, z)
 
 
 @sincos.defjvp

@@ -13,6 +13,7 @@ import numpy as np
 
 from .._checks import show
 from .._types import Array, FloatArray, KeyWords
+from .compiling import computed_once
 from .elementary import log
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
@@ -45,6 +46,20 @@ def random_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
         x = x + schedule[(group + 1) % 3]
         y = y + schedule[(group + 2) % 3] + np.uint32(group + 1)
     return x, y
+
+
+def stored_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
+    """`random_words`, computed once for both words and for all that use them."""
+    if not jax.config.read("jax_enable_x64"):
+        return computed_once(random_words)(words, counter)
+    both = computed_once(_joined_words)(words, counter)
+    return (both >> np.uint64(32)).astype(np.uint32), both.astype(np.uint32)
+
+
+def _joined_words(words: KeyWords, counter: Array) -> Array:
+    """Both words in one number, since XLA would compute one after the other, each from the beginning."""
+    high, low = random_words(words, counter)
+    return (high.astype(np.uint64) << np.uint64(32)) | low.astype(np.uint64)
 
 
 def exponential(high: Array, low: Array, dtype) -> FloatArray:
