@@ -211,7 +211,7 @@ class _Plan(NamedTuple):
     @classmethod
     def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
         # The lanes' arrays should stay in the cache (benchmarks/README.md).
-        lanes, rows = (256, 16)
+        lanes, rows = 256, 32
         if chunk is not None:
             # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk), max(samples, 4096))

@@ -161,8 +161,14 @@ def _follow_crossings(side, h, entered, arrived, q, a, span):
     nearly nothing spent) where the first arc does not cross. Differentiable in both modes: the number of crossings
     does not change, and the derivative of the sum over them is summed beside it.
     """
-    state = (arrived & (h > 2 * a), side, h, entered, arrived)
+    # Beside thousands of other lanes the first crossing is nearly always needed: no loop for it.
+    state = _cross_if_needed((arrived & (h > 2 * a), side, h, entered, arrived), q, a, span)
     return lax.while_loop(lambda s: s[0], lambda s: _cross(s, q, a, span), state)[1:]
+
+
+def _cross_if_needed(state, q, a, span):
+    crossed = _cross(state, q, a, span)
+    return tuple(jnp.where(state[0], new, old) for new, old in zip(crossed, state, strict=True))
 
 
 @_follow_crossings.defjvp
