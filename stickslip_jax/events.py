@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Real
 
 from ._types import AnyArray
+from .dynamics.interval_engine import StickRecord, closed_up
 
 
 class Sticks(eqx.Module):
@@ -70,14 +71,17 @@ def sticks_in_order(start, end, position, ending) -> Sticks:
 
     Arrays of shape (records,); `ending` is negative where there is no stick.
     """
-    stuck = ending >= 0
-    (order,) = jnp.nonzero(stuck, size=ending.shape[0], fill_value=0)
-    mask = jnp.arange(ending.shape[0]) < stuck.sum()
+    return sticks_in_slots(*closed_up(StickRecord(start, end, position, ending)))
 
-    def fill(values, padding):
-        return jnp.where(mask, values[order], padding)
 
-    return Sticks(fill(start, jnp.nan), fill(end, jnp.nan), fill(position, jnp.nan), fill(ending, -1), mask)
+def sticks_in_slots(start, end, position, ending) -> Sticks:
+    """The sticks of records (slots,) that are in order already, those without a stick last."""
+    mask = ending >= 0
+
+    def fill(values):
+        return jnp.where(mask, values, jnp.nan)
+
+    return Sticks(fill(start), fill(end), fill(position), ending, mask)
 
 
 def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips:

@@ -15,11 +15,11 @@ from ._status import Status
 from ._types import FloatArray, Scalar
 from .base_motion.drive import Drive
 from .base_motion.piecewise import VelocitySteps
+from .dynamics.given_intervals import Given, beginnings, final_motion, ordered_sticks
 from .dynamics.interval_engine import (
     Motion,
     Totals,
     cross_interval,
-    run_intervals,
     scales_of,
     start_motion,
     start_totals,
@@ -28,7 +28,7 @@ from .dynamics.interval_engine import (
 from .dynamics.method import Exact
 from .dynamics.switched_engine import State
 from .dynamics.switched_run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
-from .events import Sticks, sticks_in_order
+from .events import Sticks, sticks_in_order, sticks_in_slots
 from .set_up import checked_step
 from .systems.mass_spring import MassSpring
 
@@ -119,11 +119,13 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
     durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
     motion = start_motion(scales, (y0[0], y0[1]))
-    final, totals, records, beginnings = run_intervals(scales, motion, durations, base.velocities.astype(dtype))
+    given = Given(scales, motion, durations, base.velocities.astype(dtype))
+    final, totals = final_motion(given)
     final_state = (final.x, final.p * scales.omega)
-    path = IntervalPath(system, base, t1, beginnings)
+    path = IntervalPath(system, base, t1, beginnings(given))
     none = jnp.zeros((), jnp.int32)
-    return Run(sticks_in_order(*records), totals, status_of(final, scales.t1), final.t, final_state, none, path)
+    sticks = sticks_in_slots(*ordered_sticks(given))
+    return Run(sticks, totals, status_of(final, scales.t1), final.t, final_state, none, path)
 
 
 def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:

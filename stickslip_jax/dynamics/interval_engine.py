@@ -4,6 +4,7 @@ One trajectory per call; batches are made with ``jax.vmap`` outside. Time is car
 instants are exact sums of durations; inside an interval the closed forms measure it as the angle ``omega t``.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -108,6 +109,15 @@ def cross_interval(
     return following, totals, record
 
 
+def cross_live_interval(
+    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[Motion, Totals, StickRecord]:
+    """`cross_interval`, but after the horizon nothing happens, not even the round-off of going nowhere."""
+    live = ~(motion.t >= scales.t1)
+    following, totals, record = cross_interval(scales, motion, totals, duration, velocity)
+    return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record
+
+
 def run_intervals(
     scales: Scales, motion: Motion, durations: Array, velocities: Array
 ) -> tuple[Motion, Totals, StickRecord, Motion]:
@@ -116,16 +126,23 @@ def run_intervals(
     Returns the final state, the totals, one `StickRecord` an interval, and the state at the beginning of each.
     """
 
+    @partial(jax.checkpoint, prevent_cse=False)  # an interval is followed again sooner than what it needs is stored
     def step(carry, interval):
-        following, totals, record = cross_interval(scales, *carry, *interval)
-        # After the horizon nothing happens, not even the round-off of going nowhere.
-        live = ~(carry[0].t >= scales.t1)
-        following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, carry[0])
-        return (following, totals), (record, carry[0])
+        *following, record = cross_live_interval(scales, *carry, *interval)
+        return tuple(following), (record, carry[0])
 
     start = (motion, start_totals(motion.x.dtype))
     (motion, totals), (records, beginnings) = lax.scan(step, start, (durations, velocities))
     return motion, totals, records, beginnings
+
+
+def closed_up(records: StickRecord) -> StickRecord:
+    """One trajectory's records (intervals,) with the sticks first; differentiable, fixed size."""
+    stuck = records.ending >= 0
+    (order,) = jnp.nonzero(stuck, size=stuck.shape[0], fill_value=0)
+    spare = jnp.arange(stuck.shape[0]) >= stuck.sum()
+    ordered = jax.tree.map(lambda column: column[order], records)
+    return ordered._replace(ending=jnp.where(spare, -1, ordered.ending))
 
 
 def status_of(motion: Motion, t1: FloatArray) -> IntArray:

@@ -42,7 +42,7 @@ def _tagged(function: Callable, static_argnames: tuple[str, ...], tags: dict[str
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        if not _tags_are_known():
+        if not native_loops_work():
             return function(*args, **options)
         # Tagging the results tags the call that they come from. (The context manager of the same name would tag every
         # operation inside it too, and none of those would then be fused.)
@@ -52,7 +52,7 @@ def _tagged(function: Callable, static_argnames: tuple[str, ...], tags: dict[str
 
 
 @cache
-def _tags_are_known() -> bool:
+def native_loops_work() -> bool:
     """Whether this JAX compiles a tagged loop for the CPU, and computes the right thing."""
     if jax.default_backend() != "cpu":
         return False
