@@ -22,7 +22,7 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 
 from .._types import Array, IntArray
-from ..numerics.compiling import native_loop, native_loops_work
+from ..numerics.compiling import computed_once, native_loop, native_loops_work
 from .interval_engine import (
     Motion,
     Scales,
@@ -206,24 +206,22 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
 
 def _run_block(what: _What, given: Given) -> Any:
     """The results of a block of lanes; all leaves have the lanes as their first axis."""
-    durations, velocities = given.durations.T, given.velocities.T
-    lanes = given.start.t.shape
-    totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, lanes), start_totals(durations.dtype))
-    room = None
-    if what != "final":
-        room = jnp.zeros_like(durations)
-        room = Motion(room, room, room) if what == "beginnings" else _no_sticks(room)
-    block = _cross_all(given.scales, durations, velocities, _Block(jnp.zeros((), jnp.int32), given.start, totals, room))
+    durations = given.durations
+    totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, given.start.t.shape), start_totals(durations.dtype))
+    room: Any = jnp.zeros_like(durations)
+    room = {"final": None, "sticks": _no_sticks(room.T), "beginnings": Motion(room, room, room)}[what]
+    block = _Block(jnp.zeros((), jnp.int32), given.start, totals, room)
+    block = _cross_all(given.scales, durations, given.velocities, block)
     if what == "final":
         return block.motion, block.totals
-    if what == "beginnings":
-        later = jnp.arange(len(durations))[:, None] >= block.crossed
-        return jax.tree.map(lambda kept, last: jnp.where(later, last, kept).T, block.kept, block.motion)
-    return _close_up(block.kept, _no_sticks(jnp.zeros_like(durations.T)), block.crossed)
+    if what == "sticks":
+        return _close_up(block.kept, _no_sticks(jnp.full_like(durations, jnp.nan)), block.crossed)
+    later = jnp.arange(durations.shape[1]) >= block.crossed
+    return jax.tree.map(lambda kept, last: jnp.where(later, last[:, None], kept), block.kept, block.motion)
 
 
-def _no_sticks(zeros: Array) -> StickRecord:
-    return StickRecord(zeros, zeros, zeros, jnp.full(zeros.shape, -1, jnp.int8))
+def _no_sticks(times: Array) -> StickRecord:
+    return StickRecord(times, times, times, jnp.full(times.shape, -1, jnp.int8))
 
 
 @native_loop
@@ -232,16 +230,27 @@ def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Bloc
 
     def cross(block):
         number = block.crossed
-        here = [lax.dynamic_index_in_dim(column, number, keepdims=False) for column in (durations, velocities)]
-        motion, totals, record = jax.vmap(cross_live_interval)(scales, block.motion, block.totals, *here)
-        new = None if block.kept is None else record if isinstance(block.kept, StickRecord) else block.motion
-        kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), block.kept, new)
+        motion, totals, record = jax.vmap(cross_live_interval)(
+            scales, block.motion, block.totals, _column(durations, number), _column(velocities, number)
+        )
+        kept = block.kept
+        if isinstance(kept, StickRecord):
+            kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), kept, record)
+        elif isinstance(kept, Motion):
+            kept = jax.tree.map(
+                lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept, block.motion
+            )
         return _Block(number + 1, motion, totals, kept)
 
     def goes_on(block):
-        return (block.crossed < len(durations)) & ~jnp.all(block.motion.t >= scales.t1)
+        return (block.crossed < durations.shape[1]) & ~jnp.all(block.motion.t >= scales.t1)
 
     return lax.while_loop(goes_on, cross, block)
+
+
+@computed_once  # neighbours in a column lie far apart: to be read once
+def _column(table: Array, number: IntArray) -> Array:
+    return lax.dynamic_index_in_dim(table, number, 1, keepdims=False)
 
 
 @native_loop
@@ -250,14 +259,15 @@ def _close_up(records: StickRecord, room: StickRecord, crossed: IntArray) -> Sti
 
     def put(number, carry):
         lane, room, count = carry
+        is_stick = records.ending[number, lane] >= 0
 
         def move(old, column):
-            entry = lax.dynamic_slice(column, (number, lane), (1, 1))
+            # What is no stick leaves the slot spare, for the next.
+            spare = jnp.asarray(-1 if column.dtype == jnp.int8 else jnp.nan, column.dtype)
+            entry = jnp.where(is_stick, lax.dynamic_slice(column, (number, lane), (1, 1)), spare)
             return lax.dynamic_update_slice(old, entry, (lane, count))
 
-        # What is no stick is put too, and then overwritten by the next; as a last entry it is a spare slot.
-        room = jax.tree.map(move, room, records)
-        return lane, room, count + (records.ending[number, lane] >= 0)
+        return lane, jax.tree.map(move, room, records), count + is_stick
 
     def close_lane(lane, room):
         return lax.fori_loop(jnp.int32(0), crossed, put, (lane, room, jnp.zeros((), jnp.int32)))[1]
