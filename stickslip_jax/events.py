@@ -71,17 +71,8 @@ def sticks_in_order(start, end, position, ending) -> Sticks:
 
     Arrays of shape (records,); `ending` is negative where there is no stick.
     """
-    return sticks_in_slots(*closed_up(StickRecord(start, end, position, ending)))
-
-
-def sticks_in_slots(start, end, position, ending) -> Sticks:
-    """The sticks of records (slots,) that are in order already, those without a stick last."""
-    mask = ending >= 0
-
-    def fill(values):
-        return jnp.where(mask, values, jnp.nan)
-
-    return Sticks(fill(start), fill(end), fill(position), ending, mask)
+    ordered = closed_up(StickRecord(start, end, position, ending))
+    return Sticks(*ordered, ordered.ending >= 0)
 
 
 def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips:

@@ -28,7 +28,7 @@ from .dynamics.interval_engine import (
 from .dynamics.method import Exact
 from .dynamics.switched_engine import State
 from .dynamics.switched_run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
-from .events import Sticks, sticks_in_order, sticks_in_slots
+from .events import Sticks, sticks_in_order
 from .set_up import checked_step
 from .systems.mass_spring import MassSpring
 
@@ -124,7 +124,8 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     final_state = (final.x, final.p * scales.omega)
     path = IntervalPath(system, base, t1, beginnings(given))
     none = jnp.zeros((), jnp.int32)
-    sticks = sticks_in_slots(*ordered_sticks(given))
+    records = ordered_sticks(given)
+    sticks = Sticks(*records, records.ending >= 0)
     return Run(sticks, totals, status_of(final, scales.t1), final.t, final_state, none, path)
 
 

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 
 from ..base_motion.smooth import UserMotion
-from ..numerics.compiling import native_loop
+from ..numerics.compiling import compiled_natively
 from ..systems.friction import FrictionCurve
 from . import lanes, regularized_lanes
 
@@ -39,13 +39,12 @@ solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
 def _compiled(options: dict[str, Any] | None) -> Chunks:
-    sizes = ("lanes", "rows", "dtype")
-    summarise, record = native_loop(lanes.summarise, sizes), native_loop(lanes.record, ("dtype",))
+    sizes, fixed = ("lanes", "rows", "dtype"), {"compiler_options": options}
     return Chunks(
-        jax.jit(summarise, compiler_options=options, static_argnames=sizes),
-        jax.jit(lanes.open_stream, compiler_options=options, static_argnames=sizes),
+        compiled_natively(lanes.summarise, sizes, **fixed),
+        jax.jit(lanes.open_stream, static_argnames=sizes, **fixed),
         # The room is handed on from call to call: fresh memory for each would cost a third of the time.
-        jax.jit(record, compiler_options=options, static_argnames=("dtype",), donate_argnames=("room",)),
+        compiled_natively(lanes.record, ("dtype",), donate_argnames=("room",), **fixed),
     )
 
 

@@ -66,7 +66,7 @@ def final_motion(given: Given) -> tuple[Motion, Totals]:
 
 
 def ordered_sticks(given: Given) -> StickRecord:
-    """The sticks of one trajectory in order of time, in slots (intervals,); the ending is -1 in spare slots."""
+    """The sticks of one trajectory in order of time, in slots (intervals,); as `closed_up` leaves them."""
     return _follow("sticks", given)
 
 

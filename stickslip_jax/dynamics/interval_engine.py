@@ -137,12 +137,15 @@ def run_intervals(
 
 
 def closed_up(records: StickRecord) -> StickRecord:
-    """One trajectory's records (intervals,) with the sticks first; differentiable, fixed size."""
+    """One trajectory's records (intervals,) with the sticks first; differentiable, fixed size.
+
+    Spare slots hold NaN, and -1 as ending.
+    """
     stuck = records.ending >= 0
     (order,) = jnp.nonzero(stuck, size=stuck.shape[0], fill_value=0)
-    spare = jnp.arange(stuck.shape[0]) >= stuck.sum()
-    ordered = jax.tree.map(lambda column: column[order], records)
-    return ordered._replace(ending=jnp.where(spare, -1, ordered.ending))
+    is_stick = jnp.arange(stuck.shape[0]) < stuck.sum()
+    *times, ending = (column[order] for column in records)
+    return StickRecord(*(jnp.where(is_stick, time, jnp.nan) for time in times), jnp.where(is_stick, ending, -1))
 
 
 def status_of(motion: Motion, t1: FloatArray) -> IntArray:

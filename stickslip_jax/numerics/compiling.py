@@ -6,11 +6,13 @@ attributes on its call, which these wrappers set. On other devices, and for vers
 attributes mean nothing and the function is compiled as usual.
 """
 
+import warnings
 from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
@@ -18,6 +20,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
+_ARRAYS = (jax.Array, np.ndarray, np.generic, float, int, complex)
 _OWN_CALL = {"inlineable": "false"}
 _NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
@@ -29,12 +32,52 @@ def native_loop(
 
     One thread runs it. Works under jit, vmap, jvp and grad; `static_argnames` as in ``jax.jit``.
     """
-    return _tagged(function, static_argnames, _NATIVE)
+    tagged = _tagged(_reading_all(function), static_argnames, _NATIVE)
+
+    @wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        # XLA (jaxlib 0.10.2) aborts the process if the native function does not read one of its arguments, or if
+        # results that nobody uses are dropped and then arguments too. So all are read and all are used.
+        return lax.optimization_barrier(tagged(*args, **options))[0]
+
+    return call
 
 
 def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """`function`, its results stored: whatever uses them does not compute them again."""
     return _tagged(function, (), _OWN_CALL)
+
+
+def compiled_natively(
+    function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any
+) -> Callable[_Arguments, _Result]:
+    """`function` under ``jax.jit`` with these `options`, as a native loop where XLA can make one of it.
+
+    XLA refuses some operations there (a matrix product in a user's friction curve, say). The first call finds out.
+    """
+    native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
+    plain = jax.jit(function, static_argnames=static_argnames, **options)
+    refused = set()
+
+    @wraps(function)
+    def call(*args: Any, **named: Any) -> Any:
+        kind = jax.tree.structure((args, named))
+        if kind not in refused:
+            try:
+                return native(*args, **named)
+            except jax.errors.JaxRuntimeError as error:
+                result = plain(*args, **named)  # fails likewise if native compilation was not the reason
+                refused.add(kind)
+                warnings.warn(
+                    "XLA cannot compile this simulation into a native loop, because of a function of yours in it; it "
+                    f"runs more slowly, and as exactly. XLA said: {str(error).splitlines()[0]}",
+                    RuntimeWarning,
+                    stacklevel=2,
+                )
+                return result
+        return plain(*args, **named)
+
+    return call
 
 
 def _tagged(function: Callable, static_argnames: tuple[str, ...], tags: dict[str, str]) -> Callable:
@@ -51,6 +94,18 @@ def _tagged(function: Callable, static_argnames: tuple[str, ...], tags: dict[str
     return call
 
 
+def _reading_all(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, tuple[_Result, Any]]:
+    """`function`, with a second result that depends on every array among its arguments."""
+
+    @wraps(function)
+    def both(*args: Any, **options: Any) -> Any:
+        arrays = [jnp.asarray(leaf) for leaf in jax.tree.leaves((args, options)) if isinstance(leaf, _ARRAYS)]
+        firsts = [jnp.ravel(array)[0].astype(float) for array in arrays if array.size]
+        return function(*args, **options), sum(firsts)
+
+    return both
+
+
 @cache
 def native_loops_work() -> bool:
     """Whether this JAX compiles a tagged loop for the CPU, and computes the right thing."""
@@ -62,9 +117,9 @@ def native_loops_work() -> bool:
 
     try:
         # Compiled ahead of the call: a plain call would be traced where this is asked for under the user's jit.
-        ones = np.ones(2, np.float32)
+        ones = np.ones(1 << 12, np.float32)  # smaller loops become native without being asked to
         compiled = jax.jit(lambda x: set_xla_metadata(jax.jit(loop)(x), **_NATIVE)).lower(ones).compile()
-        text, right = compiled.as_text() or "", np.array_equal(np.asarray(compiled(ones)), [8, 8])
+        text, right = compiled.as_text() or "", np.array_equal(np.asarray(compiled(ones)), 8 * ones)
     except Exception:  # a probe: whatever goes wrong, plain compilation works
         return False
     return right and "xla_cpu_small_call" in text

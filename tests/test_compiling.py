@@ -1,0 +1,136 @@
+"""The wrappers that ask XLA for native loops: right under every transformation, in effect, and never in the way."""
+
+import re
+import subprocess
+import sys
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from stickslip_jax.numerics import compiling
+from stickslip_jax.numerics.compiling import compiled_natively, computed_once, native_loop, native_loops_work
+
+X = np.linspace(0.1, 0.9, 8)
+LARGE = 1 << 12  # loops over less become native without being asked to
+
+
+def doubling(x):
+    return lax.fori_loop(0, 5, lambda _, y: y * y + 0.1, x)
+
+
+def shared(x):
+    """Two results of one long product."""
+    product = x
+    for factor in range(2, 12):
+        product = product * (x + factor)
+    return jnp.sin(product), product - x
+
+
+TRANSFORMED = {
+    "plain": lambda f: f,
+    "jit": jax.jit,
+    "vmap": jax.vmap,
+    "jvp": lambda f: lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),)),
+    "grad": lambda f: jax.grad(lambda x: jax.tree.leaves(f(x))[0].sum()),
+    "vmap of grad": lambda f: jax.vmap(jax.grad(lambda x: jax.tree.leaves(f(x))[0].sum())),
+    "grad of jit of vmap": lambda f: jax.grad(lambda x: jax.tree.leaves(jax.jit(jax.vmap(f))(x))[0].sum()),
+}
+
+
+@pytest.mark.parametrize("transform", TRANSFORMED.values(), ids=TRANSFORMED)
+@pytest.mark.parametrize(("wrap", "function"), [(native_loop, doubling), (computed_once, shared)], ids=["loop", "once"])
+def test_wrapped_functions_give_the_same(wrap, function, transform):
+    got, expected = (jax.tree.leaves(transform(f)(jnp.asarray(X))) for f in (wrap(function), function))
+    for a, b in zip(got, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+
+
+def compiled_text(function, *args) -> str:
+    return jax.jit(function).lower(*args).compile().as_text()
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="the attributes are those of the CPU back end")
+def test_the_tag_is_on_the_call_alone():
+    # On what is inside, it would keep XLA from fusing anything: the loop would be slower than without.
+    assert native_loops_work()
+    text = compiled_text(lambda x: native_loop(doubling)(x) + 1, np.ones(LARGE))
+    tagged = [line for line in text.splitlines() if "xla_cpu_small_call" in line]
+    assert tagged
+    assert all(re.search(r"\bcall\(|get-tuple-element\(", line) for line in tagged)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="the attributes are those of the CPU back end")
+def test_shared_values_are_computed_once():
+    def products(wrap):
+        def twice(x):
+            first, second = jax.vmap(wrap(lambda x: shared(x)[1]))(x), jnp.zeros(())
+            return jnp.exp2(first), first * 3 + second
+
+        return compiled_text(twice, X).count(" multiply(")
+
+    assert products(computed_once) < products(lambda f: f)
+
+
+def test_what_xla_refuses_is_compiled_plainly_with_one_warning():
+    matrix = np.eye(64)
+
+    def with_product(x):  # a matrix product inside of a loop: no native code for it
+        return lax.fori_loop(0, 3, lambda _, y: jnp.tanh(matrix @ y), x)
+
+    compiled = compiled_natively(with_product)
+    start = np.linspace(0, 1, 64)
+    expected = np.tanh(np.tanh(np.tanh(start)))
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            np.testing.assert_allclose(compiled(start), expected, rtol=1e-12)
+    assert len(seen) <= 1  # newer versions of XLA may know how
+    assert all("native loop" in str(one.message) for one in seen)
+
+
+def test_errors_of_the_function_itself_are_not_hidden():
+    def wrong(x):
+        raise ValueError("no such thing")
+
+    with pytest.raises(ValueError, match="no such thing"):
+        compiled_natively(wrong)(1.0)
+
+
+def test_without_native_loops_everything_still_works(monkeypatch):
+    monkeypatch.setattr(compiling, "native_loops_work", lambda: False)
+    np.testing.assert_allclose(native_loop(doubling)(X), doubling(X), rtol=1e-15)
+    text = compiled_text(native_loop(doubling), np.ones(LARGE))
+    assert "xla_cpu_small_call" not in text
+
+
+# XLA ends the process where a native function does not read an argument: hence a process of its own.
+DROPPING = """
+import jax, jax.numpy as jnp
+from jax import lax
+from stickslip_jax.numerics.compiling import native_loop
+
+def loop(x, unread, kept, first):
+    def step(carry):
+        number, x, kept = carry
+        return number + 1, 1.01 * x, lax.dynamic_update_index_in_dim(kept, x, number, 1)
+    return lax.while_loop(lambda carry: (carry[0] < 40) & (carry[1][0] < 100), step, (first, x, kept))
+
+x, kept = jnp.ones(300), jnp.zeros((300, 40))
+for used in ((0,), (1,), (2,), (0, 1), (1, 2)):
+    def some(x, kept):
+        results = native_loop(loop)(x, kept[0], kept, jnp.int32(0))
+        return [results[place] for place in used]
+    jax.block_until_ready(jax.jit(some)(x, kept))
+    jax.block_until_ready(jax.jit(jax.vmap(some))(x[None], kept[None]))
+    jax.block_until_ready(jax.jvp(lambda x: some(x, kept)[-1].astype(float), (x,), (x,)))
+print("done")
+"""
+
+
+def test_results_and_arguments_that_nobody_reads_do_no_harm():
+    done = subprocess.run([sys.executable, "-c", DROPPING], capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
