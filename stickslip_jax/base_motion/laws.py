@@ -21,7 +21,7 @@ from .. import _checks
 from .._types import AnyArray, Array, FloatArray, KeyWords, Scalar
 from ..numerics.random_bits import exponential, key_words, random_words, uniform
 from .pieces import PieceLaw
-from .piecewise import VelocitySteps, merge_equal_neighbours
+from .piecewise import VelocitySteps
 
 Interval = tuple[FloatArray, FloatArray, Any]
 LARGEST_CAPACITY = 2**31
@@ -310,12 +310,14 @@ class PiecewiseConstant(BangBangLaw):
         return ()
 
     def draw(self, words, number, dtype):
-        times = jnp.asarray(self.times, dtype)
-        durations, velocities = merge_equal_neighbours(
-            jnp.concatenate([jnp.diff(times), jnp.full(1, jnp.inf, dtype)]), jnp.asarray(self.velocities, dtype)
-        )
-        here = jnp.minimum(number.astype(jnp.int32), len(times) - 1)
-        return jnp.where(number < len(times), durations[here], 0), velocities[here]
+        times, velocities = jnp.asarray(self.times, dtype), jnp.asarray(self.velocities, dtype)
+        # Neighbours of equal velocity are one interval: number i begins where the i-th change is found.
+        found = jnp.cumsum(jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]]))
+        begin, end = (jnp.searchsorted(found, (number + np.uint32(later)).astype(found.dtype)) for later in (1, 2))
+        last = len(times) - 1
+        until = jnp.where(end > last, jnp.inf, times[jnp.minimum(end, last)])
+        begin = jnp.minimum(begin, last)
+        return jnp.where(number.astype(found.dtype) < found[-1], until - times[begin], 0), velocities[begin]
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return *drawn, ()

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float
 
 from .. import _checks
@@ -65,16 +64,3 @@ class VelocitySteps(eqx.Module):
         starts = jnp.where(self.durations > 0, self.times, jnp.inf)
         index = jnp.searchsorted(starts, jnp.asarray(time), side="right") - 1
         return self.velocities[jnp.clip(index, 0)]
-
-
-def merge_equal_neighbours(durations: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Join neighbouring intervals of equal velocity; the arrays keep their length, spare slots have duration 0.
-
-    A stick that runs across such a boundary is one stick: to the mass there is no boundary.
-    """
-    size = durations.shape[0]
-    begins = jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]])
-    slot = jnp.cumsum(begins) - 1
-    joined = jnp.zeros_like(durations).at[slot].add(durations)
-    (source,) = jnp.nonzero(begins, size=size, fill_value=size - 1)
-    return joined, velocities[lax.stop_gradient(source)]

@@ -167,8 +167,7 @@ def _follow_crossings(side, h, entered, arrived, q, a, span):
 
 
 def _cross_if_needed(state, q, a, span):
-    crossed = _cross(state, q, a, span)
-    return tuple(jnp.where(state[0], new, old) for new, old in zip(crossed, state, strict=True))
+    return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), _cross(state, q, a, span), state)
 
 
 @_follow_crossings.defjvp

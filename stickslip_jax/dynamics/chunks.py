@@ -39,12 +39,12 @@ solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
 def _compiled(options: dict[str, Any] | None) -> Chunks:
-    sizes, fixed = ("lanes", "rows", "dtype"), {"compiler_options": options}
+    sizes = ("lanes", "rows", "dtype")
     return Chunks(
-        compiled_natively(lanes.summarise, sizes, **fixed),
-        jax.jit(lanes.open_stream, static_argnames=sizes, **fixed),
+        compiled_natively(lanes.summarise, sizes, compiler_options=options),
+        jax.jit(lanes.open_stream, static_argnames=sizes, compiler_options=options),
         # The room is handed on from call to call: fresh memory for each would cost a third of the time.
-        compiled_natively(lanes.record, ("dtype",), donate_argnames=("room",), **fixed),
+        compiled_natively(lanes.record, ("dtype",), donate_argnames=("room",), compiler_options=options),
     )
 
 

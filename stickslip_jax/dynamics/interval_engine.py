@@ -144,8 +144,8 @@ def closed_up(records: StickRecord) -> StickRecord:
     stuck = records.ending >= 0
     (order,) = jnp.nonzero(stuck, size=stuck.shape[0], fill_value=0)
     is_stick = jnp.arange(stuck.shape[0]) < stuck.sum()
-    *times, ending = (column[order] for column in records)
-    return StickRecord(*(jnp.where(is_stick, time, jnp.nan) for time in times), jnp.where(is_stick, ending, -1))
+    ordered = jax.tree.map(lambda column: jnp.where(is_stick, column[order], jnp.nan), records._replace(ending=None))
+    return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1))
 
 
 def status_of(motion: Motion, t1: FloatArray) -> IntArray:

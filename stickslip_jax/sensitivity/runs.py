@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._status import Status
-from .._types import Array
+from .._types import AnyInteger, Array
 from ..dynamics.lanes import Job, summarise
 from ..numerics.compiling import compiled_natively
 from ..numerics.moments import Moments
@@ -103,8 +103,8 @@ def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
 def _count(
     engine: CountingEngine,
     words: Array,
-    first: Array,
-    used_rows: Array,
+    first: AnyInteger,
+    used_rows: AnyInteger,
     *,
     paths: tuple[Path, ...],
     lanes: int,
