@@ -12,7 +12,7 @@ import pytest
 from jax import lax
 
 from stickslip_jax.numerics import compiling
-from stickslip_jax.numerics.compiling import compiled_natively, computed_once, native_loop, native_loops_work
+from stickslip_jax.numerics.compiling import CompiledNatively, computed_once, native_loop, native_loops_work
 
 X = np.linspace(0.1, 0.9, 8)
 LARGE = 1 << 12  # loops over less become native without being asked to
@@ -81,7 +81,7 @@ def test_what_xla_refuses_is_compiled_plainly_with_one_warning():
     def with_product(x):  # a matrix product inside of a loop: no native code for it
         return lax.fori_loop(0, 3, lambda _, y: jnp.tanh(matrix @ y), x)
 
-    compiled = compiled_natively(with_product)
+    compiled = CompiledNatively(with_product)
     start = np.linspace(0, 1, 64)
     expected = np.tanh(np.tanh(np.tanh(start)))
     with warnings.catch_warnings(record=True) as seen:
@@ -97,7 +97,7 @@ def test_errors_of_the_function_itself_are_not_hidden():
         raise ValueError("no such thing")
 
     with pytest.raises(ValueError, match="no such thing"):
-        compiled_natively(wrong)(1.0)
+        CompiledNatively(wrong)(1.0)
 
 
 def test_without_native_loops_everything_still_works(monkeypatch):

@@ -130,7 +130,8 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
 
     from stickslip_jax.dynamics.chunks import chunks_of  # noqa: PLC0415 - the cache under test
 
-    chunks = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
+    summarise, begin, record = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
+    chunks = (summarise.native, begin, record.native)
     run(1.0, 1.0, 0, 10, 5.0)
     before = [compiled._cache_size() for compiled in chunks]
     run(0.3, 2.5, 1, 200, 9.0)

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 
 from ..base_motion.smooth import UserMotion
-from ..numerics.compiling import compiled_natively
+from ..numerics.compiling import CompiledNatively
 from ..systems.friction import FrictionCurve
 from . import lanes, regularized_lanes
 
@@ -41,10 +41,10 @@ solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 def _compiled(options: dict[str, Any] | None) -> Chunks:
     sizes = ("lanes", "rows", "dtype")
     return Chunks(
-        compiled_natively(lanes.summarise, sizes, compiler_options=options),
+        CompiledNatively(lanes.summarise, sizes, compiler_options=options),
         jax.jit(lanes.open_stream, static_argnames=sizes, compiler_options=options),
         # The room is handed on from call to call: fresh memory for each would cost a third of the time.
-        compiled_natively(lanes.record, ("dtype",), donate_argnames=("room",), compiler_options=options),
+        CompiledNatively(lanes.record, ("dtype",), donate_argnames=("room",), compiler_options=options),
     )
 
 

@@ -9,7 +9,7 @@ attributes mean nothing and the function is compiled as usual.
 import warnings
 from collections.abc import Callable
 from functools import cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -48,36 +48,33 @@ def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Argument
     return _tagged(function, (), _OWN_CALL)
 
 
-def compiled_natively(
-    function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any
-) -> Callable[_Arguments, _Result]:
+class CompiledNatively(Generic[_Arguments, _Result]):
     """`function` under ``jax.jit`` with these `options`, as a native loop where XLA can make one of it.
 
     XLA refuses some operations there (a matrix product in a user's friction curve, say). The first call finds out.
     """
-    native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
-    plain = jax.jit(function, static_argnames=static_argnames, **options)
-    refused = set()
 
-    @wraps(function)
-    def call(*args: Any, **named: Any) -> Any:
+    def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
+        self.native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
+        self.plain = jax.jit(function, static_argnames=static_argnames, **options)
+        self._refused = set()
+
+    def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         kind = jax.tree.structure((args, named))
-        if kind not in refused:
-            try:
-                return native(*args, **named)
-            except jax.errors.JaxRuntimeError as error:
-                result = plain(*args, **named)  # fails likewise if native compilation was not the reason
-                refused.add(kind)
-                warnings.warn(
-                    "XLA cannot compile this simulation into a native loop, because of a function of yours in it; it "
-                    f"runs more slowly, and as exactly. XLA said: {str(error).splitlines()[0]}",
-                    RuntimeWarning,
-                    stacklevel=2,
-                )
-                return result
-        return plain(*args, **named)
-
-    return call
+        if kind in self._refused:
+            return self.plain(*args, **named)
+        try:
+            return self.native(*args, **named)
+        except jax.errors.JaxRuntimeError as error:
+            result = self.plain(*args, **named)  # fails likewise if native compilation was not the reason
+            self._refused.add(kind)
+            warnings.warn(
+                "XLA cannot compile this simulation into a native loop, because of a function of yours in it; it "
+                f"runs more slowly, and as exactly. XLA said: {str(error).splitlines()[0]}",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+            return result
 
 
 def _tagged(function: Callable, static_argnames: tuple[str, ...], tags: dict[str, str]) -> Callable:

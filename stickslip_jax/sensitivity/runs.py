@@ -11,7 +11,7 @@ import numpy as np
 from .._status import Status
 from .._types import AnyInteger, Array
 from ..dynamics.lanes import Job, summarise
-from ..numerics.compiling import compiled_natively
+from ..numerics.compiling import CompiledNatively
 from ..numerics.moments import Moments
 from .counting import CountingEngine
 from .parameters import Path, number_at, with_numbers
@@ -167,7 +167,7 @@ def _values(
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
 # Wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
 count_chunk = {
-    is_own: compiled_natively(_count, _COUNT_STATIC, compiler_options=options)
+    is_own: CompiledNatively(_count, _COUNT_STATIC, compiler_options=options)
     for is_own, options in ((True, {"xla_cpu_prefer_vector_width": 512}), (False, None))
 }
 _ROOM = ("statistic", "lanes", "room", "dtype")
