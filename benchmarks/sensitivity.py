@@ -46,7 +46,6 @@ def main() -> None:
     options = argparse.ArgumentParser()
     options.add_argument("--rounds", type=int, default=5)
     rounds = options.parse_args().rounds
-    ss.enable_fast_cpu()
     jax.config.update("jax_enable_x64", True)
     found = {name: {"seconds": [], "relative_error": []} for name in programs()}
     for number in range(rounds + 1):
