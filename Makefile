@@ -6,9 +6,11 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= results/study
-BENCH := benchmarks/.build/latest.json
+ROUNDS ?= 15
+ONLY ?=
+SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test check-slow lint format bench clean
+.PHONY: study test check-slow lint format bench bench-smoke clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -29,9 +31,15 @@ format: $(READY)
 	$(BIN)/ruff format .
 
 bench: $(READY)
+	$(BIN)/python -m benchmarks --rounds $(ROUNDS) $(if $(ONLY),--only '$(ONLY)')
+	$(BIN)/python -m benchmarks.table
+
+# Every program of the benchmarks once, as small as possible, and the tables written into a copy.
+bench-smoke: $(READY)
 	mkdir -p benchmarks/.build
-	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-json=$(BENCH) $(BENCHFLAGS)
-	$(BIN)/python -m benchmarks.table $(BENCH)
+	cp benchmarks/README.md $(SMOKE).md
+	$(BIN)/python -m benchmarks --tiny --rounds 1 --out $(SMOKE).json
+	$(BIN)/python -m benchmarks.table $(SMOKE).json --into $(SMOKE).md
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON=/path/to/python")'

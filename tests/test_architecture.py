@@ -18,6 +18,7 @@ ROWS = (
     "_status",
     "_checks",
     "_fast_cpu",
+    "_compilation_cache",
     "numerics",
     "base_motion",
     "systems",
