@@ -10,13 +10,17 @@ ROUNDS ?= 15
 ONLY ?=
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test check-slow lint format bench bench-smoke clean
+.PHONY: study test check-slow lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
 
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest.
+versions:
+	$(PYTHON) tools/versions.py
 
 check-slow: $(READY)
 	$(BIN)/python -m pytest -m slow

@@ -1,6 +1,8 @@
 """JAX's persistent compilation cache in the user's cache folder: for the command and the tests, not for the library."""
 
+import hashlib
 import os
+import platform
 import sys
 import tempfile
 import time
@@ -25,9 +27,9 @@ def use() -> str:
     read, costs a compilation and nothing else.
     """
     wanted = os.environ.get(VARIABLE, "")
-    if wanted.lower() == "off" or jax.config.jax_compilation_cache_dir:
+    if wanted.lower() == "off" or getattr(jax.config, "jax_compilation_cache_dir", None):
         return ""
-    folder = Path(wanted).expanduser() if wanted else _caches() / "stickslip_jax" / "compilation"
+    folder = Path(wanted).expanduser() if wanted else _caches() / "stickslip_jax" / f"compiled-{_processor()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -53,6 +55,16 @@ def _caches() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _processor() -> str:
+    """A name for what this processor can do: machines of different kinds may share a home, but not native code."""
+    try:
+        lines = Path("/proc/cpuinfo").read_bytes().splitlines()
+        features = next(line for line in lines if line.lower().startswith((b"flags", b"features")))
+    except (OSError, StopIteration):
+        features = platform.processor().encode()
+    return f"{platform.machine()}-{hashlib.sha256(features).hexdigest()[:8]}"
 
 
 def _remove_halves(folder: Path) -> None:

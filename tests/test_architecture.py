@@ -134,7 +134,8 @@ def test_imports_are_named_and_public(parts):
     assert "jax._src" not in MODULES[parts].read_text()
 
 
-FILES = [*MODULES.values(), *sorted(TESTS.rglob("*.py"))]
+OTHERS = [path for name in ("tests", "benchmarks", "tools") for path in sorted((ROOT.parent / name).rglob("*.py"))]
+FILES = [*MODULES.values(), *OTHERS]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(TESTS.parent)))
