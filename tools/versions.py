@@ -21,14 +21,12 @@ TOOLS = ("pytest", "hypothesis", "beartype", "mpmath")
 """What the tests below need besides; at any version."""
 FAST = (
     "tests/test_fresh_process.py",
-    "tests/test_transformations.py",
     "tests/test_derivatives.py",
     "tests/test_streaming.py",
     "tests/test_statistics_edges.py",
-    "tests/test_switched_random.py",
     "tests/test_sensitivity_edges.py",
 )
-"""One trajectory, ensembles, derivatives, statistics, sensitivities: about three minutes on one core."""
+"""Own processes, one trajectory and its derivatives, ensembles, statistics, sensitivities: three minutes on one core."""
 SHOWN = ("jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox", "jaxtyping", "matplotlib")
 
 
