@@ -39,6 +39,8 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks.table
 
 # Every program of the benchmarks once, as small as possible, and the tables written into a copy.
+bench-smoke: export JAX_COMPILATION_CACHE_DIR = $(CURDIR)/$(SMOKE)
+bench-smoke: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS = 0.1
 bench-smoke: $(READY)
 	mkdir -p benchmarks/.build
 	cp benchmarks/README.md $(SMOKE).md

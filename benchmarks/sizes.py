@@ -41,6 +41,6 @@ TINY = Sizes(
     carts=16,
     regularized_share=1_000,
     sensitivity=1_000,
-    harmonics=(2, 2, 3),
+    harmonics=(2, 2, 2),
     sensitivity_compiled=64,
 )

@@ -26,7 +26,7 @@ FAST = (
     "tests/test_statistics_edges.py",
     "tests/test_sensitivity_edges.py",
 )
-"""Own processes, one trajectory and its derivatives, ensembles, statistics, sensitivities: three minutes on one core."""
+"""Own processes, a trajectory and its derivatives, ensembles, statistics, sensitivities: three minutes on one core."""
 SHOWN = ("jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox", "jaxtyping", "matplotlib")
 
 
