@@ -7,7 +7,7 @@ import numpy as np
 from ..compiled import CASES
 from ..workers import Bench, Worker
 
-MOST = 3  # compilations of each; they vary little
+MOST = 2  # compilations of each; they vary little
 
 
 def measure(bench: Bench) -> list[dict[str, Any]]:
