@@ -6,15 +6,21 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= results/study
-BENCH := benchmarks/.build/latest.json
+ROUNDS ?= 15
+ONLY ?=
+SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test check-slow lint format bench clean
+.PHONY: study test check-slow lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
 
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest.
+versions:
+	$(PYTHON) tools/versions.py
 
 check-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
@@ -29,9 +35,17 @@ format: $(READY)
 	$(BIN)/ruff format .
 
 bench: $(READY)
+	$(BIN)/python -m benchmarks --rounds $(ROUNDS) $(if $(ONLY),--only '$(ONLY)')
+	$(BIN)/python -m benchmarks.table
+
+# Every program of the benchmarks once, as small as possible, and the tables written into a copy.
+bench-smoke: export JAX_COMPILATION_CACHE_DIR = $(CURDIR)/$(SMOKE)
+bench-smoke: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS = 0.1
+bench-smoke: $(READY)
 	mkdir -p benchmarks/.build
-	$(BIN)/python -m pytest benchmarks --benchmark-only --benchmark-json=$(BENCH) $(BENCHFLAGS)
-	$(BIN)/python -m benchmarks.table $(BENCH)
+	cp benchmarks/README.md $(SMOKE).md
+	$(BIN)/python -m benchmarks --tiny --rounds 1 --out $(SMOKE).json
+	$(BIN)/python -m benchmarks.table $(SMOKE).json --into $(SMOKE).md
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON=/path/to/python")'

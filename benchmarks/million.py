@@ -11,7 +11,6 @@ import jax
 import stickslip_jax as ss
 from stickslip_jax import papers
 
-ss.enable_fast_cpu()
 jax.config.update("jax_enable_x64", True)
 keep = sys.argv[1] if len(sys.argv) > 1 else "statistics"
 many = ss.simulate_ensemble(

@@ -76,6 +76,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    ss.enable_fast_cpu()
     jax.config.update("jax_enable_x64", True)
     main()

@@ -27,7 +27,6 @@ import numpy as np
 import stickslip_jax as ss
 from stickslip_jax import papers
 
-ss.enable_fast_cpu()  # before any computation: native loops on the CPU
 jax.config.update("jax_enable_x64", True)
 
 SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "10_000"))

@@ -16,6 +16,8 @@ from typing import Any
 
 import jax
 
+from . import _compilation_cache
+
 
 def main(tokens: Sequence[str] | None = None) -> int:
     """Run the command given by `tokens` (default: those of the process, as the console script does).
@@ -82,8 +84,11 @@ def _run(tokens: Sequence[str]) -> int:
 
 
 def _prepare_jax(dtype: str) -> None:
-    """Choose the precision before JAX starts."""
+    """Choose the precision before JAX starts, and keep what it compiles."""
     jax.config.update("jax_enable_x64", dtype == "float64")
+    problem = _compilation_cache.use()
+    if problem:
+        print("stickslip:", problem, file=sys.stderr)
 
 
 def _fail(reason: Any, code: int) -> int:

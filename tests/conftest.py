@@ -1,6 +1,7 @@
 """Settings of the whole test session: float64, annotations checked at run time, repeatable property tests."""
 
 import sys
+from importlib import import_module
 
 import jax
 import jaxtyping
@@ -14,6 +15,11 @@ jax.config.update("jax_enable_x64", True)
 if "stickslip_jax" in sys.modules:
     raise RuntimeError("stickslip_jax was imported before tests/conftest.py could switch its annotation checks on")
 jaxtyping.install_import_hook("stickslip_jax", "beartype.beartype")
+
+# The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled.
+_compilation_cache = import_module("stickslip_jax._compilation_cache")
+if problem := _compilation_cache.use():
+    sys.stderr.write(f"{problem}\n")
 
 # Comparisons in the shared helpers explain themselves as those in the test files do.
 pytest.register_assert_rewrite("support")

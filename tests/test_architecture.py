@@ -2,8 +2,10 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,7 @@ ROWS = (
     "_status",
     "_checks",
     "_fast_cpu",
+    "_compilation_cache",
     "numerics",
     "base_motion",
     "systems",
@@ -133,7 +136,24 @@ def test_imports_are_named_and_public(parts):
     assert "jax._src" not in MODULES[parts].read_text()
 
 
-FILES = [*MODULES.values(), *sorted(TESTS.rglob("*.py"))]
+def test_whatever_is_imported_is_declared():
+    """By the package or by the extras that its users may install."""
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    needs = [*project["dependencies"], *extras["study"], *extras["tables"]]
+    declared = {re.split("[^A-Za-z0-9_]", need)[0] for need in needs}
+    imported = set()
+    for path in MODULES.values():
+        for node in imports_of(tree_of(path)):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif node.level == 0 and node.module:
+                imported.add(node.module.split(".")[0])
+    assert imported - set(sys.stdlib_module_names) - {PACKAGE} <= declared
+
+
+OTHERS = [path for name in ("tests", "benchmarks", "tools") for path in sorted((ROOT.parent / name).rglob("*.py"))]
+FILES = [*MODULES.values(), *OTHERS]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(TESTS.parent)))

@@ -18,7 +18,6 @@ def executed(tmp_path_factory):
         patch.setenv("IPYTHONDIR", str(folder / "ipython"))
         patch.setenv("JUPYTER_RUNTIME_DIR", str(folder / "runtime"))
         patch.delenv("MPLBACKEND", raising=False)
-        patch.delenv("XLA_FLAGS", raising=False)
         notebook = jupytext.read(NOTEBOOK)
         client = NotebookClient(
             notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(folder)}}

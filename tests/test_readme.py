@@ -18,8 +18,7 @@ DOCUMENTS = {"README.md": 5, "docs/regularized.md": 2, "docs/statistics.md": 4, 
     [pytest.param(name, marks=pytest.mark.slow) if name == "docs/regularized.md" else name for name in DOCUMENTS],
 )
 def test_documents_print_what_they_say(document):
-    # The tests' process has started JAX already; its flags change speed, not results.
-    text = (ROOT / document).read_text(encoding="utf-8").replace("ss.enable_fast_cpu()", "None")
+    text = (ROOT / document).read_text(encoding="utf-8")
     parts = re.findall(r"```python\n(.*?)```\s+(?:[^`]*?```\n(.*?)```)?", text, flags=re.DOTALL)
     assert len(parts) == DOCUMENTS[document]
     names: dict = {}

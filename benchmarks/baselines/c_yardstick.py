@@ -133,7 +133,7 @@ def _program(name: str) -> int:
 def _part(program: int, case: _Case, seed: int, samples: int, chain: int) -> list[float]:
     totals = _Totals()
     library().bangbang_run(program, ctypes.byref(case), seed, samples, chain, ctypes.byref(totals))
-    return [getattr(totals, name) for name, _ in _Totals._fields_]
+    return [getattr(totals, field[0]) for field in _Totals._fields_]
 
 
 def simulate(
@@ -193,6 +193,6 @@ def given_gaps(program, *, w, t1, gaps, y0=(0.0, 0.0), initial_sign=1) -> GivenR
 def probe_math(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For tests: the library's `sin x`, `cos x`, and the angle in `[0, 2 pi)` of `(cos x, sin x)`."""
     x = np.ascontiguousarray(x, dtype=float)
-    results = tuple(np.empty_like(x) for _ in range(3))
-    library().math_probe(x.size, *(_pointer(array) for array in (x, *results)))
-    return results
+    sine, cosine, angle = (np.empty_like(x) for _ in range(3))
+    library().math_probe(x.size, *(_pointer(array) for array in (x, sine, cosine, angle)))
+    return sine, cosine, angle

@@ -6,6 +6,8 @@ tolerance of 1e-8 the caller must have enabled float64 (`jax.config.update("jax_
 
 from __future__ import annotations
 
+from typing import cast
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -52,16 +54,17 @@ def _solve(arc: Arc, tolerance):
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         throw=False,
     )
-    belt, top = solution.event_mask
+    belt, top = cast(tuple[jax.Array, jax.Array], solution.event_mask)
+    times, (z, u) = cast(jax.Array, solution.ts), cast(jax.Array, solution.ys)[-1]
     # One array, so that one transfer brings everything to Python.
     outcome = jnp.where(belt, BELT, jnp.where(top, TOP, END))
-    failed = (solution.result == diffrax.RESULTS.max_steps_reached) | ~jnp.isfinite(solution.ts[-1])
-    return jnp.stack([solution.ts[-1], *solution.ys[-1], outcome.astype(float), failed.astype(float)])
+    failed = (solution.result == diffrax.RESULTS.max_steps_reached) | ~jnp.isfinite(times[-1])
+    return jnp.stack([times[-1], z, u, outcome.astype(float), failed.astype(float)])
 
 
 def _solve_arc(arc: Arc, tolerance: float) -> ArcEnd:
-    numbers = [np.float64(value) if isinstance(value, float) else value for value in arc]
-    elapsed, z, u, outcome, failed = np.asarray(_solve(Arc(*numbers), tolerance)).tolist()
+    arc = jax.tree.map(lambda value: np.float64(value) if isinstance(value, float) else value, arc)
+    elapsed, z, u, outcome, failed = np.asarray(_solve(arc, tolerance)).tolist()
     if failed:
         raise RuntimeError(f"diffrax could not solve {arc}")
     return ArcEnd(elapsed, z, u, int(outcome))

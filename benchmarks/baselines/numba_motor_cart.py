@@ -301,7 +301,7 @@ def given(*, mu, t1, theta, alpha0, step=1e-4, threads=1) -> Sticks:
     bounds = np.linspace(0, theta.size, threads + 1).astype(int)
     with ThreadPoolExecutor(threads) as pool:
         steps = sum(pool.map(run, bounds[:-1], bounds[1:]))
-    return Sticks(*first, sticks, steps)
+    return Sticks(first[0], first[1], first[2], sticks, steps)
 
 
 def simulate(*, mu, t1, samples, seed=0, step=1e-4, threads=1) -> Sticks:

@@ -115,8 +115,8 @@ def simulate(*, w, rate, t1, samples, y0=(0.0, 0.0), seed=0, initial_sign=0, thr
     check_case(w, t1, rate, initial_sign)
     parts = split_samples(samples, threads)
     generators = np.random.default_rng(seed).spawn(len(parts))
-    case = [float(value) for value in (w, rate, t1)]
-    start = [float(value) for value in y0]
+    case = (float(w), float(rate), float(t1))
+    start = (float(y0[0]), float(y0[1]))
     with ThreadPoolExecutor(threads) as pool:
         work = [
             pool.submit(_ensemble, *case, part, *start, int(initial_sign), generator)

@@ -1,0 +1,222 @@
+"""What the workers time: functions of the round's number that return the work they did. Public functions only."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+import stickslip_jax as ss
+
+from . import compiled
+from .setups import ENSEMBLES, INTERVALS, LAW, RANDOM_PHASE, REGULARIZED, START, T1, system
+from .sizes import Sizes
+
+
+class Work(NamedTuple):
+    """What was done, in the unit of the part, and the error that it tells of."""
+
+    amount: float = 1.0
+    error: float | None = None
+
+
+Run = Callable[[int], Work]
+
+
+def _ensemble(keep: str, threads: int, sizes: Sizes) -> Run:
+    """The default study from call to result."""
+
+    def run(number: int) -> Work:
+        many = ss.simulate_ensemble(
+            system(), LAW, t1=T1, samples=sizes.samples, key=jax.random.key(number), y0=START,
+            keep=keep, threads=threads, progress=False,
+        )  # fmt: skip
+        assert many.finished == sizes.samples
+        return Work(sizes.samples * INTERVALS)
+
+    return run
+
+
+def _handed_on(sizes: Sizes) -> Run:
+    """Every stick kept, in ten calls; what each returns is dropped after use: memory does not grow."""
+    part = -(-sizes.samples // 10)
+
+    def run(number: int) -> Work:
+        sticks = 0
+        for key in jax.random.split(jax.random.key(number), 10):
+            many = ss.simulate_ensemble(
+                system(), LAW, t1=T1, samples=part, key=key, y0=START, keep="sticks", threads=1, progress=False
+            )
+            sticks += 0 if many.flat_sticks is None else many.flat_sticks.start.size
+        assert sticks > 0
+        return Work(10 * part * INTERVALS)
+
+    return run
+
+
+# --- `simulate` under vmap, sampling included
+
+
+def _one(key: Any, mu: Any) -> ss.Simulation:
+    return ss.simulate(system(mu), LAW.sample(key, t1=T1), t1=T1, y0=START)
+
+
+def _mean_stick_duration(mu: Any, keys: Any) -> Any:
+    sticks = jax.vmap(lambda key: _one(key, mu).sticks)(keys)
+    return jnp.where(sticks.mask, sticks.duration, 0.0).sum() / sticks.mask.sum()
+
+
+COMPOSED: dict[str, Callable[[Any, Any], Any]] = {
+    "stick time alone": lambda mu, keys: jax.vmap(lambda key: _one(key, mu).stick_time)(keys),
+    "every stick, in order": lambda mu, keys: jax.vmap(lambda key: _one(key, mu).sticks)(keys),
+    "mean stick duration": _mean_stick_duration,
+    "mean stick duration, value_and_grad": jax.value_and_grad(_mean_stick_duration),
+    "mean stick duration, jvp": lambda mu, keys: jax.jvp(lambda m: _mean_stick_duration(m, keys), (mu,), (1.0,)),
+}
+
+
+def _composed(function: Callable[[Any, Any], Any], sizes: Sizes) -> Run:
+    compiled_function = jax.jit(function)
+
+    def run(number: int) -> Work:
+        keys = jax.random.split(jax.random.key(number), sizes.vmapped)
+        jax.block_until_ready(compiled_function(1.0, keys))
+        return Work(sizes.vmapped * INTERVALS)
+
+    return run
+
+
+def _composed_harmonic(sizes: Sizes) -> Run:
+    """A smooth base, followed in time steps."""
+    t1 = sizes.stepped_t1
+
+    @jax.jit
+    @jax.vmap
+    def stick_time(key: Any) -> Any:
+        return ss.simulate(system(), RANDOM_PHASE.sample(key), t1=t1, y0=START).stick_time
+
+    def run(number: int) -> Work:
+        jax.block_until_ready(stick_time(jax.random.split(jax.random.key(number), sizes.vmapped_stepped)))
+        return Work(sizes.vmapped_stepped * t1)
+
+    return run
+
+
+# --- ensembles in time steps
+
+
+def _stepped(name: str, threads: int, sizes: Sizes) -> Run:
+    moved, law, y0 = ENSEMBLES[name](sizes)
+    samples = sizes.stepped
+
+    def run(number: int) -> Work:
+        many = ss.simulate_ensemble(
+            moved, law, t1=sizes.stepped_t1, samples=samples, key=jax.random.key(number), y0=y0,
+            keep="totals", threads=threads, progress=False,
+        )  # fmt: skip
+        assert many.finished == samples
+        return Work(samples * sizes.stepped_t1)
+
+    return run
+
+
+def _motor_cart(keep: str, threads: int, sizes: Sizes) -> Run:
+    """The paper's 20,000 runs: 10,000 at mu = 0.2 and at mu = 0.5, every one followed for 2 s."""
+
+    def run(number: int) -> Work:
+        done = 0.0
+        for mu in (0.2, 0.5):
+            setup = ss.papers.motor_cart(mu)
+            many = ss.simulate_ensemble(
+                setup.system, setup.law, t1=setup.t1, y0=setup.y0, samples=sizes.carts,
+                key=jax.random.key(number), keep=keep, threads=threads, progress=False,
+            )  # fmt: skip
+            assert many.finished == many.samples
+            done += sizes.carts * setup.t1
+        return Work(done)
+
+    return run
+
+
+def _regularized(samples: int, settings: dict[str, Any] | None, sizes: Sizes) -> Run:
+    """Trajectories of the study by regularised dynamics (None: exact), and how far their stick fraction is off."""
+    exact = ss.Exact()
+    method = exact if settings is None else ss.Regularized(**settings)
+    samples = max(2, samples // sizes.regularized_share)
+
+    def simulate(number: int, method: Any) -> ss.Ensemble:
+        return ss.simulate_ensemble(
+            system(), LAW, t1=T1, samples=samples, key=jax.random.key(number), y0=START, threads=1, progress=False,
+            method=method, keep="totals",
+        )  # fmt: skip
+
+    right = ss.stick_fraction(simulate(0, exact)).value
+    error = None
+
+    def run(number: int) -> Work:
+        nonlocal error
+        many = simulate(number, method)
+        assert many.finished == samples
+        if number == 0:
+            error = ss.stick_fraction(many).value / right - 1
+        return Work(samples, error)
+
+    return run
+
+
+def _sensitivity(options: dict[str, Any] | None, sizes: Sizes) -> Run:
+    """d(pooled mean stick duration)/d mu of the default study, or (None) the value alone."""
+
+    def run(number: int) -> Work:
+        study = {"t1": T1, "samples": sizes.sensitivity, "key": jax.random.key(number), "y0": START}
+        if options is None:
+            ss.simulate_ensemble(system(), LAW, progress=False, keep="totals", **study)
+            return Work()
+        found = ss.sensitivity(ss.mean_stick_duration, system(), LAW, wrt="mu", **options, **study)
+        assert isinstance(found, ss.Sensitivity)
+        return Work(1.0, found.standard_error / abs(found.derivative))
+
+    return run
+
+
+SENSITIVITY: dict[str, dict[str, Any] | None] = {
+    "value alone": None,
+    "corrected derivative": {},
+    "finite difference, step 1 %": {"method": "finite-difference", "step": 0.01},
+    "finite difference, step 0.2 %": {"method": "finite-difference", "step": 0.002},
+}
+
+
+def _all() -> dict[str, Callable[[Sizes], Run]]:
+    found: dict[str, Callable[[Sizes], Run]] = {}
+    for threads, word in ((1, "1 thread"), (2, "2 threads")):
+        for keep, name in (("totals", "totals"), ("statistics", "full statistics"), ("sticks", "every stick")):
+            found[f"{name}, {word}"] = partial(_ensemble, keep, threads)
+            found[f"motor and cart, {name}, {word}"] = partial(_motor_cart, keep, threads)
+        for name in ENSEMBLES:
+            found[f"{name}, {word}"] = partial(_stepped, name, threads)
+    found["every stick, handed on, 1 thread"] = _handed_on
+    for name, function in COMPOSED.items():
+        found[f"vmapped: {name}"] = partial(_composed, function)
+    found["vmapped: harmonic base"] = _composed_harmonic
+    for name, options in SENSITIVITY.items():
+        found[f"sensitivity: {name}"] = partial(_sensitivity, options)
+    found["exact"] = partial(_regularized, 40_000, None)
+    for kind, entries in REGULARIZED.items():
+        for label, samples, settings in entries:
+            found[f"{kind}; {label}"] = partial(_regularized, samples, settings)
+    for name, build in compiled.CASES.items():
+        found[f"compiled: {name}"] = lambda sizes, build=build: _once(build(sizes))
+    return found
+
+
+def _once(call: Callable[[int], Any]) -> Run:
+    def run(number: int) -> Work:
+        jax.block_until_ready(call(number))
+        return Work()
+
+    return run
+
+
+CASES = _all()

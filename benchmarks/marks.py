@@ -1,0 +1,35 @@
+"""What this project asks of the engine beside what was measured."""
+
+from typing import Any
+
+from .parts import composed, intervals
+
+ENGINE = "stickslip_jax, "
+
+
+def table(parts: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """A row for each mark; the numbers are those of the other tables."""
+    rows = {row["label"]: row for row in parts["intervals"]}
+    vmapped = {row["label"]: row for row in parts["composed"]}
+    one, two = rows[f"{ENGINE}totals, 1 thread"], rows[f"{ENGINE}totals, 2 threads"]
+    on_two = [rows[label + intervals.TWO] for label in (intervals.EVENTS, intervals.INTERVALS)]
+    c_gain = " and ".join(f"{1 / row['times_one_thread']:.2f}" for row in on_two)
+    lines = ["| mark | asked | reached |", "|---|---:|---:|"]
+
+    def add(what: str, asked: str, *reached: float) -> None:
+        lines.append(f"| {what} | {asked} | {', '.join(f'{value:.2f}' for value in reached)} |")
+
+    add("totals, one thread, times C by events", "2.0", one["times_events"])
+    add("totals, one thread, times C by intervals", "1.5", one["times_intervals"])
+    add("totals, two threads are faster by (the C programs)", c_gain, 1 / two["times_one_thread"])
+    for name in ("full statistics", "every stick"):
+        both = [rows[f"{ENGINE}{name}, {threads}"]["times_totals"] for threads in composed.CORES]
+        add(f"{name}, times totals; one and two threads", "2.0", *both)
+    for case, key, asked in (
+        ("vmapped: stick time alone", "times_totals", "3"),
+        ("vmapped: every stick, in order", "times_totals", "6"),
+        ("vmapped: mean stick duration, value_and_grad", "times_value", "3"),
+    ):
+        both = [vmapped[case][threads][key] for threads in composed.CORES]
+        add(f"{case}, {key.replace('_', ' ')}; one and two cores", asked, *both)
+    return lines

@@ -1,0 +1,13 @@
+"""The parts of the benchmarks: each measures (`measure`) and writes its table (`table`)."""
+
+from . import compiling, composed, intervals, motor_cart, regularized, sensitivity, stepping
+
+PARTS = {
+    "intervals": intervals,
+    "composed": composed,
+    "stepping": stepping,
+    "compiling": compiling,
+    "motor cart": motor_cart,
+    "regularised": regularized,
+    "sensitivity": sensitivity,
+}

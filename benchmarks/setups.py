@@ -1,0 +1,76 @@
+"""What is simulated: the default study, ensembles in time steps, settings of regularised dynamics."""
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import numpy as np
+
+import stickslip_jax as ss
+
+from .sizes import Sizes
+
+OMEGA, SPEED, T1, RATE = 2.0, 1.0, 200.0, 1.0  # w = 2, rate/omega = 0.5, omega t1 = 400
+INTERVALS = RATE * T1 + 1
+"""Base intervals of one sample, on average."""
+LAW = ss.PoissonSwitching(speed=SPEED, rate=RATE)
+START = (0.0, 1.0)
+RANDOM_PHASE = ss.RandomPhase(ss.Harmonic(amplitude=SPEED, angular_frequency=1.0))
+ANYWHERE = (ss.Uniform(-0.5, 0.5), ss.Uniform(-1.0, 1.0))
+
+
+def system(mu: Any = 1.0, **more: Any) -> ss.MassSpring:
+    """The oscillator of the study: omega = 2, stick half-width 0.5 m at mu = 1."""
+    return ss.MassSpring(mass=1.0, stiffness=OMEGA**2, normal_force=SPEED * OMEGA / 2, friction=ss.Coulomb(mu), **more)
+
+
+def record(t1: float) -> ss.Recorded:
+    """A base velocity recorded at 10 Hz."""
+    times = np.linspace(0.0, t1, round(10 * t1) + 1)
+    return ss.Recorded(times, np.cos(times) + 0.5 * np.sin(2.3 * times))
+
+
+def harmonics(number: int) -> ss.SumOfHarmonics:
+    """So many components, none like another."""
+    frequencies = 0.3 + np.arange(number) * 2.7 / number
+    return ss.SumOfHarmonics(np.full(number, 1 / np.sqrt(number)), frequencies, np.arange(number) ** 2.0)
+
+
+def isolated() -> ss.MassSpring:
+    """A mass of one tonne that slides on its foundation."""
+    return ss.MassSpring(mass=1000.0, stiffness=1e4, normal_force=9810.0, friction=ss.Coulomb(0.05, mu_static=0.06))
+
+
+STRIBECK = ss.MassSpring(1.0, OMEGA**2, 1.0, ss.Stribeck(mu=0.8, mu_static=1.0, stribeck_speed=0.3))
+ENSEMBLES: dict[str, Callable[[Sizes], tuple[Any, Any, Any]]] = {
+    "damped, Poisson switching": lambda sizes: (system(damping=0.2), LAW, START),
+    "harmonic base of random phase": lambda sizes: (system(), RANDOM_PHASE, START),
+    "recorded base, random start": lambda sizes: (system(), record(sizes.stepped_t1), ANYWHERE),
+    "Stribeck friction, Poisson switching": lambda sizes: (STRIBECK, LAW, START),
+    "Kanai-Tajimi earthquake": lambda sizes: (isolated(), ss.KanaiTajimi(rms=1.5), (0.0, 0.0)),
+    "sum of harmonics, random start": lambda sizes: (system(), harmonics(sizes.harmonics[0]), ANYWHERE),
+}
+"""System, law and initial state."""
+
+# How many trajectories to time, and the settings, from coarse to fine.
+REGULARIZED: dict[str, list[tuple[str, int, dict[str, Any]]]] = {
+    "fixed steps": [
+        (f"{shape}, width {width:g}, step {step:g}", 2048, {"width": width, "shape": shape, "step": step})
+        for shape, width, step in (
+            ("linear", 1e-3, 3e-2), ("linear", 1e-3, 1e-2), ("linear", 1e-4, 3e-2), ("linear", 1e-4, 1e-2),
+            ("tanh", 1e-3, 1e-2), ("tanh", 1e-4, 1e-2), ("tanh", 1e-5, 1e-2),
+        )
+    ],
+    "adaptive, Tsit5": [
+        (f"{shape}, width {width:g}, rtol {rtol:g}", 256,
+         {"width": width, "shape": shape, "rtol": rtol, "solver": diffrax.Tsit5(), "max_steps": 2**16})
+        for shape, width, rtol in (
+            ("linear", 1e-2, 1e-5), ("linear", 1e-3, 1e-5), ("linear", 1e-3, 1e-6), ("tanh", 1e-3, 1e-6),
+        )
+    ],
+    "adaptive, Kvaerno3": [
+        (f"{shape}, width {width:g}, rtol {rtol:g}", 128,
+         {"width": width, "shape": shape, "rtol": rtol, "max_steps": 2**16})
+        for shape, width, rtol in (("linear", 1e-3, 1e-4), ("linear", 1e-4, 1e-5), ("tanh", 1e-4, 1e-4))
+    ],
+}  # fmt: skip

@@ -1,0 +1,46 @@
+"""How much work the cases do."""
+
+from typing import NamedTuple
+
+
+class Sizes(NamedTuple):
+    """Numbers of samples, and the horizon of what runs in time steps (s)."""
+
+    samples: int
+    vmapped: int
+    vmapped_stepped: int
+    stepped: int
+    stepped_t1: float
+    carts: int
+    regularized_share: int
+    """One of so many of the trajectories of regularised dynamics."""
+    sensitivity: int
+    harmonics: tuple[int, int, int]
+    """Components: of an ensemble that is timed, and of two whose compilation is."""
+    sensitivity_compiled: int
+
+
+FULL = Sizes(
+    samples=40_000,
+    vmapped=5_000,
+    vmapped_stepped=500,
+    stepped=1_000,
+    stepped_t1=50.0,
+    carts=10_000,
+    regularized_share=1,
+    sensitivity=100_000,
+    harmonics=(8, 16, 64),
+    sensitivity_compiled=4_096,
+)
+TINY = Sizes(
+    samples=1_000,
+    vmapped=10,
+    vmapped_stepped=4,
+    stepped=16,
+    stepped_t1=5.0,
+    carts=16,
+    regularized_share=1_000,
+    sensitivity=1_000,
+    harmonics=(2, 2, 2),
+    sensitivity_compiled=64,
+)
