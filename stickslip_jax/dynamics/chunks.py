@@ -22,7 +22,7 @@ _THEIRS = (FrictionCurve, UserMotion)  # what wraps a user's function
 
 
 class Chunks(NamedTuple):
-    """`lanes.summarise`, `lanes.open_stream` and `lanes.record`, compiled; `room` is used up by the last."""
+    """`lanes.summarise`, `lanes.open_stream` and `lanes.record`, compiled; the last uses up its `stream` and `room`."""
 
     summarise: Callable[..., lanes.LaneResults]
     open: Callable[..., lanes.Stream]
@@ -44,8 +44,8 @@ def _compiled(options: dict[str, Any] | None) -> Chunks:
     return Chunks(
         jax.jit(summarise, compiler_options=options, static_argnames=sizes),
         jax.jit(lanes.open_stream, compiler_options=options, static_argnames=sizes),
-        # The room is handed on from call to call: fresh memory for each would cost a third of the time.
-        jax.jit(record, compiler_options=options, static_argnames=("dtype",), donate_argnames=("room",)),
+        # Both are handed on from call to call: fresh memory for each would cost a third of the time.
+        jax.jit(record, compiler_options=options, static_argnames=("dtype",), donate_argnames=("stream", "room")),
     )
 
 
