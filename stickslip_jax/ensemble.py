@@ -29,7 +29,7 @@ from .dynamics.regularized_settings import as_arrays, fixed_steps, settled
 from .dynamics.regularized_solve import table_sizes
 from .dynamics.switched_lanes import SwitchedEngine
 from .dynamics.switched_run import turns_for
-from .ensemble_parts import Gathering, Part
+from .ensemble_parts import Gathering, Part, prepare
 from .ensemble_result import Ensemble
 from .set_up import (
     check_length,
@@ -46,7 +46,7 @@ from .stick_runs import StickGatherer
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
 _ADAPTIVE_LANES = 256  # of one batch: enough to hide the launches, few enough for the slowest not to hold up many
-_RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: their records should stay in the cache
+_RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: fewer calls, but records that stay in the cache
 
 
 def simulate_ensemble(
@@ -90,7 +90,7 @@ def simulate_ensemble(
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     gathering, started = Gathering(samples, keep), time.perf_counter()
     simulate = _simulator(run, plan, gathering)
-    simulate(0, 0)  # compiles, so that the threads need not race for it
+    _compile(simulate, run, keep)
     compiled = time.perf_counter()
     _simulate_all(simulate, plan, samples, gathering, progress)
     return Ensemble(
@@ -108,6 +108,15 @@ def simulate_ensemble(
         compile_seconds=compiled - started,
         run_seconds=time.perf_counter() - compiled,
     )
+
+
+def _compile(simulate: _Simulate, run: "_Run", keep: str) -> None:
+    """So that the threads need not race for it."""
+    with ThreadPoolExecutor(1) as beside:  # one compiler at work beside the other
+        prepared = beside.submit(prepare, run.dtype) if keep != "totals" else None
+        simulate(0, 0)
+        if prepared is not None:
+            prepared.result()
 
 
 def _simulate_all(
@@ -277,20 +286,21 @@ def _recorder(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
     """A function that tallies every stick."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
-    gatherers = threading.local()  # one for each thread
+    own = threading.local()  # of each thread: fresh memory for every task would take long to be had
     blocks = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes))
 
     def simulate(first: int, number: int) -> Part:
-        job = run.job(first, -(-number // plan.lanes))
+        if not hasattr(own, "room"):
+            own.sticks, own.room = StickGatherer(), Records.empty(blocks * BLOCK, plan.lanes, run.dtype)
+        job = jax.tree.map(jnp.asarray, run.job(first, -(-number // plan.lanes)))  # once, not on every call
         stream = begin(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
-        room = Records.empty(blocks * BLOCK, plan.lanes, run.dtype)
-        sticks = gatherers.sticks = getattr(gatherers, "sticks", None) or StickGatherer()
+        sticks = own.sticks
         sticks.restart(number)
         unfinished = True
         while unfinished:
-            stream, room, rows = record(job, stream, room, dtype=run.dtype)
+            stream, own.room, rows = record(job, stream, own.room, dtype=run.dtype)
             sample = np.asarray(rows) * plan.lanes + np.arange(plan.lanes)
-            sticks.add(np.asarray(room.values), np.asarray(room.ending), sample)
+            sticks.add(np.asarray(own.room.values), np.asarray(own.room.ending), sample)
             unfinished = np.any(np.asarray(stream.row) < job.used_rows)
         results = _first_samples(stream.results, number)
         return Part.of(results, sticks, run.t1, run.numbering, gathering.wants_sticks)

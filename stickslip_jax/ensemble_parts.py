@@ -41,6 +41,15 @@ class Part(NamedTuple):
         return cls(results, runs.in_order() if keep_sticks else None, tally)
 
 
+def prepare(dtype: Any) -> None:
+    """Compile the loops that find and count sticks, unless that is done; for times of `dtype`."""
+    sticks = StickGatherer()
+    sticks.restart(1)
+    sticks.add(np.zeros((1, 3, 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
+    one = np.zeros(1)
+    Part.of(LaneResults(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
+
+
 class Gathering:
     """What the parts seen so far, in order of the samples, come to.
 
@@ -79,21 +88,23 @@ class Gathering:
             fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
             self._retained_samples += fits
             results = LaneResults(*(column[:fits].copy() for column in part.results))
-            self._kept.append(Part(results, part.sticks.head(fits)))
+            whole = fits == len(part.sticks.count)
+            self._kept.append(Part(results, part.sticks if whole else part.sticks.head(fits)))
             left = self._room - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
             self._room = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> dict[str, Any]:
         """What an `Ensemble` is told of it."""
         is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
+        sticks = FlatSticks.joined(kept) if kept else None
         return {
             "moments": self.moments,
             "status_counts": {status: int(self.counts[status]) for status in Status},
             "doubtful": self.doubtful,
             "tally": self.tally,
-            "retained": None if self.keep == "totals" else self._retained(FlatSticks.joined(kept)),
+            "retained": None if sticks is None else self._retained(sticks),
             "totals": self._totals() if is_full else None,
-            "flat_sticks": FlatSticks.joined(kept) if is_full else None,
+            "flat_sticks": sticks if is_full else None,
         }
 
     def _totals(self) -> SampleTotals:

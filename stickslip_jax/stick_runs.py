@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from .events import FlatSticks
+from .numerics import loops
 
 
 class StickRuns:
@@ -16,6 +17,7 @@ class StickRuns:
     - `owner`, `length`: the sample of each run and its number of sticks, (runs,).
     - `start`, `end`, `position`, `ending`: as in `FlatSticks`, (sticks,).
     - `count`: of sticks of each sample, (samples,).
+    - `place`: of the first stick of each run. `earlier`: sticks of the same sample in earlier runs. Both (runs,).
     """
 
     def __init__(self, owner: np.ndarray, length: np.ndarray, columns: tuple[np.ndarray, ...], samples: int):
@@ -24,14 +26,15 @@ class StickRuns:
         place = np.cumsum(length) - length
         order = np.argsort(owner.astype(np.uint16) if samples < 1 << 16 else owner, kind="stable")  # by radix if small
         # From here on runs stand in order of their samples.
-        self.owner, self.length, self._place = owner[order], length[order], place[order]
+        self.owner, self.length, self.place = owner[order], length[order], place[order]
+        self._order = order
         self.count = np.bincount(self.owner, weights=self.length, minlength=samples).astype(np.int64)
         begins = np.ones(len(self.owner), bool)
         begins[1:] = self.owner[1:] != self.owner[:-1]
         self._begins = np.flatnonzero(begins)  # the first run of each sample that has any
         earlier = np.cumsum(self.length) - self.length
         each = np.diff(np.append(self._begins, len(self.owner)))
-        self._earlier = earlier - np.repeat(earlier[self._begins], each)  # sticks of the same sample in earlier runs
+        self.earlier = earlier - np.repeat(earlier[self._begins], each)  # sticks of the same sample in earlier runs
 
     @classmethod
     def of(cls, sticks: FlatSticks) -> "StickRuns":
@@ -43,7 +46,7 @@ class StickRuns:
     def begins_at_zero(self) -> np.ndarray:
         """Whether each sample begins with a stick, (samples,)."""
         begins = np.zeros(self.samples, bool)
-        begins[self.owner[self._begins]] = self.start[self._place[self._begins]] == 0
+        begins[self.owner[self._begins]] = self.start[self.place[self._begins]] == 0
         return begins
 
     def at_order(self, order: int, skipped: np.ndarray) -> np.ndarray:
@@ -51,29 +54,46 @@ class StickRuns:
 
         `skipped`: how many sticks of each sample are not numbered, (samples,).
         """
-        inside = order + skipped[self.owner] - self._earlier
+        inside = order + skipped[self.owner] - self.earlier
         here = (inside >= 0) & (inside < self.length)
-        return (self._place + inside)[here]
+        return (self.place + inside)[here]
+
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """When the slip before each run begins, (runs,), and when the last stick of each sample ends, (samples,); s."""
+        finish = self.end[self.place + self.length - 1]  # of each run
+        before = np.zeros_like(finish)
+        before[1:] = finish[:-1]
+        before[self._begins] = 0
+        last = np.zeros(self.samples, self.end.dtype)
+        last[self.owner] = finish  # the latest run of a sample is written last
+        return before, last
 
     def slips(self, t1: float) -> tuple[np.ndarray, np.ndarray]:
         """Duration of the slip before each stick, (sticks,), and of the one after each sample's last, (samples,); in s.
 
         It is 0 where a sample begins or ends with a stick: there is no slip then.
         """
+        before, last = self.edges()
         since = np.empty_like(self.end)
         since[1:] = self.end[:-1]
-        finish = self.end[self._place + self.length - 1]  # of each run
-        before = np.zeros_like(finish)
-        before[1:] = finish[:-1]
-        before[self._begins] = 0
-        since[self._place] = before
-        last = np.zeros(self.samples, self.end.dtype)
-        last[self.owner] = finish  # the latest run of a sample is written last
+        since[self.place] = before
         return np.subtract(self.start, since, out=since), np.maximum(last.dtype.type(t1) - last, 0)
+
+    def in_memory(self, of_runs: np.ndarray) -> np.ndarray:
+        """What is told of each run, in the order in which they lie in memory, (runs,)."""
+        moved = np.empty_like(of_runs)
+        moved[self._order] = of_runs
+        return moved
 
     def in_order(self) -> FlatSticks:
         """The sticks in order of their samples."""
-        ahead = self._place - (np.cumsum(self.length) - self.length)
+        compiled = loops.compiled()
+        if compiled is not None:
+            columns, endings = (self.start, self.end, self.position), self.ending
+            into = tuple(np.empty_like(column) for column in (*columns, endings))
+            compiled.join(self.place, self.length, columns, endings, into[:3], into[3])
+            return FlatSticks(self.count, *into)
+        ahead = self.place - (np.cumsum(self.length) - self.length)
         at = np.arange(len(self.start)) + np.repeat(ahead, self.length)
         return FlatSticks(
             self.count, *(column.take(at) for column in (self.start, self.end, self.position, self.ending))
@@ -100,6 +120,19 @@ class StickGatherer:
         `values` (slots, 3, lanes) holds start, end and position, `ending` (slots, lanes) is negative where there is no
         stick, and `sample` (blocks, lanes) tells whose records the lanes of each block of slots hold.
         """
+        compiled = loops.compiled()
+        if compiled is None:
+            self._add_by_numpy(values, ending, sample)
+            return
+        values, ending, sample = (loops.read_only(array) for array in (values, ending, sample))
+        owner, length = (np.empty(sample.size, np.int64) for _ in range(2))
+        place = np.empty(ending.shape[1], np.uint64)
+        runs, number = compiled.runs_of(ending, sample, self._samples, owner, length, place)
+        compiled.gather(values, ending, sample, self._samples, place, *self._room(number, values.dtype))
+        self._owner.append(owner[:runs])
+        self._length.append(length[:runs])
+
+    def _add_by_numpy(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> None:
         slots, lanes = ending.shape
         # Lane by lane, so that the sticks of a sample lie together. Rows of a power of two: shifts do for divisions.
         bits = (slots - 1).bit_length()

@@ -179,6 +179,7 @@ print(json.dumps({
     "warnings": list(warnings.filters) != filters,
     "float64": str(jax.numpy.ones(1).dtype),
     "matplotlib": "matplotlib.pyplot" in sys.modules,
+    "numba": "numba" in sys.modules,
 }))
 """
 
@@ -202,6 +203,7 @@ def test_importing_changes_nothing():
         "warnings": False,
         "float64": "float32",
         "matplotlib": False,
+        "numba": False,
     }
 
 

@@ -41,10 +41,10 @@ def lowest(needs: list[str]) -> list[str]:
     """A constraint for each requirement ``name>=version``: that version."""
     found = []
     for need in needs:
-        matched = re.fullmatch(r"([A-Za-z0-9._-]+)>=([0-9][0-9.]*)", need)
+        matched = re.fullmatch(r"([A-Za-z0-9._-]+)>=([0-9][0-9.]*)(;.*)?", need)
         if matched is None:
             raise ValueError(f"pyproject.toml requires {need!r}; a requirement must have a lower bound alone")
-        found.append(f"{matched[1]}=={matched[2]}")
+        found.append(f"{matched[1]}=={matched[2]}{matched[3] or ''}")
     return found
 
 

@@ -22,7 +22,7 @@ _THEIRS = (FrictionCurve, UserMotion)  # what wraps a user's function
 
 
 class Chunks(NamedTuple):
-    """`lanes.summarise`, `lanes.open_stream` and `lanes.record`, compiled; `room` is used up by the last."""
+    """`lanes.summarise`, `lanes.open_stream` and `lanes.record`, compiled; the last uses up its `stream` and `room`."""
 
     summarise: Callable[..., lanes.LaneResults]
     open: Callable[..., lanes.Stream]
@@ -43,8 +43,8 @@ def _compiled(options: dict[str, Any] | None) -> Chunks:
     return Chunks(
         CompiledNatively(lanes.summarise, sizes, compiler_options=options),
         jax.jit(lanes.open_stream, static_argnames=sizes, compiler_options=options),
-        # The room is handed on from call to call: fresh memory for each would cost a third of the time.
-        CompiledNatively(lanes.record, ("dtype",), donate_argnames=("room",), compiler_options=options),
+        # Both are handed on from call to call: fresh memory for each would cost a third of the time.
+        CompiledNatively(lanes.record, ("dtype",), donate_argnames=("stream", "room"), compiler_options=options),
     )
 
 

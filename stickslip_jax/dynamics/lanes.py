@@ -116,18 +116,25 @@ def summarise(job: Job, *, lanes: int, rows: int, dtype) -> LaneResults:
 
 
 def record(job: Job, stream: Stream, room: Records, *, dtype) -> tuple[Stream, Records, IntArray]:
-    """Go on with `stream` for as many blocks as `room` holds, and keep every stick.
+    """Go on with `stream` for as many blocks as `room` holds, or until the job is done, and keep every stick.
 
     Returns the stream to go on with (the job is done when no row is below `job.used_rows`), the records, and the row
-    that each block of records belongs to, (blocks, lanes).
+    that each block of records belongs to, (blocks, lanes): `job.used_rows` or more where there is nothing to be read.
     """
+    blocks = len(room.ending) // BLOCK
 
-    def advance(carry, block):
-        stream, room = carry
-        following, room = _advance_stream(job, stream, dtype, room, block * BLOCK)
-        return (following, room), stream.row
+    def goes_on(carry):
+        block, stream, _, _ = carry
+        return (block < blocks) & jnp.any(stream.row < job.used_rows)
 
-    (stream, room), rows = lax.scan(advance, (stream, room), jnp.arange(len(room.ending) // BLOCK))
+    def advance(carry):
+        block, stream, room, rows = carry
+        rows = lax.dynamic_update_slice_in_dim(rows, stream.row[None], block, 0)
+        stream, room = _advance_stream(job, stream, dtype, room, block * BLOCK)
+        return block + 1, stream, room, rows
+
+    idle = jnp.full((blocks, len(stream.row)), job.used_rows, stream.row.dtype)
+    _, stream, room, rows = lax.while_loop(goes_on, advance, (jnp.int32(0), stream, room, idle))
     return stream, room, rows
 
 

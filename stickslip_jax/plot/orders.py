@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from .. import _checks
 from ..statistics.ensemble_statistics import EnsembleStatistics
 from ..statistics.estimate import check_level
-from ..statistics.tally import QUANTITIES
+from ..statistics.stick_sums import QUANTITIES
 from . import _parts, _style
 
 _ROOM = 0.3  # of the height of the axes, for the shares

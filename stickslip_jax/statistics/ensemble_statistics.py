@@ -18,7 +18,8 @@ from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labelled import dataset_of_statistics
 from .source import FEATURES, position_of, require_ensemble
-from .tally import PAIRS, QUANTITIES, SAMPLE_QUANTITIES, Numbering, StickTally
+from .stick_sums import PAIRS, QUANTITIES
+from .tally import SAMPLE_QUANTITIES, Numbering, StickTally
 
 _NAMES = {
     "start": ("stick start", "s"),
