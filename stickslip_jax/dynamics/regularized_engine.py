@@ -16,7 +16,7 @@ from .implicit_step import implicit_step
 from .interval_engine import StickRecord
 from .stick_watch import Criterion, Step, Watch, start_watch, watch_step
 from .switch import Switch
-from .switched_engine import State, Streams, is_spent, next_feeds
+from .switched_engine import State, Streams, is_spent, next_feeds, no_stick
 
 
 class Field(NamedTuple):
@@ -69,6 +69,12 @@ class Passage(NamedTuple):
     y: State
     rates: State
     end_rates: State
+
+
+def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
+    """What an idle turn leaves, of a trajectory with states like `y`."""
+    none = tuple(jnp.zeros_like(value) for value in y)
+    return no_stick(y[0].dtype), Passage(none[0], none, none, none)
 
 
 def start_fixed(

@@ -282,6 +282,12 @@ def _settle(model, inputs, y, sign, jumped):
     return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
 
 
+def no_stick(dtype: Any) -> StickRecord:
+    """The record of a turn in which no stick ended."""
+    nothing = jnp.zeros((), dtype)
+    return StickRecord(nothing, nothing, nothing, jnp.asarray(-1, jnp.int8))
+
+
 def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that has ended, or will not be followed further."""
     finite = jnp.isfinite(lane.t + t1)
