@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import _checks
 from .._types import AnyArray, FloatArray, Scalar
+from ..numerics.elementary import sincos
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -45,7 +46,47 @@ class Signal(eqx.Module):
         return None
 
 
-class Harmonic(Signal):
+class _Tones(Signal):
+    """What a harmonic and a sum of harmonics have in common."""
+
+    offset: eqx.AbstractVar[Scalar]
+
+    @property
+    @abc.abstractmethod
+    def tones(self) -> tuple[Any, Any, Any]:
+        """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
+
+    def value(self, t: FloatArray) -> FloatArray:
+        amplitude, w, phase = self.tones
+        return self.offset + total(amplitude * sincos(angles(w, t, phase))[1], w)
+
+    def rate(self, t: FloatArray) -> FloatArray:
+        amplitude, w, phase = self.tones
+        return total(-amplitude * w * sincos(angles(w, t, phase))[0], w)
+
+    def curvature(self, t: FloatArray) -> FloatArray:
+        amplitude, w, phase = self.tones
+        return total(-amplitude * w * w * sincos(angles(w, t, phase))[1], w)
+
+    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
+        amplitude, w, phase = self.tones
+        # sin(b) - sin(a) as a product: no cancellation for short steps.
+        half = sincos(angles(w, h / 2, 0.0))[0] * sincos(angles(w, t + h / 2, phase))[1]
+        return self.offset * h + total(amplitude * 2 / w * half, w)
+
+
+def angles(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
+    """``w t + phase`` for each tone, along a last axis if there are several."""
+    t = jnp.asarray(t, jnp.result_type(float, t))
+    return jnp.asarray((t if jnp.ndim(w) == 0 else t[..., None]) * w + phase, jnp.result_type(t))
+
+
+def total(terms: FloatArray, w: Any) -> FloatArray:
+    """The sum over all tones, whose angular frequencies are `w`."""
+    return terms if jnp.ndim(w) == 0 else jnp.sum(terms, axis=-1)
+
+
+class Harmonic(_Tones):
     """``offset + amplitude cos(angular_frequency t + phase)``.
 
     - `amplitude`, `offset`: m/s for a base velocity, N for a force. `angular_frequency`: rad/s, positive.
@@ -66,31 +107,15 @@ class Harmonic(Signal):
         _checks.numeric("offset", self.offset)
 
     @property
-    def tones(self) -> "SumOfHarmonics":
-        """The same as a sum of one."""
-        amplitude, frequency, phase = (
-            jnp.asarray(number)[None] for number in (self.amplitude, self.angular_frequency, self.phase)
-        )
-        return SumOfHarmonics(amplitude, frequency, phase, self.offset)
-
-    def value(self, t: FloatArray) -> FloatArray:
-        return self.tones.value(t)
-
-    def rate(self, t: FloatArray) -> FloatArray:
-        return self.tones.rate(t)
-
-    def curvature(self, t: FloatArray) -> FloatArray:
-        return self.tones.curvature(t)
-
-    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
-        return self.tones.integral(t, h)
+    def tones(self) -> tuple[Any, Any, Any]:
+        return self.amplitude, self.angular_frequency, self.phase
 
     @property
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
 
-class SumOfHarmonics(Signal):
+class SumOfHarmonics(_Tones):
     """``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
 
     - `amplitudes`, `angular_frequencies` (rad/s, positive), `phases` (rad; default zeros): arrays (harmonics,).
@@ -120,29 +145,9 @@ class SumOfHarmonics(Signal):
             )
 
     @property
-    def tones(self) -> "SumOfHarmonics":
-        return self
-
-    @property
-    def each(self) -> list[tuple[Any, Any, Any]]:
-        """Amplitude, angular frequency and phase of each harmonic."""
-        phases = jnp.zeros_like(jnp.asarray(self.amplitudes)) if self.phases is None else self.phases
-        columns = (self.amplitudes, self.angular_frequencies, phases)
-        return [(columns[0][j], columns[1][j], columns[2][j]) for j in range(len(self.amplitudes))]
-
-    def value(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(self.offset + sum(A * jnp.cos(w * t + phase) for A, w, phase in self.each))
-
-    def rate(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(sum(-A * w * jnp.sin(w * t + phase) for A, w, phase in self.each))
-
-    def curvature(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(sum(-A * w * w * jnp.cos(w * t + phase) for A, w, phase in self.each))
-
-    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
-        # sin(b) - sin(a) as a product: no cancellation for short steps.
-        half = [A * 2 / w * jnp.sin(w * h / 2) * jnp.cos(w * (t + h / 2) + phase) for A, w, phase in self.each]
-        return self.offset * h + sum(half)
+    def tones(self) -> tuple[Any, Any, Any]:
+        phases = 0.0 if self.phases is None else jnp.asarray(self.phases)
+        return jnp.asarray(self.amplitudes), jnp.asarray(self.angular_frequencies), phases
 
     @property
     def shortest_period(self) -> Scalar:

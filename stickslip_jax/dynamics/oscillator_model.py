@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import added
-from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics
+from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics, angles, total
 from ..numerics.elementary import sincos
 from ..systems.mass_spring import MassSpring
 from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
@@ -154,13 +154,12 @@ class OscillatorModel(SwitchedModel):
         p = inputs.load_slope / k
         force = self.system.force
         if isinstance(force, (Harmonic, SumOfHarmonics)):
-            x = x + force.tones.offset / k
-            for amplitude, w, phase in force.tones.each:
-                elastic, viscous = k - m * w * w, c * w
-                gain = amplitude / (elastic * elastic + viscous * viscous)
-                sine, cosine = sincos(w * (inputs.t + tau) + phase)
-                x = x + gain * (elastic * cosine + viscous * sine)
-                p = p + gain * w * (viscous * cosine - elastic * sine)
+            amplitude, w, phase = force.tones
+            elastic, viscous = k - m * w * w, c * w
+            gain = amplitude / (elastic * elastic + viscous * viscous)
+            sine, cosine = sincos(angles(w, inputs.t + tau, phase))
+            x = x + force.offset / k + total(gain * (elastic * cosine + viscous * sine), w)
+            p = p + total(gain * w * (viscous * cosine - elastic * sine), w)
         return x, p
 
 

@@ -28,6 +28,7 @@ from .._status import Ending, Status
 from .._types import BoolArray, FloatArray, IntArray
 from ..base_motion.pieces import Feed, Piece, PieceLaw, next_feed
 from ..numerics.roots import look_ahead
+from ..numerics.sharing import sharing
 from .interval_engine import StickRecord, Totals, start_totals
 
 State = tuple[FloatArray, ...]
@@ -166,6 +167,7 @@ def start_lane(
     )
 
 
+@sharing
 def advance(
     model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, lane: Lane
 ) -> tuple[Lane, StickRecord]:
