@@ -2,12 +2,14 @@
 
 import abc
 import math
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .. import _checks
 from .._types import AnyArray, FloatArray, Scalar
@@ -57,33 +59,50 @@ class _Tones(Signal):
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
     def value(self, t: FloatArray) -> FloatArray:
-        amplitude, w, phase = self.tones
-        return self.offset + total(amplitude * sincos(angles(w, t, phase))[1], w)
+        return self.offset + self._motion(t)[0]
 
     def rate(self, t: FloatArray) -> FloatArray:
-        amplitude, w, phase = self.tones
-        return total(-amplitude * w * sincos(angles(w, t, phase))[0], w)
+        return self._motion(t)[1]
 
     def curvature(self, t: FloatArray) -> FloatArray:
-        amplitude, w, phase = self.tones
-        return total(-amplitude * w * w * sincos(angles(w, t, phase))[1], w)
+        return self._motion(t)[2]
+
+    def _motion(self, t: FloatArray) -> tuple[FloatArray, ...]:
+        """Value, rate and curvature, without the offset."""
+
+        def one(amplitude, w, phase):
+            sine, cosine = sincos(angle(w, t, phase))
+            return amplitude * cosine, -amplitude * w * sine, -amplitude * w * w * cosine
+
+        return added_up(one, self.tones)
 
     def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
-        amplitude, w, phase = self.tones
-        # sin(b) - sin(a) as a product: no cancellation for short steps.
-        half = sincos(angles(w, h / 2, 0.0))[0] * sincos(angles(w, t + h / 2, phase))[1]
-        return self.offset * h + total(amplitude * 2 / w * half, w)
+        def one(amplitude, w, phase):
+            # sin(b) - sin(a) as a product: no cancellation for short steps.
+            return (amplitude * 2 / w * sincos(angle(w, h / 2, 0))[0] * sincos(angle(w, t + h / 2, phase))[1],)
+
+        return self.offset * h + added_up(one, self.tones)[0]
 
 
-def angles(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
-    """``w t + phase`` for each tone, along a last axis if there are several."""
-    t = jnp.asarray(t, jnp.result_type(float, t))
-    return jnp.asarray((t if jnp.ndim(w) == 0 else t[..., None]) * w + phase, jnp.result_type(t))
+def angle(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
+    """``w t + phase``, rad."""
+    return jnp.asarray(w * t + phase, jnp.result_type(float, t))
 
 
-def total(terms: FloatArray, w: Any) -> FloatArray:
-    """The sum over all tones, whose angular frequencies are `w`."""
-    return terms if jnp.ndim(w) == 0 else jnp.sum(terms, axis=-1)
+def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, Any]) -> tuple[FloatArray, ...]:
+    """``one(amplitude, angular_frequency, phase)``, numbers, added up over all tones.
+
+    A loop, so that what is compiled does not grow with their number.
+    """
+    if jnp.ndim(tones[1]) == 0:
+        return one(*tones)
+    shapes = jax.eval_shape(one, *(tone[0] for tone in tones))
+    start = tuple(jnp.zeros(shape.shape, shape.dtype) for shape in shapes)
+
+    def add(sums, tone):
+        return tuple(a + b for a, b in zip(sums, one(*tone), strict=True)), None
+
+    return lax.scan(add, start, tones)[0]
 
 
 class Harmonic(_Tones):
@@ -146,8 +165,9 @@ class SumOfHarmonics(_Tones):
 
     @property
     def tones(self) -> tuple[Any, Any, Any]:
-        phases = 0.0 if self.phases is None else jnp.asarray(self.phases)
-        return jnp.asarray(self.amplitudes), jnp.asarray(self.angular_frequencies), phases
+        amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
+        phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
+        return amplitudes, jnp.asarray(self.angular_frequencies), phases
 
     @property
     def shortest_period(self) -> Scalar:
