@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from .._types import FloatArray, IntArray
 from ..base_motion.pieces import Feed
+from ..numerics.sharing import sharing
 from .contacts import Contact
 from .implicit_step import implicit_step
 from .interval_engine import StickRecord
@@ -87,6 +88,7 @@ def start_fixed(
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_watch(criterion, speed, y[0]), feeds)
 
 
+@sharing
 def advance_fixed(
     field: Field,
     streams: Streams,

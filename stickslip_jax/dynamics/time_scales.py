@@ -111,7 +111,7 @@ def _passing_time(system: MassSpring) -> Any:
 
 
 def _is(number: Any, value: Any) -> bool:
-    return not _checks.is_traced(number) and number == value
+    return not _checks.is_traced(number) and bool(number == value)
 
 
 def _period(smooth: Signal | RandomPhase | None) -> Any:

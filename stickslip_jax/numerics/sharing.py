@@ -7,7 +7,8 @@ does not inline.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache, wraps
+import os
+from functools import cache, partial, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -26,12 +27,13 @@ _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "
          "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
 _PLAIN = ("add", "add_any", "and", "eq", "ge", "gt", "le", "lt", "max", "min", "mul", "ne", "or", "select_n", "shift_left",
           "shift_right_arithmetic", "shift_right_logical", "sign", "sub", "xor", "round", "floor", "integer_pow", "clamp",
-          "square")  # fmt: skip
+          "square", "dynamic_slice", "gather")  # fmt: skip
 _DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
          "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
-_WORTH = 3  # what costs less is computed again
+
+_WORTH = int(os.environ.get("WORTH", 8))  # what costs less is computed again
 
 
 def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
@@ -66,7 +68,7 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, A
     """The results of `closed`, calls inside it evaluated as part of it, and what is `known` already not again."""
     jaxpr, values = closed.jaxpr, _Values(closed, leaves)
     for equation in jaxpr.eqns:
-        given = [values[atom] for atom in equation.invars]
+        given = values.of(equation.invars)
         if equation.primitive.name in ("jit", "pjit", "closed_call"):
             results = _inlined(equation.params["jaxpr"], given, known)
         else:
@@ -74,10 +76,10 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, A
             if name not in known:
                 cut = _with_sharing(equation) if equation.primitive.name == _WITH_RULE else equation
                 # What was given is held, so that names stay its own.
-                known[name] = _run([cut], equation.invars, equation.outvars, given), given
+                known[name] = _bound(cut, given), given
             results, _ = known[name]
         values.update(equation.outvars, results)
-    return [values[atom] for atom in jaxpr.outvars]
+    return values.of(jaxpr.outvars)
 
 
 def _name(value: Any) -> Any:
@@ -116,46 +118,56 @@ class _Values:
         self.update(closed.jaxpr.constvars, closed.consts)
         self.update(closed.jaxpr.invars, leaves)
 
-    def __getitem__(self, atom: Any) -> Any:
-        return atom.val if isinstance(atom, core.Literal) else self._known[atom]
+    def of(self, atoms: Sequence[Any]) -> list[Any]:
+        """The values of some variables or literals."""
+        return [atom.val if isinstance(atom, core.Literal) else self._known[atom] for atom in atoms]
 
     def update(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
         """Set some."""
         self._known.update(zip(variables, values, strict=True))
 
 
-def _run(equations: list[Any], inputs: Sequence[Any], outputs: Sequence[Any], values: Sequence[Any]) -> list[Any]:
-    """The values of `outputs` after `equations`."""
-    given = {atom: value for atom, value in zip(inputs, values, strict=True) if not isinstance(atom, core.Literal)}
-    jaxpr = core.Jaxpr((), tuple(given), tuple(outputs), equations)
-    return core.jaxpr_as_fun(core.ClosedJaxpr(jaxpr, ()))(*given.values())
+def _bound(equation: Any, given: Sequence[Any]) -> list[Any]:
+    """The results of one equation."""
+    how = equation.primitive.get_bind_params(equation.params)
+    functions, params = how if isinstance(how, tuple) else ((), how)  # versions of JAX differ
+    results = equation.primitive.bind(*functions, *given, **params)
+    return list(results) if equation.primitive.multiple_results else [results]
 
 
 def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
+    """The results of `closed`, each variable to be stored as the result of a call."""
     jaxpr, values = closed.jaxpr, _Values(closed, leaves)
     kept = _kept(jaxpr)
-    used = {atom for equation in jaxpr.eqns for atom in equation.invars if not isinstance(atom, core.Literal)}
+    used = {atom for equation in jaxpr.eqns for atom in _variables(equation)}
     made_by = {variable: equation for equation in jaxpr.eqns for variable in equation.outvars}
     for equation in jaxpr.eqns:
         if equation.primitive.name not in _COSTS:
-            results = _run([equation], equation.invars, equation.outvars, [values[atom] for atom in equation.invars])
-            values.update(equation.outvars, results)
+            values.update(equation.outvars, _bound(equation, values.of(equation.invars)))
         elif equation.outvars[0] in kept:
             cone = _cone(equation, made_by, kept)
-            inner = {variable for part in cone for variable in part.outvars}
-            inputs = list(dict.fromkeys(
-                atom for part in cone for atom in part.invars
-                if not isinstance(atom, core.Literal) and atom not in inner
-            ))  # fmt: skip
-            given = [values[atom] for atom in inputs]
-            if equation.outvars[0] not in used or all(_COSTS[part.primitive.name] == 0 for part in cone):
-                results = _run(cone, inputs, equation.outvars, given)
-            else:
-                results = computed_once(
-                    lambda *given, cone=cone, inputs=inputs, outputs=equation.outvars: _run(cone, inputs, outputs, given)
-                )(*given)
-            values.update(equation.outvars, results)
-    return [values[atom] for atom in jaxpr.outvars]
+            own = {part.outvars[0] for part in cone}
+            inputs = list(dict.fromkeys(atom for part in cone for atom in _variables(part) if atom not in own))
+            compute = partial(_computed, cone, inputs)
+            is_free = all(_COSTS[part.primitive.name] == 0 for part in cone)
+            # A result that nothing else uses is not computed twice.
+            compute = compute if is_free or equation.outvars[0] not in used else computed_once(compute)
+            values.update(equation.outvars, [compute(*values.of(inputs))])
+    return values.of(jaxpr.outvars)
+
+
+def _computed(cone: list[Any], inputs: list[Any], *given: Any) -> Any:
+    """The result of the last equation of a cone."""
+    known = dict(zip(inputs, given, strict=True))
+    for part in cone:
+        values = [atom.val if isinstance(atom, core.Literal) else known[atom] for atom in part.invars]
+        (known[part.outvars[0]],) = _bound(part, values)
+    return known[cone[-1].outvars[0]]
+
+
+def _variables(equation: Any) -> list[Any]:
+    """The variables that an equation takes, each once."""
+    return list(dict.fromkeys(atom for atom in equation.invars if not isinstance(atom, core.Literal)))
 
 
 def _kept(jaxpr: core.Jaxpr) -> set[Any]:
@@ -163,20 +175,19 @@ def _kept(jaxpr: core.Jaxpr) -> set[Any]:
     uses: dict[Any, int] = {}
     kept = {atom for atom in jaxpr.outvars if not isinstance(atom, core.Literal)}
     for equation in jaxpr.eqns:
-        for atom in {atom for atom in equation.invars if not isinstance(atom, core.Literal)}:
+        for atom in _variables(equation):
             uses[atom] = uses.get(atom, 0) + 1
             if equation.primitive.name not in _COSTS:
                 kept.add(atom)
     costs: dict[Any, float] = {}
     for equation in jaxpr.eqns:
         own = _COSTS.get(equation.primitive.name)
-        if own is None:
-            continue
-        (variable,) = equation.outvars
-        cost = own + sum(costs.get(atom, 0) for atom in equation.invars if not isinstance(atom, core.Literal))
-        if uses.get(variable, 0) > 1 and cost >= _WORTH:
-            kept.add(variable)
-        costs[variable] = 0 if variable in kept else cost
+        if own is not None:
+            (variable,) = equation.outvars
+            cost = own + sum(costs.get(atom, 0) for atom in _variables(equation))
+            if uses.get(variable, 0) > 1 and cost >= _WORTH:
+                kept.add(variable)
+            costs[variable] = 0 if variable in kept else cost
     return kept
 
 
@@ -187,10 +198,9 @@ def _cone(equation: Any, made_by: dict[Any, Any], kept: set[Any]) -> list[Any]:
     def visit(part):
         if id(part) in found:
             return
-        for atom in part.invars:
-            if not isinstance(atom, core.Literal) and atom in made_by and atom not in kept:
-                if made_by[atom].primitive.name in _COSTS:
-                    visit(made_by[atom])
+        for atom in _variables(part):
+            if atom in made_by and atom not in kept and made_by[atom].primitive.name in _COSTS:
+                visit(made_by[atom])
         found[id(part)] = part
 
     visit(equation)
