@@ -1,16 +1,15 @@
 """One trajectory by either engine, and the state along it: what a `Simulation` is made of."""
 
 import abc
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.errors import ConcretizationTypeError
 from jaxtyping import Array
 
-from . import _checks
 from ._status import Status
 from ._types import FloatArray, Scalar
 from .base_motion.drive import Drive
@@ -28,7 +27,9 @@ from .dynamics.interval_engine import (
 from .dynamics.method import Exact
 from .dynamics.switched_engine import State
 from .dynamics.switched_run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
+from .dynamics.time_scales import room_to_give
 from .events import Sticks, sticks_in_order
+from .numerics.known import NotKnown, largest
 from .set_up import checked_step
 from .systems.mass_spring import MassSpring
 
@@ -134,10 +135,10 @@ def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[An
     drive, step = checked_step(system, base, method, t1)
     try:
         turns = turns_for(system, drive, t1, step) if method.max_steps is None else method.max_steps
-    except ConcretizationTypeError:
+    except NotKnown:
         raise ValueError(
-            "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are traced by a JAX "
-            "transformation: the number of steps is not known then. Twice t1 / step suffices for most motions."
+            "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are arguments of a "
+            f"function under jax.jit: {room_to_give(system, drive, method, t1)}."
         ) from None
     if turns > _MOST_KEPT:
         raise ValueError(
@@ -146,11 +147,18 @@ def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[An
         )
     run: Run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
-        if _checks.is_traced(run.status) or run.status != Status.OUT_OF_STEPS:
+        if not _is_short(run):
             break
         turns *= 2
         run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
     return run
+
+
+def _is_short(run: Run) -> bool:
+    """Whether steps did not suffice, of a single trajectory or in a batch, if that is known."""
+    with suppress(NotKnown):
+        return largest(run.status == Status.OUT_OF_STEPS) > 0
+    return False
 
 
 @partial(jax.jit, static_argnames=("turns", "dtype"))

@@ -5,21 +5,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.errors import ConcretizationTypeError
 
 from ._types import Array, FloatArray, IntArray, Scalar
 from .base_motion.drive import Drive, drive_of
 from .base_motion.pieces import open_feed
 from .base_motion.voltage import SourceVoltage
+from .dynamics.blocks import few_sizes, scan_in_blocks
 from .dynamics.method import Regularized
 from .dynamics.models import check_drive, streams_of
-from .dynamics.regularized_engine import Passage, advance_fixed, start_fixed
+from .dynamics.regularized_engine import Passage, advance_fixed, nothing_seen, start_fixed
 from .dynamics.regularized_lanes import criterion_of, field_of
 from .dynamics.regularized_settings import as_arrays, fixed_steps, settled
 from .dynamics.regularized_solve import (
     Solver,
     Tables,
-    scan_in_blocks,
     solve_adaptive,
     start_watching,
     table_sizes,
@@ -27,8 +26,9 @@ from .dynamics.regularized_solve import (
 )
 from .dynamics.stick_watch import Watch, hermite
 from .dynamics.switched_engine import State, has_ended, status_of_lane
-from .dynamics.time_scales import step_for
+from .dynamics.time_scales import room_to_give, step_for
 from .events import sticks_in_order
+from .numerics.known import NotKnown
 from .paths import Path, Run
 
 _NO_WORDS = np.zeros(2, np.uint32)  # a realisation draws nothing
@@ -108,11 +108,11 @@ def follow_regularized(
 def _fixed_steps(system: Any, drive: Drive, method: Regularized, t1: Scalar) -> int:
     """How many fixed steps the trajectory takes."""
     try:
-        return fixed_steps(system, drive, method, t1)
-    except ConcretizationTypeError:
+        return few_sizes(fixed_steps(system, drive, method, t1))
+    except NotKnown:
         raise ValueError(
-            "Argument method must give max_steps, Regularized(..., max_steps=...), when t1 or the step is traced by a "
-            "JAX transformation: the number of steps is not known then. It is t1 / step and one for every jump."
+            "Argument method must give max_steps, Regularized(..., max_steps=...), when t1 or the step is an argument "
+            f"of a function under jax.jit: {room_to_give(system, drive, method, t1)}."
         ) from None
 
 
@@ -130,7 +130,9 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
         lane, record, passage = advance_fixed(field, streams, criterion, t1, jnp.asarray(method.step), most, lane)
         return lane, (record, passage)
 
-    lane, (records, passages) = scan_in_blocks(turn, start, steps, lambda lane, _: has_ended(lane, t1, most))
+    lane, (records, passages) = scan_in_blocks(
+        turn, start, steps, lambda lane, _: has_ended(lane, t1, most), lambda lane: nothing_seen(lane.y)
+    )
     tables = Tables.of(system, drive, _NO_WORDS, sizes, dtype)
     path = CubicPath.of(drive, tables, passages, lane.turns, lane.t, lane.y)
     return _run(records, lane.watch, status_of_lane(lane, t1), lane.t, lane.y, path)
@@ -149,7 +151,9 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
         return watch, (record, passage)
 
     start = start_watching(field, tables, criterion, solution.y[0])
-    watch, (records, passages) = scan_in_blocks(turn, start, steps, lambda _, index: index >= solution.steps)
+    watch, (records, passages) = scan_in_blocks(
+        turn, start, steps, lambda _, index: index >= solution.steps, lambda _: nothing_seen(tuple(solution.y[0]))
+    )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(drive, tables, passages, solution.steps, solution.time_reached, final)
     return _run(records, watch, solution.status, solution.time_reached, final, path)

@@ -16,6 +16,7 @@ from .base_motion.smooth import UserMotion
 from .dynamics.method import Exact, Regularized
 from .dynamics.models import check_drive
 from .dynamics.time_scales import step_for
+from .numerics.known import plain
 from .systems.friction import Coulomb
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart
@@ -117,8 +118,8 @@ def checked_step(system: Any, base: Any, method: Exact, t1: Scalar, name: str = 
     """The drive that `base` (an argument called `name`) is, and the time step (s), at most `t1`."""
     drive = drive_of(base, name)
     check_drive(system, drive, method)
-    step = step_for(system, drive, method)
-    return drive, step if _checks.is_traced(step) or _checks.is_traced(t1) else min(float(step), float(t1))
+    step, horizon = step_for(system, drive, method), plain(t1)
+    return drive, step if _checks.is_traced(step) or _checks.is_traced(horizon) else min(float(step), float(horizon))
 
 
 def working_dtype(*arrays: AnyArray, stacklevel: int = 3):

@@ -2,15 +2,18 @@
 
 import abc
 import math
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .. import _checks
 from .._types import AnyArray, FloatArray, Scalar
+from ..numerics.elementary import sincos
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -45,7 +48,64 @@ class Signal(eqx.Module):
         return None
 
 
-class Harmonic(Signal):
+class _Tones(Signal):
+    """What a harmonic and a sum of harmonics have in common."""
+
+    offset: eqx.AbstractVar[Scalar]
+
+    @property
+    @abc.abstractmethod
+    def tones(self) -> tuple[Any, Any, Any]:
+        """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
+
+    def value(self, t: FloatArray) -> FloatArray:
+        return self.offset + self._motion(t)[0]
+
+    def rate(self, t: FloatArray) -> FloatArray:
+        return self._motion(t)[1]
+
+    def curvature(self, t: FloatArray) -> FloatArray:
+        return self._motion(t)[2]
+
+    def _motion(self, t: FloatArray) -> tuple[FloatArray, ...]:
+        """Value, rate and curvature, without the offset."""
+
+        def one(amplitude, w, phase):
+            sine, cosine = sincos(angle(w, t, phase))
+            return amplitude * cosine, -amplitude * w * sine, -amplitude * w * w * cosine
+
+        return added_up(one, self.tones)
+
+    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
+        def one(amplitude, w, phase):
+            # sin(b) - sin(a) as a product: no cancellation for short steps.
+            return (amplitude * 2 / w * sincos(angle(w, h / 2, 0))[0] * sincos(angle(w, t + h / 2, phase))[1],)
+
+        return self.offset * h + added_up(one, self.tones)[0]
+
+
+def angle(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
+    """``w t + phase``, rad."""
+    return jnp.asarray(w * t + phase, jnp.result_type(float, t))
+
+
+def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, Any]) -> tuple[FloatArray, ...]:
+    """``one(amplitude, angular_frequency, phase)``, numbers, added up over all tones.
+
+    A loop, so that what is compiled does not grow with their number.
+    """
+    if jnp.ndim(tones[1]) == 0:
+        return one(*tones)
+    shapes = jax.eval_shape(one, *(tone[0] for tone in tones))
+    start = tuple(jnp.zeros(shape.shape, shape.dtype) for shape in shapes)
+
+    def add(sums, tone):
+        return tuple(a + b for a, b in zip(sums, one(*tone), strict=True)), None
+
+    return lax.scan(add, start, tones)[0]
+
+
+class Harmonic(_Tones):
     """``offset + amplitude cos(angular_frequency t + phase)``.
 
     - `amplitude`, `offset`: m/s for a base velocity, N for a force. `angular_frequency`: rad/s, positive.
@@ -66,31 +126,15 @@ class Harmonic(Signal):
         _checks.numeric("offset", self.offset)
 
     @property
-    def tones(self) -> "SumOfHarmonics":
-        """The same as a sum of one."""
-        amplitude, frequency, phase = (
-            jnp.asarray(number)[None] for number in (self.amplitude, self.angular_frequency, self.phase)
-        )
-        return SumOfHarmonics(amplitude, frequency, phase, self.offset)
-
-    def value(self, t: FloatArray) -> FloatArray:
-        return self.tones.value(t)
-
-    def rate(self, t: FloatArray) -> FloatArray:
-        return self.tones.rate(t)
-
-    def curvature(self, t: FloatArray) -> FloatArray:
-        return self.tones.curvature(t)
-
-    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
-        return self.tones.integral(t, h)
+    def tones(self) -> tuple[Any, Any, Any]:
+        return self.amplitude, self.angular_frequency, self.phase
 
     @property
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
 
-class SumOfHarmonics(Signal):
+class SumOfHarmonics(_Tones):
     """``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
 
     - `amplitudes`, `angular_frequencies` (rad/s, positive), `phases` (rad; default zeros): arrays (harmonics,).
@@ -120,29 +164,10 @@ class SumOfHarmonics(Signal):
             )
 
     @property
-    def tones(self) -> "SumOfHarmonics":
-        return self
-
-    @property
-    def each(self) -> list[tuple[Any, Any, Any]]:
-        """Amplitude, angular frequency and phase of each harmonic."""
-        phases = jnp.zeros_like(jnp.asarray(self.amplitudes)) if self.phases is None else self.phases
-        columns = (self.amplitudes, self.angular_frequencies, phases)
-        return [(columns[0][j], columns[1][j], columns[2][j]) for j in range(len(self.amplitudes))]
-
-    def value(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(self.offset + sum(A * jnp.cos(w * t + phase) for A, w, phase in self.each))
-
-    def rate(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(sum(-A * w * jnp.sin(w * t + phase) for A, w, phase in self.each))
-
-    def curvature(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(sum(-A * w * w * jnp.cos(w * t + phase) for A, w, phase in self.each))
-
-    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
-        # sin(b) - sin(a) as a product: no cancellation for short steps.
-        half = [A * 2 / w * jnp.sin(w * h / 2) * jnp.cos(w * (t + h / 2) + phase) for A, w, phase in self.each]
-        return self.offset * h + sum(half)
+    def tones(self) -> tuple[Any, Any, Any]:
+        amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
+        phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
+        return amplitudes, jnp.asarray(self.angular_frequencies), phases
 
     @property
     def shortest_period(self) -> Scalar:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import added
-from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics
+from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
 from ..numerics.elementary import sincos
 from ..systems.mass_spring import MassSpring
 from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
@@ -154,13 +154,15 @@ class OscillatorModel(SwitchedModel):
         p = inputs.load_slope / k
         force = self.system.force
         if isinstance(force, (Harmonic, SumOfHarmonics)):
-            x = x + force.tones.offset / k
-            for amplitude, w, phase in force.tones.each:
+
+            def answer(amplitude, w, phase):
                 elastic, viscous = k - m * w * w, c * w
                 gain = amplitude / (elastic * elastic + viscous * viscous)
-                sine, cosine = sincos(w * (inputs.t + tau) + phase)
-                x = x + gain * (elastic * cosine + viscous * sine)
-                p = p + gain * w * (viscous * cosine - elastic * sine)
+                sine, cosine = sincos(angle(w, inputs.t + tau, phase))
+                return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
+
+            position, velocity = added_up(answer, force.tones)
+            x, p = x + force.offset / k + position, p + velocity
         return x, p
 
 

@@ -11,12 +11,13 @@ import jax.numpy as jnp
 
 from .._types import FloatArray, IntArray
 from ..base_motion.pieces import Feed
+from ..numerics.sharing import sharing
 from .contacts import Contact
 from .implicit_step import implicit_step
 from .interval_engine import StickRecord
 from .stick_watch import Criterion, Step, Watch, start_watch, watch_step
 from .switch import Switch
-from .switched_engine import State, Streams, is_spent, next_feeds
+from .switched_engine import State, Streams, is_spent, next_feeds, no_stick
 
 
 class Field(NamedTuple):
@@ -71,6 +72,12 @@ class Passage(NamedTuple):
     end_rates: State
 
 
+def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
+    """What an idle turn leaves, of a trajectory with states like `y`."""
+    none = tuple(jnp.zeros_like(value) for value in y)
+    return no_stick(y[0].dtype), Passage(none[0], none, none, none)
+
+
 def start_fixed(
     field: Field, streams: Streams, criterion: Criterion, feeds: tuple[Feed, ...], y0: tuple, dtype
 ) -> FixedLane:
@@ -81,6 +88,7 @@ def start_fixed(
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_watch(criterion, speed, y[0]), feeds)
 
 
+@sharing
 def advance_fixed(
     field: Field,
     streams: Streams,

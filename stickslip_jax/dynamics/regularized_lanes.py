@@ -12,16 +12,17 @@ from ..base_motion.pieces import open_feed
 from ..base_motion.random import realised_state
 from ..base_motion.smooth import Signal
 from ..numerics.random_bits import random_words
+from .blocks import scan_in_blocks
 from .contacts import contact_of
 from .interval_engine import StickRecord, count_slips
 from .lanes import BLOCK, Engine, LaneResults, Records
 from .method import Regularized
 from .models import streams_of
 from .regularized_engine import Field, FixedLane, advance_fixed, start_fixed
-from .regularized_solve import Solver, Tables, scan_in_blocks, solve_adaptive, start_watching, watch_one
+from .regularized_solve import Solver, Tables, solve_adaptive, start_watching, watch_one
 from .stick_watch import Criterion, Watch
 from .switch import Switch
-from .switched_engine import has_ended, status_of_lane
+from .switched_engine import has_ended, no_stick, status_of_lane
 
 
 class _Lanes(NamedTuple):
@@ -128,7 +129,13 @@ def solve_batch(
             return watch, record if keep else None
 
         start = start_watching(field, tables, criterion, solution.y[0])
-        watch, records = scan_in_blocks(turn, start, most, lambda _, index: index >= solution.steps)
+        watch, records = scan_in_blocks(
+            turn,
+            start,
+            most,
+            lambda _, index: index >= solution.steps,
+            lambda _: no_stick(dtype) if keep else None,
+        )
         return watch, solution.status, records
 
     watches, statuses, records = jax.vmap(one)(places)

@@ -12,6 +12,7 @@ from .._types import Array, Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.random import RandomPhase
 from ..base_motion.voltage import SourceVoltage
+from ..numerics.known import largest, smallest
 from ..systems.mass_spring import MassSpring
 from ..systems.motor_cart import MotorCart
 from .method import Regularized
@@ -67,11 +68,11 @@ def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularize
 def fixed_steps(system: Any, drive: Drive, method: Regularized, t1: Scalar) -> int:
     """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each piece.
 
-    Raises ConcretizationTypeError if JAX is tracing a number that it depends on, ValueError for a step that is too long
-    for the shortest time scale.
+    Raises NotKnown where a number that it depends on is not known yet, ValueError for a step that is too long for the
+    shortest time scale.
     """
-    step = step_for(system, drive, method)
-    return math.ceil(float(t1) / float(step)) + sum(table_sizes(system, drive, t1)) + 1
+    horizon, shortest = largest(t1), smallest(step_for(system, drive, method))
+    return math.ceil(horizon / shortest) + sum(table_sizes(system, drive, horizon)) + 1
 
 
 def scales_of_contact(system: Any) -> tuple[Any, Any]:

@@ -4,13 +4,11 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from .._status import Status
-from .._types import Array, BoolArray, FloatArray, IntArray
+from .._types import Array, FloatArray, IntArray
 from ..base_motion.drive import Drive
 from ..base_motion.table import PieceTable
 from .interval_engine import StickRecord
@@ -19,8 +17,6 @@ from .models import streams_of
 from .regularized_engine import Field, Passage
 from .stick_watch import Criterion, Watch, start_watch, watch_step
 from .switched_engine import Pieces
-
-_BLOCK = 32  # steps after which to see whether all lanes have come to their end
 
 
 class Tables(eqx.Module):
@@ -164,27 +160,3 @@ def watch_one(
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, watch)
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
     return moved, record, Passage(t, y, rates, end_rates)
-
-
-def scan_in_blocks(turn: Any, start: Any, number: int, is_over: Any) -> tuple[Any, Any]:
-    """``lax.scan(turn, start, arange(number))``, idle once ``is_over(carry, index)`` holds in all lanes of a batch.
-
-    Idle turns leave records of ending -1 and zeros; `turn` returns (carry, (record, passage)).
-    """
-    blocks = -(-number // _BLOCK)
-    shapes = jax.eval_shape(lambda carry: turn(carry, jnp.zeros((), jnp.int32))[1], start)
-    empty = jax.tree.map(
-        lambda leaf: jnp.full((_BLOCK, *leaf.shape), -1 if leaf.dtype == jnp.int8 else 0, leaf.dtype), shapes
-    )
-
-    def block(carry, first):
-        over: BoolArray = eqxi.unvmap_all(is_over(carry, first))
-        return lax.cond(
-            over,
-            lambda carry: (carry, empty),
-            lambda carry: lax.scan(turn, carry, first + jnp.arange(_BLOCK, dtype=jnp.int32)),
-            carry,
-        )
-
-    carry, traces = lax.scan(block, start, jnp.arange(blocks, dtype=jnp.int32) * _BLOCK)
-    return carry, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), traces)

@@ -28,6 +28,7 @@ from .._status import Ending, Status
 from .._types import BoolArray, FloatArray, IntArray
 from ..base_motion.pieces import Feed, Piece, PieceLaw, next_feed
 from ..numerics.roots import look_ahead
+from ..numerics.sharing import sharing
 from .interval_engine import StickRecord, Totals, start_totals
 
 State = tuple[FloatArray, ...]
@@ -166,6 +167,7 @@ def start_lane(
     )
 
 
+@sharing
 def advance(
     model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, lane: Lane
 ) -> tuple[Lane, StickRecord]:
@@ -280,6 +282,12 @@ def _settle(model, inputs, y, sign, jumped):
     on_base = model.on_base(inputs, y)
     held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
     return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
+
+
+def no_stick(dtype: Any) -> StickRecord:
+    """The record of a turn in which no stick ended."""
+    nothing = jnp.zeros((), dtype)
+    return StickRecord(nothing, nothing, nothing, jnp.asarray(-1, jnp.int8))
 
 
 def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:

@@ -1,23 +1,22 @@
 """One whole trajectory of the switched engine, and its state at any time."""
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from .._types import Array, FloatArray, Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.pieces import open_feed
 from ..base_motion.voltage import SourceVoltage
+from ..numerics.known import largest, smallest
+from .blocks import few_sizes, scan_in_blocks
 from .interval_engine import StickRecord
 from .models import model_of, streams_of
-from .switched_engine import Lane, Pieces, State, advance, has_ended, start_lane, status_of_lane
+from .switched_engine import Lane, Pieces, State, advance, has_ended, no_stick, start_lane, status_of_lane
 
-_BLOCK = 32  # turns of the loop after which to see whether the trajectory has ended
 MOST_TURNS = 2**30  # they are counted in 32 bits
 
 
@@ -49,7 +48,6 @@ def lane_at_start(system: Any, drive: Drive, words: Any, y0: tuple[Any, ...], st
     return start_lane(model, streams, feeds, y0, step)
 
 
-@partial(jax.jit, static_argnames=("turns", "dtype"))
 def run_trajectory(
     system: Any, drive: Drive, solver: Any, t1: Scalar, y0: tuple[Any, ...], step: Scalar, *, turns: int, dtype: Any
 ) -> Trajectory:
@@ -57,28 +55,19 @@ def run_trajectory(
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
     streams, model = streams_of(system, drive), model_of(system, drive.signal, solver)
     start = lane_at_start(system, drive, jnp.zeros(2, jnp.uint32), y0, step, solver)
+    most = jnp.asarray(turns, jnp.int32)
+
+    def beginning(lane):
+        return Beginnings(lane.t, lane.y, lane.sign, streams.pieces(lane.feeds))
 
     def turn(lane, _):
         following, record = advance(model, streams, t1, step, lane)
-        return following, (record, Beginnings(lane.t, lane.y, lane.sign, streams.pieces(lane.feeds)))
-
-    def run(lane):
-        return lax.scan(turn, lane, None, length=_BLOCK)
-
-    shapes = jax.eval_shape(run, start)[1]
+        return following, (record, beginning(lane))
 
     def idle(lane):
-        begun = Beginnings(lane.t, lane.y, lane.sign, streams.pieces(lane.feeds))
-        none = jax.tree.map(lambda leaf: jnp.full(leaf.shape, -1, leaf.dtype), shapes[0])
-        return lane, (none, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (_BLOCK, *jnp.shape(leaf))), begun))
+        return no_stick(dtype), beginning(lane)
 
-    most = jnp.asarray(turns, jnp.int32)
-
-    def block(lane, _):
-        return lax.cond(has_ended(lane, t1, most), idle, run, lane)
-
-    lane, traces = lax.scan(block, start, None, length=math.ceil(turns / _BLOCK))
-    records, beginnings = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), traces)
+    lane, (records, beginnings) = scan_in_blocks(turn, start, turns, lambda lane, _: has_ended(lane, t1, most), idle)
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
 
 
@@ -108,14 +97,16 @@ def base_velocity_at(drive: Drive, beginnings: Beginnings, time: FloatArray) -> 
 def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
     """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece.
 
-    Raises ConcretizationTypeError if JAX is tracing a number that it depends on, ValueError if they are too many to be
+    Rounded up to one of few sizes, so that neighbouring lengths share a compilation; the loop stops when a trajectory
+    ends. Raises NotKnown where a number that it depends on is not known yet, ValueError if they are too many to be
     counted in 32 bits.
     """
-    pieces = sum(law.pieces(t1) for law in streams_of(system, drive).all)
-    turns = 1.5 * (float(t1) / float(step)) + 2 * pieces + 96
+    horizon, shortest = largest(t1), smallest(step)
+    pieces = sum(law.pieces(horizon) for law in streams_of(system, drive).all)
+    turns = 1.5 * (horizon / shortest) + 2 * pieces + 96
     if turns > MOST_TURNS:
         raise ValueError(
-            f"Argument t1 must be shorter: {float(t1):g} s hold more than {MOST_TURNS} steps of {float(step):.3g} s or "
+            f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_TURNS} steps of {shortest:.3g} s or "
             "pieces of the motion."
         )
-    return _BLOCK * math.ceil(turns / _BLOCK)
+    return few_sizes(math.ceil(turns))

@@ -1,6 +1,7 @@
 """The time scales of a system and of what drives it, and the step that they call for."""
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,9 +11,11 @@ from .._types import Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.random import RandomPhase
 from ..base_motion.smooth import Signal
+from ..numerics.known import NotKnown, plain, smallest
 from ..systems.mass_spring import MassSpring
 from ..systems.motor_cart import MotorCart
 from ..systems.switched_system import SwitchedSystem
+from .blocks import few_sizes
 from .oscillator_model import has_closed_form
 
 # Steps for each shortest time: by default, and at least. What is smooth has at most two extrema in a sixth of its
@@ -29,7 +32,7 @@ def step_for(system: Any, drive: Drive, method: Any) -> Scalar:
     Raises ValueError if it is too long for the shortest time scale, or if one is needed because a time scale is not
     known.
     """
-    scales = _scales(system, drive, method)
+    scales = {name: (plain(time), parts) for name, (time, parts) in _scales(system, drive, method).items()}
     known = {name: (time, parts) for name, (time, parts) in scales.items() if time is not None}
     unknown = [name for name in scales if name not in known]
     if method.step is None and unknown:
@@ -42,15 +45,37 @@ def step_for(system: Any, drive: Drive, method: Any) -> Scalar:
         if any(_checks.is_traced(step) for step in steps):
             return jnp.min(jnp.stack([jnp.asarray(step, float) for step in steps]))
         return min(float(step) for step in steps)
-    if not _checks.is_traced(method.step):
+    step = plain(method.step)
+    if not _checks.is_traced(step):
         for name, (time, parts) in known.items():
-            if not _checks.is_traced(time) and method.step > time / parts[1] * (1 + 1e-9):
+            if not _checks.is_traced(time) and step > time / parts[1] * (1 + 1e-9):
                 longest, share = float(time) / parts[1], 1 / parts[1]
                 raise ValueError(
                     f"Argument step must be at most {longest:.4g} s, {share:.2g} times the {name} of {float(time):.4g} "
-                    f"s, but {method.step} was given; between longer steps sticks could be missed."
+                    f"s, but {step} was given; between longer steps sticks could be missed."
                 )
-    return method.step
+    return step
+
+
+def room_to_give(system: Any, drive: Drive, method: Any, t1: Scalar) -> str:
+    """A number of steps to give where JAX traces what it depends on, from what is known of time and time scales."""
+    horizon = min(_known([t1]), default=100.0)
+    steps = [method.step] if method.step is not None else [
+        time / parts[0] for time, parts in _scales(system, drive, method).values() if time is not None
+    ]  # fmt: skip
+    found = _known(steps)
+    step = min((step for step in found if step < math.inf), default=0.01) / (1 if len(found) == len(steps) else 4)
+    turns = few_sizes(math.ceil(1.5 * horizon / step) + 96)
+    return f"max_steps={turns} is room for {horizon:g} s in steps of {step:.3g} s; too many cost nothing but memory"
+
+
+def _known(numbers: list[Any]) -> list[float]:
+    """The smallest value of each number that has one yet."""
+    found = []
+    for number in numbers:
+        with suppress(NotKnown):
+            found.append(smallest(number))
+    return found
 
 
 def _scales(system: Any, drive: Drive, method: Any) -> dict[str, tuple[Any, tuple[float, float]]]:
@@ -80,9 +105,13 @@ def _scales(system: Any, drive: Drive, method: Any) -> dict[str, tuple[Any, tupl
 def _passing_time(system: MassSpring) -> Any:
     """How long the largest friction takes to change the speed by the scale over which the friction law changes, s."""
     scale, held = system.friction.speed_scale, system.friction.static * system.normal_force
-    if scale is None or (not _checks.is_traced(held) and held == 0):
+    if scale is None or _is(scale, math.inf) or _is(held, 0):
         return math.inf
     return scale * system.mass / held
+
+
+def _is(number: Any, value: Any) -> bool:
+    return not _checks.is_traced(number) and bool(number == value)
 
 
 def _period(smooth: Signal | RandomPhase | None) -> Any:

@@ -1,0 +1,55 @@
+"""What is known of a number that JAX is tracing: under jvp, grad and vmap (outside jit) its value is there.
+
+Sizes of arrays must be Python numbers; they are taken from these bounds where a transformation traces what they
+depend on. Nothing else should look at them: results would not depend on the numbers as JAX believes they do.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+from jax import lax
+
+from .. import _checks
+
+
+class NotKnown(Exception):  # noqa: N818  (no error of the user's: whoever asks says what to do)
+    """JAX traces a number whose value is not known before the compiled function is called."""
+
+
+def plain(value: Any) -> Any:
+    """A number without derivatives: no tracer any more under jvp and grad alone. None and infinity stay what they are."""
+    return lax.stop_gradient(value) if _checks.is_traced(value) else value
+
+
+def bounds_of(value: Any) -> tuple[float, float]:
+    """The smallest and the largest of the values that a number stands for. Raises NotKnown under jit."""
+    value = plain(value)
+    if not _checks.is_traced(value):
+        return float(np.min(value)), float(np.max(value))
+    found = []
+
+    # Under vmap, the rule of a function is handed the whole batch.
+    @jax.custom_batching.custom_vmap
+    def look(number):
+        return number
+
+    @look.def_vmap
+    def _(size, is_batched, batch):
+        found.append(batch)
+        return batch, is_batched[0]
+
+    look(value)
+    if not found:
+        raise NotKnown
+    return bounds_of(found[0])
+
+
+def largest(value: Any) -> float:
+    """The largest value that a number stands for. Raises NotKnown under jit."""
+    return bounds_of(value)[1]
+
+
+def smallest(value: Any) -> float:
+    """The smallest value that a number stands for. Raises NotKnown under jit."""
+    return bounds_of(value)[0]

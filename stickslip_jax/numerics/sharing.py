@@ -1,0 +1,207 @@
+"""Compute what several results share once, whatever the compiler would do.
+
+XLA's CPU back end compiles every result of a large function into one loop of its own, and repeats in it all that the
+result depends on, however much of that other results need too. `sharing` cuts a function where that happens: a value
+that is used more than once, and is worth more than the memory it takes, becomes the result of a call that the compiler
+does not inline.
+"""
+
+from collections.abc import Callable, Sequence
+import os
+from functools import cache, partial, wraps
+from typing import Any, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.extend import core
+
+from .compiling import computed_once
+from .elementary import sincos
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+# What an operation costs, in additions; others than these are not looked into.
+_FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
+         "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
+_PLAIN = ("add", "add_any", "and", "eq", "ge", "gt", "le", "lt", "max", "min", "mul", "ne", "or", "select_n", "shift_left",
+          "shift_right_arithmetic", "shift_right_logical", "sign", "sub", "xor", "round", "floor", "integer_pow", "clamp",
+          "square", "dynamic_slice", "gather")  # fmt: skip
+_DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
+         "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
+_COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
+_WITH_RULE = "custom_jvp_call"
+
+_WORTH = int(os.environ.get("WORTH", 8))  # what costs less is computed again
+
+
+def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """`function` of scalars (pytrees of them), cut so that nothing dear is computed twice. Works under vmap, jvp, grad."""
+
+    @wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        arrays, rest = eqx.partition((args, options), eqx.is_array_like)
+        leaves, tree = jax.tree.flatten(arrays)
+        shape = []
+
+        def flat(*leaves):
+            args, options = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
+            results, others = eqx.partition(function(*args, **options), eqx.is_array_like)
+            results, structure = jax.tree.flatten(results)
+            shape.append((structure, others))
+            return results
+
+        results = _shared(jax.make_jaxpr(flat)(*leaves), leaves)
+        structure, others = shape[0]
+        return eqx.combine(jax.tree.unflatten(structure, results), others)
+
+    return call
+
+
+def _shared(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
+    """The results of `closed`, cut."""
+    return _evaluated(jax.make_jaxpr(lambda *leaves: _inlined(closed, leaves, {}))(*leaves), leaves)
+
+
+def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, Any]) -> list[Any]:
+    """The results of `closed`, calls inside it evaluated as part of it, and what is `known` already not again."""
+    jaxpr, values = closed.jaxpr, _Values(closed, leaves)
+    for equation in jaxpr.eqns:
+        given = values.of(equation.invars)
+        if equation.primitive.name in ("jit", "pjit", "closed_call"):
+            results = _inlined(equation.params["jaxpr"], given, known)
+        else:
+            name = (equation.primitive.name, _details(equation), *map(_name, given))
+            if name not in known:
+                cut = _with_sharing(equation) if equation.primitive.name == _WITH_RULE else equation
+                # What was given is held, so that names stay its own.
+                known[name] = _bound(cut, given), given
+            results, _ = known[name]
+        values.update(equation.outvars, results)
+    return values.of(jaxpr.outvars)
+
+
+def _name(value: Any) -> Any:
+    """What tells values apart that an operation is given: tracers are themselves, numbers are not."""
+    return id(value) if isinstance(value, jax.core.Tracer) else (str(jax.typeof(value)), np.asarray(value).tobytes())
+
+
+def _details(equation: Any) -> Any:
+    """What tells equations apart that do the same to different values."""
+    if equation.primitive.name != _WITH_RULE:
+        return str(equation.params)
+    # Functions that look alike may differ in their derivatives; of the package's own it is known.
+    text = str(equation.params["call_jaxpr"])
+    avals = equation.params["call_jaxpr"].in_avals
+    return text if len(avals) == 1 and text == _text_of_sincos(avals[0].shape, avals[0].dtype) else id(equation)
+
+
+@cache
+def _text_of_sincos(shape: tuple[int, ...], dtype: Any) -> str:
+    (equation,) = jax.make_jaxpr(sincos)(jax.ShapeDtypeStruct(shape, dtype)).eqns
+    return str(equation.params["call_jaxpr"])
+
+
+def _with_sharing(equation: Any) -> Any:
+    """A function with a derivative of its own, its value cut."""
+    closed = equation.params["call_jaxpr"]
+    call = jax.make_jaxpr(lambda *leaves: _shared(closed, leaves))(*closed.in_avals)
+    return equation.replace(params={**equation.params, "call_jaxpr": call})
+
+
+class _Values:
+    """What the variables of a jaxpr stand for."""
+
+    def __init__(self, closed: core.ClosedJaxpr, leaves: Sequence[Any]):
+        self._known = {}
+        self.update(closed.jaxpr.constvars, closed.consts)
+        self.update(closed.jaxpr.invars, leaves)
+
+    def of(self, atoms: Sequence[Any]) -> list[Any]:
+        """The values of some variables or literals."""
+        return [atom.val if isinstance(atom, core.Literal) else self._known[atom] for atom in atoms]
+
+    def update(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
+        """Set some."""
+        self._known.update(zip(variables, values, strict=True))
+
+
+def _bound(equation: Any, given: Sequence[Any]) -> list[Any]:
+    """The results of one equation."""
+    how = equation.primitive.get_bind_params(equation.params)
+    functions, params = how if isinstance(how, tuple) else ((), how)  # versions of JAX differ
+    results = equation.primitive.bind(*functions, *given, **params)
+    return list(results) if equation.primitive.multiple_results else [results]
+
+
+def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
+    """The results of `closed`, each variable to be stored as the result of a call."""
+    jaxpr, values = closed.jaxpr, _Values(closed, leaves)
+    kept = _kept(jaxpr)
+    used = {atom for equation in jaxpr.eqns for atom in _variables(equation)}
+    made_by = {variable: equation for equation in jaxpr.eqns for variable in equation.outvars}
+    for equation in jaxpr.eqns:
+        if equation.primitive.name not in _COSTS:
+            values.update(equation.outvars, _bound(equation, values.of(equation.invars)))
+        elif equation.outvars[0] in kept:
+            cone = _cone(equation, made_by, kept)
+            own = {part.outvars[0] for part in cone}
+            inputs = list(dict.fromkeys(atom for part in cone for atom in _variables(part) if atom not in own))
+            compute = partial(_computed, cone, inputs)
+            is_free = all(_COSTS[part.primitive.name] == 0 for part in cone)
+            # A result that nothing else uses is not computed twice.
+            compute = compute if is_free or equation.outvars[0] not in used else computed_once(compute)
+            values.update(equation.outvars, [compute(*values.of(inputs))])
+    return values.of(jaxpr.outvars)
+
+
+def _computed(cone: list[Any], inputs: list[Any], *given: Any) -> Any:
+    """The result of the last equation of a cone."""
+    known = dict(zip(inputs, given, strict=True))
+    for part in cone:
+        values = [atom.val if isinstance(atom, core.Literal) else known[atom] for atom in part.invars]
+        (known[part.outvars[0]],) = _bound(part, values)
+    return known[cone[-1].outvars[0]]
+
+
+def _variables(equation: Any) -> list[Any]:
+    """The variables that an equation takes, each once."""
+    return list(dict.fromkeys(atom for atom in equation.invars if not isinstance(atom, core.Literal)))
+
+
+def _kept(jaxpr: core.Jaxpr) -> set[Any]:
+    """The variables whose values are stored: results, what opaque operations take, and what is dear and used again."""
+    uses: dict[Any, int] = {}
+    kept = {atom for atom in jaxpr.outvars if not isinstance(atom, core.Literal)}
+    for equation in jaxpr.eqns:
+        for atom in _variables(equation):
+            uses[atom] = uses.get(atom, 0) + 1
+            if equation.primitive.name not in _COSTS:
+                kept.add(atom)
+    costs: dict[Any, float] = {}
+    for equation in jaxpr.eqns:
+        own = _COSTS.get(equation.primitive.name)
+        if own is not None:
+            (variable,) = equation.outvars
+            cost = own + sum(costs.get(atom, 0) for atom in _variables(equation))
+            if uses.get(variable, 0) > 1 and cost >= _WORTH:
+                kept.add(variable)
+            costs[variable] = 0 if variable in kept else cost
+    return kept
+
+
+def _cone(equation: Any, made_by: dict[Any, Any], kept: set[Any]) -> list[Any]:
+    """The equations behind a variable, back to those whose results are stored, in order."""
+    found: dict[int, Any] = {}
+
+    def visit(part):
+        if id(part) in found:
+            return
+        for atom in _variables(part):
+            if atom in made_by and atom not in kept and made_by[atom].primitive.name in _COSTS:
+                visit(made_by[atom])
+        found[id(part)] = part
+
+    visit(equation)
+    return list(found.values())
