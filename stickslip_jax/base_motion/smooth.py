@@ -13,7 +13,7 @@ from jax import lax
 
 from .. import _checks
 from .._types import AnyArray, FloatArray, Scalar
-from ..numerics.elementary import sincos
+from ..numerics.sharing import sincos
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -59,22 +59,13 @@ class _Tones(Signal):
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
     def value(self, t: FloatArray) -> FloatArray:
-        return self.offset + self._motion(t)[0]
+        return self.offset + _motion(self.tones, t)[0]
 
     def rate(self, t: FloatArray) -> FloatArray:
-        return self._motion(t)[1]
+        return _motion(self.tones, t)[1]
 
     def curvature(self, t: FloatArray) -> FloatArray:
-        return self._motion(t)[2]
-
-    def _motion(self, t: FloatArray) -> tuple[FloatArray, ...]:
-        """Value, rate and curvature, without the offset."""
-
-        def one(amplitude, w, phase):
-            sine, cosine = sincos(angle(w, t, phase))
-            return amplitude * cosine, -amplitude * w * sine, -amplitude * w * w * cosine
-
-        return added_up(one, self.tones)
+        return _motion(self.tones, t)[2]
 
     def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
         def one(amplitude, w, phase):
@@ -82,6 +73,17 @@ class _Tones(Signal):
             return (amplitude * 2 / w * sincos(angle(w, h / 2, 0))[0] * sincos(angle(w, t + h / 2, phase))[1],)
 
         return self.offset * h + added_up(one, self.tones)[0]
+
+
+@jax.jit
+def _motion(tones: tuple[Any, Any, Any], t: FloatArray) -> tuple[FloatArray, ...]:
+    """Value, rate and curvature, without an offset."""
+
+    def one(amplitude, w, phase):
+        sine, cosine = sincos(angle(w, t, phase))
+        return amplitude * cosine, -amplitude * w * sine, -amplitude * w * w * cosine
+
+    return added_up(one, tones)
 
 
 def angle(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:

@@ -20,8 +20,9 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.voltage import SourceVoltage
-from ..numerics.elementary import sincos, sincos_of_small
+from ..numerics.elementary import sincos_of_small
 from ..numerics.runge_kutta import runge_kutta_step
+from ..numerics.sharing import sincos
 from ..systems.motor_cart import MotorCart
 from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from .._types import FloatArray
 from ..base_motion.smooth import Signal
 from ..base_motion.voltage import SourceVoltage
-from ..numerics.elementary import sincos
+from ..numerics.sharing import sincos
 from ..systems.friction import Coulomb, FrictionLaw
 from ..systems.motor_cart import MotorCart
 from ..systems.switched_system import Base, SwitchedSystem

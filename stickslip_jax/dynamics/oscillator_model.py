@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import added
 from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
-from ..numerics.elementary import sincos
+from ..numerics.sharing import sincos
 from ..systems.mass_spring import MassSpring
 from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
 

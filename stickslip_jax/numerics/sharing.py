@@ -7,8 +7,7 @@ does not inline.
 """
 
 from collections.abc import Callable, Sequence
-import os
-from functools import cache, partial, wraps
+from functools import partial, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
@@ -16,11 +15,14 @@ import jax
 import numpy as np
 from jax.extend import core
 
+from . import elementary
 from .compiling import computed_once
-from .elementary import sincos
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
+
+sincos = jax.jit(elementary.sincos)
+"""The same, traced once: what `sharing` finds twice it computes once."""
 
 # What an operation costs, in additions; others than these are not looked into.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
@@ -33,7 +35,7 @@ _DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "exp
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
 
-_WORTH = int(os.environ.get("WORTH", 8))  # what costs less is computed again
+_WORTH = 8  # what costs less is computed again
 
 
 def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
@@ -88,19 +90,11 @@ def _name(value: Any) -> Any:
 
 
 def _details(equation: Any) -> Any:
-    """What tells equations apart that do the same to different values."""
-    if equation.primitive.name != _WITH_RULE:
-        return str(equation.params)
-    # Functions that look alike may differ in their derivatives; of the package's own it is known.
-    text = str(equation.params["call_jaxpr"])
-    avals = equation.params["call_jaxpr"].in_avals
-    return text if len(avals) == 1 and text == _text_of_sincos(avals[0].shape, avals[0].dtype) else id(equation)
+    """What tells equations apart that do the same to different values.
 
-
-@cache
-def _text_of_sincos(shape: tuple[int, ...], dtype: Any) -> str:
-    (equation,) = jax.make_jaxpr(sincos)(jax.ShapeDtypeStruct(shape, dtype)).eqns
-    return str(equation.params["call_jaxpr"])
+    Of others than the plainest ones, nothing but being the same equation: of a function that jit has traced once.
+    """
+    return str(equation.params) if equation.primitive.name in _COSTS else id(equation)
 
 
 def _with_sharing(equation: Any) -> Any:
