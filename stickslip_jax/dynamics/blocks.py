@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._types import BoolArray, IntArray
-from ..numerics.compiling import native_loop
 
 BLOCK = 32  # turns of the loop after which to see whether all lanes of a batch have come to their end
 
@@ -40,7 +39,7 @@ def scan_in_blocks(
 
     blocks = -(-number // BLOCK)
     firsts = jnp.arange(blocks, dtype=jnp.int32) * BLOCK
-    carry, records = native_loop(lambda start: lax.scan(block, start, firsts))(start)
+    carry, records = lax.scan(block, start, firsts)
     return carry, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), records)
 
 

@@ -13,7 +13,7 @@ from jax import lax
 from .. import _checks
 
 
-class NotKnown(Exception):  # noqa: N818  (no error of the user's: whoever asks says what to do)
+class NotKnown(Exception):
     """JAX traces a number whose value is not known before the compiled function is called."""
 
 
