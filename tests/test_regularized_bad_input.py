@@ -142,7 +142,9 @@ def test_a_step_too_long_is_refused_with_max_steps_too():
 
 
 def test_traced_lengths_need_max_steps():
-    message = r"\AArgument method must give max_steps, Regularized\(\.\.\., max_steps=\.\.\.\), when t1 or the step is an "
+    message = (
+        r"\AArgument method must give max_steps, Regularized\(\.\.\., max_steps=\.\.\.\), when t1 or the step is an "
+    )
     with pytest.raises(ValueError, match=message):
         jax.jit(lambda t1: run(ss.Regularized(0.1, step=0.01), t1=t1).stick_time)(2.0)
     with pytest.raises(ValueError, match=message):

@@ -1,12 +1,14 @@
 """Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.
 
 512-bit vectors halve the time where the CPU has them, and change nothing where it has not. But with them jaxlib
-(0.10.2) computes ``jnp.arctan`` wrong, by up to pi/2. The package's own laws and systems do not use it; where a user's
-functions are compiled too, the vectors stay as they are.
+(0.10.2) computes ``jnp.arctan`` wrong, by up to pi/2; and there are operations that it cannot compile into a native
+loop, some of which end the process. The package's own laws and systems use none of these; where a user's functions are
+compiled too, XLA is asked for neither.
 """
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -38,17 +40,19 @@ def chunks_of(engine: lanes.Engine) -> Chunks:
 solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
-def _compiled(options: dict[str, Any] | None) -> Chunks:
-    sizes = ("lanes", "rows", "dtype")
+def _compiled(is_own: bool) -> Chunks:
+    compiled = partial(CompiledNatively, compiler_options=_WIDE) if is_own else jax.jit
+    sizes, options = ("lanes", "rows", "dtype"), _WIDE if is_own else None
     return Chunks(
-        CompiledNatively(lanes.summarise, sizes, compiler_options=options),
+        compiled(lanes.summarise, static_argnames=sizes),
         jax.jit(lanes.open_stream, static_argnames=sizes, compiler_options=options),
         # Both are handed on from call to call: fresh memory for each would cost a third of the time.
-        CompiledNatively(lanes.record, ("dtype",), donate_argnames=("stream", "room"), compiler_options=options),
+        compiled(lanes.record, static_argnames=("dtype",), donate_argnames=("stream", "room")),
     )
 
 
-_COMPILED = {True: _compiled({"xla_cpu_prefer_vector_width": 512}), False: _compiled(None)}
+_WIDE = {"xla_cpu_prefer_vector_width": 512}
+_COMPILED = {is_own: _compiled(is_own) for is_own in (True, False)}
 
 
 def _is_own(engine: lanes.Engine) -> bool:

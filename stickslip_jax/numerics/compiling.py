@@ -51,7 +51,7 @@ def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Argument
 class CompiledNatively(Generic[_Arguments, _Result]):
     """`function` under ``jax.jit`` with these `options`, as a native loop where XLA can make one of it.
 
-    XLA refuses some operations there (a matrix product in a user's friction curve, say). The first call finds out.
+    XLA refuses some operations there (sorting, say). The first call finds out.
     """
 
     def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
@@ -69,8 +69,8 @@ class CompiledNatively(Generic[_Arguments, _Result]):
             result = self.plain(*args, **named)  # fails likewise if native compilation was not the reason
             self._refused.add(kind)
             warnings.warn(
-                "XLA cannot compile this simulation into a native loop, because of a function of yours in it; it "
-                f"runs more slowly, and as exactly. XLA said: {str(error).splitlines()[0]}",
+                "This version of XLA does not compile the simulation into a native loop; it runs more slowly, and as "
+                f"exactly. XLA said: {str(error).splitlines()[0]}",
                 RuntimeWarning,
                 stacklevel=2,
             )

@@ -18,7 +18,7 @@ class NotKnown(Exception):
 
 
 def plain(value: Any) -> Any:
-    """A number without derivatives: no tracer any more under jvp and grad alone. None and infinity stay what they are."""
+    """A number without derivatives, which is no tracer under jvp and grad alone; what is not traced stays as it is."""
     return lax.stop_gradient(value) if _checks.is_traced(value) else value
 
 

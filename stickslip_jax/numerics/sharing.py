@@ -27,9 +27,9 @@ sincos = jax.jit(elementary.sincos)
 # What an operation costs, in additions; others than these are not looked into.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
          "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
-_PLAIN = ("add", "add_any", "and", "eq", "ge", "gt", "le", "lt", "max", "min", "mul", "ne", "or", "select_n", "shift_left",
-          "shift_right_arithmetic", "shift_right_logical", "sign", "sub", "xor", "round", "floor", "integer_pow", "clamp",
-          "square", "dynamic_slice", "gather")  # fmt: skip
+_PLAIN = ("add", "add_any", "and", "eq", "ge", "gt", "le", "lt", "max", "min", "mul", "ne", "or", "select_n",
+          "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign", "sub", "xor", "round", "floor", "integer_pow",
+          "clamp", "square", "dynamic_slice", "gather")  # fmt: skip
 _DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
          "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
@@ -39,7 +39,7 @@ _WORTH = 8  # what costs less is computed again
 
 
 def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """`function` of scalars (pytrees of them), cut so that nothing dear is computed twice. Works under vmap, jvp, grad."""
+    """`function` of scalars (pytrees of them), cut so that nothing dear is computed twice; for every transformation."""
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:

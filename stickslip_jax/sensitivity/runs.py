@@ -165,10 +165,10 @@ def _values(
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
-# Wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
+# Native loops and wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
 count_chunk = {
-    is_own: CompiledNatively(_count, _COUNT_STATIC, compiler_options=options)
-    for is_own, options in ((True, {"xla_cpu_prefer_vector_width": 512}), (False, None))
+    True: CompiledNatively(_count, _COUNT_STATIC, compiler_options={"xla_cpu_prefer_vector_width": 512}),
+    False: jax.jit(_count, static_argnames=_COUNT_STATIC),
 }
 _ROOM = ("statistic", "lanes", "room", "dtype")
 value_chunk = jax.jit(_values, static_argnames=_ROOM)
