@@ -51,15 +51,18 @@ class Signal(eqx.Module):
 class _Tones(Signal):
     """What a harmonic and a sum of harmonics have in common."""
 
-    offset: eqx.AbstractVar[Scalar]
-
     @property
     @abc.abstractmethod
     def tones(self) -> tuple[Any, Any, Any]:
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
+    @property
+    @abc.abstractmethod
+    def mean(self) -> Scalar:
+        """What the signal swings about."""
+
     def value(self, t: FloatArray) -> FloatArray:
-        return self.offset + _motion(self.tones, t)[0]
+        return self.mean + _motion(self.tones, t)[0]
 
     def rate(self, t: FloatArray) -> FloatArray:
         return _motion(self.tones, t)[1]
@@ -72,7 +75,7 @@ class _Tones(Signal):
             # sin(b) - sin(a) as a product: no cancellation for short steps.
             return (amplitude * 2 / w * sincos(angle(w, h / 2, 0))[0] * sincos(angle(w, t + h / 2, phase))[1],)
 
-        return self.offset * h + added_up(one, self.tones)[0]
+        return self.mean * h + added_up(one, self.tones)[0]
 
 
 @jax.jit
@@ -132,6 +135,10 @@ class Harmonic(_Tones):
         return self.amplitude, self.angular_frequency, self.phase
 
     @property
+    def mean(self) -> Scalar:
+        return self.offset
+
+    @property
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
@@ -170,6 +177,10 @@ class SumOfHarmonics(_Tones):
         amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
         phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
         return amplitudes, jnp.asarray(self.angular_frequencies), phases
+
+    @property
+    def mean(self) -> Scalar:
+        return self.offset
 
     @property
     def shortest_period(self) -> Scalar:

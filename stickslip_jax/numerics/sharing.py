@@ -8,13 +8,14 @@ does not inline.
 
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
 import numpy as np
 from jax.extend import core
 
+from .. import _checks
 from . import elementary
 from .compiling import computed_once
 
@@ -27,9 +28,9 @@ sincos = jax.jit(elementary.sincos)
 # What an operation costs, in additions; others than these are not looked into.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
          "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
-_PLAIN = ("add", "add_any", "and", "eq", "ge", "gt", "le", "lt", "max", "min", "mul", "ne", "or", "select_n",
-          "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign", "sub", "xor", "round", "floor", "integer_pow",
-          "clamp", "square", "dynamic_slice", "gather")  # fmt: skip
+_PLAIN = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
+          "lt", "max", "min", "mul", "ne", "or", "round", "select_n", "shift_left", "shift_right_arithmetic",
+          "shift_right_logical", "sign", "square", "sub", "xor")  # fmt: skip
 _DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
          "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
@@ -49,7 +50,7 @@ def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Re
 
         def flat(*leaves):
             args, options = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
-            results, others = eqx.partition(function(*args, **options), eqx.is_array_like)
+            results, others = eqx.partition(cast(Callable[..., Any], function)(*args, **options), eqx.is_array_like)
             results, structure = jax.tree.flatten(results)
             shape.append((structure, others))
             return results
@@ -86,7 +87,7 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, A
 
 def _name(value: Any) -> Any:
     """What tells values apart that an operation is given: tracers are themselves, numbers are not."""
-    return id(value) if isinstance(value, jax.core.Tracer) else (str(jax.typeof(value)), np.asarray(value).tobytes())
+    return id(value) if _checks.is_traced(value) else (str(jax.typeof(value)), np.asarray(value).tobytes())
 
 
 def _details(equation: Any) -> Any:
