@@ -76,7 +76,7 @@ def simulate_ensemble(
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
     - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
-      `samples`); "sticks" keeps every stick besides; "totals" only stick time, sticks and slips, three times as fast.
+      `samples`); "sticks" keeps every stick besides; "totals" only stick time, sticks and slips, which is the fastest.
     - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick.
     - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the first of these.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
