@@ -152,7 +152,12 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
 
     start = start_watching(field, tables, criterion, solution.y[0])
     watch, (records, passages) = scan_in_blocks(
-        turn, start, steps, lambda _, index: index >= solution.steps, lambda _: nothing_seen(tuple(solution.y[0]))
+        turn,
+        start,
+        steps,
+        lambda _, index: index >= solution.steps,
+        lambda _: nothing_seen(tuple(solution.y[0])),
+        native=False,  # jaxlib 0.10.2 breaks down compiling one whose derivative diffrax's steps are
     )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(drive, tables, passages, solution.steps, solution.time_reached, final)

@@ -17,11 +17,18 @@ _Turn = Callable[[Any, IntArray], tuple[Any, Any]]
 
 
 def scan_in_blocks(
-    turn: _Turn, start: Any, number: int, is_over: Callable[[Any, IntArray], BoolArray], idle: Callable[[Any], Any]
+    turn: _Turn,
+    start: Any,
+    number: int,
+    is_over: Callable[[Any, IntArray], BoolArray],
+    idle: Callable[[Any], Any],
+    *,
+    native: bool = True,
 ) -> tuple[Any, Any]:
     """``lax.scan(turn, start, arange(number))``, idle once ``is_over(carry, index)`` holds in all lanes of a batch.
 
     `number` is rounded up to whole blocks. An idle turn leaves the carry as it is, and ``idle(carry)`` as its record.
+    `native`: whether to ask for a native loop.
     """
 
     def run(carry, first):
@@ -40,7 +47,11 @@ def scan_in_blocks(
 
     blocks = -(-number // BLOCK)
     firsts = jnp.arange(blocks, dtype=jnp.int32) * BLOCK
-    carry, records = native_loop(lambda start: lax.scan(block, start, firsts))(start)
+
+    def loop(start):
+        return lax.scan(block, start, firsts)
+
+    carry, records = (native_loop(loop) if native else loop)(start)
     return carry, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), records)
 
 

@@ -135,6 +135,7 @@ def solve_batch(
             most,
             lambda _, index: index >= solution.steps,
             lambda _: no_stick(dtype) if keep else None,
+            native=False,  # jaxlib 0.10.2 breaks down compiling one whose derivative diffrax's steps are
         )
         return watch, solution.status, records
 
