@@ -97,7 +97,7 @@ def record_sequences(
 def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Array]:
     """The first so many rows of each lane that exist: columns, which slots are filled, how many rows there are."""
     found = jnp.cumsum(exists, axis=0)
-    # The slot of row k is the first at which k + 1 have been found. (XLA's scatter on the CPU takes one after the other.)
+    # The slot of row k is the first at which k + 1 have been found. (A scatter takes one after the other.)
     wanted = jnp.arange(1, slots + 1)
     at = jax.vmap(lambda found: jnp.searchsorted(found, wanted), in_axes=1, out_axes=1)(found)
     filled = wanted[:, None] <= found[-1]
