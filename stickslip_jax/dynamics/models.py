@@ -78,7 +78,8 @@ def _check_resonance(system: MassSpring) -> None:
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(system)):
         return
     omega = (float(system.stiffness) / float(system.mass)) ** 0.5
-    for w in np.atleast_1d(np.asarray(force.tones[1])):
+    frequencies = force.angular_frequency if isinstance(force, Harmonic) else force.angular_frequencies
+    for w in np.atleast_1d(np.asarray(frequencies)):
         if abs(w - omega) < _RESONANCE * omega:
             raise ValueError(
                 f"Argument force must not have the natural angular frequency of {omega:.6g} rad/s where there is no "
