@@ -36,7 +36,7 @@ _DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "exp
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
 
-_WORTH = 8  # what costs less is computed again
+_WORTH = 4  # what costs less is computed again
 
 
 def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
