@@ -55,6 +55,12 @@ def test_any_number_of_lanes(what, lanes):
         assert np.sum(np.asarray(got.ending) >= 0) > lanes  # else there is little to compare
 
 
+def test_an_empty_batch_has_empty_results():
+    none = jax.tree.map(lambda leaf: leaf[:0], bases(2))
+    sticks = jax.jit(jax.vmap(lambda base: ordered_sticks(given_of(NUMBERS, base))))(none)
+    assert sticks.start.shape == sticks.ending.shape == (0, SLOTS)
+
+
 def test_vmap_of_vmap_and_parameters_alone():
     base = bases(3)
     frictions = jnp.linspace(0.2, 1.4, 100)

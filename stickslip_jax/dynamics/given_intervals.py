@@ -171,7 +171,7 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
     def run(given: Given) -> Any:
         lanes = given.durations.shape[0]
         blocks = -(-lanes // _LANES)
-        if blocks == 1:
+        if blocks <= 1:  # none for an empty batch
             return run_block(given)
         width = 8 * -(-lanes // (8 * blocks))
 
