@@ -171,9 +171,9 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
     def run(given: Given) -> Any:
         lanes = given.durations.shape[0]
         blocks = -(-lanes // _LANES)
-        if blocks <= 1:  # none for an empty batch
+        if blocks == 1:
             return run_block(given)
-        width = 8 * -(-lanes // (8 * blocks))
+        width = 8 * -(-lanes // (8 * max(blocks, 1)))
 
         def add_block(number, results):
             # The last block goes back over lanes of the one before, which come out the same again.
@@ -181,9 +181,10 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
             block = run_block(jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, first, width), given))
             return jax.tree.map(lambda old, new: lax.dynamic_update_slice_in_dim(old, new, first, 0), results, block)
 
-        shapes = jax.eval_shape(run_block, jax.tree.map(lambda leaf: leaf[:width], given))
+        some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((max(width, 1), *leaf.shape[1:]), leaf.dtype), given)
+        shapes = jax.eval_shape(run_block, some)
         room = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
-        return lax.fori_loop(0, blocks, add_block, room)
+        return lax.fori_loop(0, blocks, add_block, room) if lanes else room
 
     mapped = custom_vmap(run)
 
