@@ -21,7 +21,7 @@ from .base_motion.laws import BangBangLaw
 from .base_motion.random import Uniform
 from .dynamics.chunks import chunks_of, solve_chunk
 from .dynamics.interval_lanes import IntervalEngine
-from .dynamics.lanes import BLOCK, Engine, Job, LaneResults, Records
+from .dynamics.lanes import BLOCK, Engine, Job, LaneResults
 from .dynamics.method import EXACT, Exact, Regularized
 from .dynamics.models import check_drive
 from .dynamics.regularized_lanes import AdaptiveBatch, FixedEngine
@@ -31,6 +31,7 @@ from .dynamics.switched_lanes import SwitchedEngine
 from .dynamics.switched_run import turns_for
 from .ensemble_parts import Gathering, Part, prepare
 from .ensemble_result import Ensemble
+from .numerics.packing import Layout, packed
 from .set_up import (
     check_length,
     check_method,
@@ -41,7 +42,7 @@ from .set_up import (
     working_dtype,
 )
 from .statistics.tally import Numbering
-from .stick_runs import StickGatherer
+from .stick_stream import StickGatherer
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
@@ -287,25 +288,38 @@ def _recorder(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
     own = threading.local()  # of each thread: fresh memory for every task would take long to be had
-    blocks = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes))
+    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
+    lane = np.arange(plan.lanes)
 
     def simulate(first: int, number: int) -> Part:
-        if not hasattr(own, "room"):
-            own.sticks, own.room = StickGatherer(), Records.empty(blocks * BLOCK, plan.lanes, run.dtype)
-        job = jax.tree.map(jnp.asarray, run.job(first, -(-number // plan.lanes)))  # once, not on every call
-        stream = begin(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
-        sticks = own.sticks
-        sticks.restart(number)
-        unfinished = True
+        if not hasattr(own, "sticks"):
+            own.sticks = StickGatherer()
+        rows = -(-number // plan.lanes)
+        job = jax.tree.map(jnp.asarray, run.job(first, rows))
+        now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
+        own.sticks.restart(number)
+        ended, unfinished = [], True
         while unfinished:
-            stream, own.room, rows = record(job, stream, own.room, dtype=run.dtype)
-            sample = np.asarray(rows) * plan.lanes + np.arange(plan.lanes)
-            sticks.add(np.asarray(own.room.values), np.asarray(own.room.ending), sample)
-            unfinished = np.any(np.asarray(stream.row) < job.used_rows)
-        results = _first_samples(stream.results, number)
-        return Part.of(results, sticks, run.t1, run.numbering, gathering.wants_sticks)
+            now, room, told = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
+            told = jax.tree.map(np.asarray, told)
+            sample = told.row * plan.lanes + lane
+            own.sticks.add(np.asarray(room.values), np.asarray(room.ending), sample)
+            ended.append((sample[told.ended], *(column[told.ended] for column in told.results)))
+            unfinished = np.any(told.row[-1] + told.ended[-1] < rows)
+        return Part.of(
+            _of_samples(ended, rows * plan.lanes, number), own.sticks, run.t1, run.numbering, gathering.wants_sticks
+        )
 
     return simulate
+
+
+def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> LaneResults:
+    """Results of `samples` samples, told in the order in which they ended, in their own order; the first `number`."""
+    sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
+    ordered = [np.empty(samples, column.dtype) for column in columns]
+    for to, column in zip(ordered, columns, strict=True):
+        to[sample] = column
+    return LaneResults(*(column[:number] for column in ordered))
 
 
 def _first_samples(results: LaneResults, number: int) -> LaneResults:

@@ -12,7 +12,7 @@ from .events import FlatSticks
 from .numerics.moments import Moments
 from .statistics.source import FEATURES
 from .statistics.tally import Numbering, StickTally
-from .stick_runs import StickGatherer, StickRuns
+from .stick_stream import StickGatherer, StickStream
 
 RETAINED = 1_000_000
 """So many sticks at most, those of the first samples, are retained where only statistics are kept: standard errors
@@ -34,11 +34,13 @@ class Part(NamedTuple):
     ) -> "Part":
         """Of the results of consecutive samples and what was gathered of their sticks; these kept if `keep_sticks`."""
         finished = np.equal(results.status, Status.FINISHED)
-        runs = sticks.runs(finished)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
-        done = runs if np.all(finished) else StickRuns.of(runs.in_order().only(finished))
+        done, found = sticks.sticks, None
+        if not np.all(finished):
+            found = done.only(finished).in_order()
+            done = StickStream.of(found.only(finished))
         tally = StickTally.of(done, stick_time, slips, t1, numbering)
-        return cls(results, runs.in_order() if keep_sticks else None, tally)
+        return cls(results, found or done.in_order() if keep_sticks else None, tally)
 
 
 def prepare(dtype: Any) -> None:

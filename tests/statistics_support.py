@@ -7,7 +7,7 @@ import numpy as np
 from stickslip_jax.events import FlatSticks
 from stickslip_jax.statistics.ensemble_statistics import EnsembleStatistics
 from stickslip_jax.statistics.tally import Numbering, StickTally
-from stickslip_jax.stick_runs import StickRuns
+from stickslip_jax.stick_stream import StickStream
 
 T1 = 100.0
 
@@ -29,7 +29,7 @@ def statistics_of(
     tally, numbering = None, Numbering(orders, rest)
     for piece in np.array_split(np.arange(len(sticks.count)), parts):
         chosen = np.isin(np.arange(len(sticks.count)), piece)
-        one = StickTally.of(StickRuns.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
+        one = StickTally.of(StickStream.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
         tally = one if tally is None else tally.merge(one)
     assert tally is not None
     features = np.stack([time, sticks.count, slips], axis=1).astype(float)

@@ -26,7 +26,7 @@ ROWS = (
     "systems",
     "dynamics",
     "events",
-    "stick_runs",
+    "stick_stream",
     "set_up",
     "paths",
     "regularized_paths",

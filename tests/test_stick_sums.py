@@ -12,7 +12,7 @@ import stickslip_jax as ss
 from stickslip_jax import ensemble_parts
 from stickslip_jax.numerics import loops
 from stickslip_jax.statistics import compiled_stick_sums, stick_sums
-from stickslip_jax.stick_runs import StickGatherer, StickRuns
+from stickslip_jax.stick_stream import StickGatherer, StickStream
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -53,7 +53,7 @@ def gathered(parts, samples, finished=None):
     gatherer.restart(samples)
     for part in parts:
         gatherer.add(*part)
-    return gatherer.runs(np.ones(samples, bool) if finished is None else finished)
+    return gatherer.sticks if finished is None else gatherer.sticks.only(finished)
 
 
 def joined(lists):
@@ -138,10 +138,10 @@ def slips_by_hand(samples, dtype, any_at_zero):
 @pytest.mark.parametrize("orders", [1, 3, 40])
 def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     (values, ending, sample), found = records(np.random.default_rng(orders), dtype)
-    runs = gathered([(values, ending, sample)], 9)
+    stream = gathered([(values, ending, sample)], 9)
     rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, _ in one] for one in found]
     every = joined(rows)
-    told = by.sums_of_sticks(runs, T1)
+    told = by.sums_of_sticks(stream, T1)
     assert_sums(told.sticks, every)
     for a, bins in enumerate(told.stick_bins):
         assert_bins(bins, [(row[a],) for row in every])
@@ -154,7 +154,7 @@ def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
     assert np.any(skipped) != rest
     numbered = [one[skip:] for one, skip in zip(rows, skipped, strict=True)]
-    told = by.sums_of_orders(runs, skipped, orders)
+    told = by.sums_of_orders(stream, skipped, orders)
     by_order = [[one[order] for one in numbered if len(one) > order] for order in range(orders)]
     for order, mine in enumerate(by_order):
         assert_sums(told.by_order.one(order), mine)
@@ -183,12 +183,12 @@ def test_both_ways_agree_on_many_sticks_and_on_none(samples, dtype):
     sticks = sticks._replace(**{name: getattr(sticks, name).astype(dtype) for name in ("start", "end", "position")})
     nothing = sticks_from([[]] * samples)
     for one in (sticks, nothing):
-        runs = StickRuns.of(one)
-        assert_same(stick_sums.sums_of_sticks(runs, T1), compiled_stick_sums.sums_of_sticks(runs, T1))
+        stream = StickStream.of(one)
+        assert_same(stick_sums.sums_of_sticks(stream, T1), compiled_stick_sums.sums_of_sticks(stream, T1))
         skipped = np.zeros(samples, int)
         for orders in (1, 10):
-            assert_same(stick_sums.sums_of_orders(runs, skipped, orders),
-                        compiled_stick_sums.sums_of_orders(runs, skipped, orders))  # fmt: skip
+            assert_same(stick_sums.sums_of_orders(stream, skipped, orders),
+                        compiled_stick_sums.sums_of_orders(stream, skipped, orders))  # fmt: skip
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -234,5 +234,4 @@ def test_gathering_begins_anew():
     for samples in (9, 4):
         gatherer.restart(samples)
         gatherer.add(*parts)
-        runs = gatherer.runs(np.ones(samples, bool))
-        assert runs.count.tolist() == [len(one) for one in found[:samples]]
+        assert gatherer.sticks.count.tolist() == [len(one) for one in found[:samples]]

@@ -14,7 +14,7 @@ import stickslip_jax as ss
 from stickslip_jax import ensemble_parts
 from stickslip_jax.numerics.dyadic import DyadicCounts
 from stickslip_jax.numerics.power_sums import PowerSums
-from stickslip_jax.stick_runs import StickGatherer
+from stickslip_jax.stick_stream import StickGatherer
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -186,7 +186,7 @@ def test_what_is_not_recorded_is_never_read():
     for at in (0, 24):  # in two calls of a block each, as records come in
         halves.add(values[at : at + 24], ending[at : at + 24], sample[at // 24 : at // 24 + 1])
     for gatherer in (halves, whole):
-        found = gatherer.runs(finished).in_order()
+        found = gatherer.sticks.only(finished).in_order()
         owner = np.repeat(sample, slots // blocks, axis=0)
         for number in range(4):
             mine = stuck & (owner == number)

@@ -24,11 +24,11 @@ _THEIRS = (FrictionCurve, UserMotion)  # what wraps a user's function
 
 
 class Chunks(NamedTuple):
-    """`lanes.summarise`, `lanes.open_stream` and `lanes.record`, compiled; the last uses up its `stream` and `room`."""
+    """`lanes.summarise`, `lanes.open_lanes` and `lanes.record`, compiled."""
 
     summarise: Callable[..., lanes.LaneResults]
-    open: Callable[..., lanes.Stream]
-    record: Callable[..., Any]
+    open: Callable[..., tuple[Any, ...]]
+    record: Callable[..., tuple[tuple[Any, ...], lanes.Records, lanes.Blocks]]
 
 
 def chunks_of(engine: lanes.Engine) -> Chunks:
@@ -42,12 +42,11 @@ solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 def _compiled(is_own: bool) -> Chunks:
     compiled = partial(CompiledNatively, compiler_options=_WIDE) if is_own else jax.jit
-    sizes, options = ("lanes", "rows", "dtype"), _WIDE if is_own else None
+    options = _WIDE if is_own else None
     return Chunks(
-        compiled(lanes.summarise, static_argnames=sizes),
-        jax.jit(lanes.open_stream, static_argnames=sizes, compiler_options=options),
-        # Both are handed on from call to call: fresh memory for each would cost a third of the time.
-        compiled(lanes.record, static_argnames=("dtype",), donate_argnames=("stream", "room")),
+        compiled(lanes.summarise, static_argnames=("lanes", "rows", "dtype")),
+        jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
+        compiled(lanes.record, static_argnames=("layout", "lanes", "blocks", "dtype")),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 
 from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
+from ..numerics.packing import Layout, packed, unpacked
 from ..numerics.random_bits import stored_words
 
 BLOCK = 24  # intervals or steps taken at once; a lane idles for half a block on average after its sample's end
@@ -30,12 +31,11 @@ class LaneResults(NamedTuple):
     doubts: AnyArray
 
 
-class Stream(NamedTuple):
-    """Lanes at work on rows of samples: which row each lane is in, its state, and the results so far (rows, lanes)."""
+class Lanes(NamedTuple):
+    """Lanes at work: the row of samples that each is in, (lanes,), and their states."""
 
     row: IntArray
     state: Any
-    results: LaneResults
 
 
 class Records(NamedTuple):
@@ -54,10 +54,19 @@ class Records(NamedTuple):
 
     def with_slot(self, slot: Array, values: Array, ending: Array) -> "Records":
         """The same with the sticks (3, lanes) and endings (lanes,) of one slot put in."""
-        return Records(*(
-            lax.dynamic_update_slice_in_dim(kept, new[None], slot, 0)
-            for kept, new in zip(self, (values, ending), strict=True)
-        ))  # fmt: skip
+        return Records(*(_with(kept, new, slot) for kept, new in zip(self, (values, ending), strict=True)))
+
+
+class Blocks(NamedTuple):
+    """What some blocks left, (blocks, lanes) each.
+
+    `row`: the row of samples that the lane was in, `job.used_rows` or more where there is nothing to be read.
+    `ended`: whether its sample ended with the block, and `results`: what it had come to by then.
+    """
+
+    row: AnyArray
+    ended: AnyArray
+    results: LaneResults
 
 
 class Engine(eqx.Module):
@@ -93,63 +102,75 @@ class Job(NamedTuple):
     used_rows: AnyInteger
 
 
-def open_stream(job: Job, *, lanes: int, rows: int, dtype) -> Stream:
-    """Every lane at the beginning of its first sample. `job.used_rows` may be anything up to `rows`."""
-    row = jnp.zeros(lanes, jnp.int32)
-    state = _start_row(job, row, dtype)
-    shapes = jax.eval_shape(job.engine.results, state)
-    results = jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)
-    return Stream(row, state, results)
-
-
 def summarise(job: Job, *, lanes: int, rows: int, dtype) -> LaneResults:
-    """Simulate the whole job and keep totals; arrays (rows, lanes).
+    """Simulate the whole job and keep totals; arrays (rows, lanes). `job.used_rows` may be anything up to `rows`.
 
     Forward-mode differentiable; the loop has no fixed length, so reverse mode needs `simulate` under ``vmap``.
     """
 
-    def advance(stream):
-        return _advance_stream(job, stream, dtype)[0]
+    def advance(carry):
+        now, results = carry
+        state, _ = job.engine.advance(now.state, dtype, None, 0)
+        following, ended, new = _following(job, now.row, state, dtype)
+        return following, _note(results, now.row, ended, new)
 
-    stream = open_stream(job, lanes=lanes, rows=rows, dtype=dtype)
-    return lax.while_loop(lambda stream: jnp.any(stream.row < job.used_rows), advance, stream).results
+    now = _at_start(job, lanes, dtype)
+    shapes = jax.eval_shape(job.engine.results, now.state)
+    results = jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)
+    return lax.while_loop(lambda carry: jnp.any(carry[0].row < job.used_rows), advance, (now, results))[1]
 
 
-def record(job: Job, stream: Stream, room: Records, *, dtype) -> tuple[Stream, Records, IntArray]:
-    """Go on with `stream` for as many blocks as `room` holds, or until the job is done, and keep every stick.
+def open_lanes(job: Job, *, lanes: int, dtype) -> tuple[Array, ...]:
+    """All lanes at the beginning of their first sample, as `record` takes them."""
+    return packed(_at_start(job, lanes, dtype))
 
-    Returns the stream to go on with (the job is done when no row is below `job.used_rows`), the records, and the row
-    that each block of records belongs to, (blocks, lanes): `job.used_rows` or more where there is nothing to be read.
+
+def record(
+    job: tuple[Array, ...], now: tuple[Array, ...], *, layout: Layout, lanes: int, blocks: int, dtype
+) -> tuple[tuple[Array, ...], Records, Blocks]:
+    """Go on for so many `blocks`, or until the job is done, and keep every stick.
+
+    Takes the job, `packed` (`layout` is its), and what `open_lanes` gave, or the call before. Returns what the next
+    call takes, the records, and what is told of each block.
     """
-    blocks = len(room.ending) // BLOCK
+    task = unpacked(job, layout)
+    begun = unpacked(now, Layout.of(jax.eval_shape(lambda: _at_start(task, lanes, dtype))))
 
     def goes_on(carry):
-        block, stream, _, _ = carry
-        return (block < blocks) & jnp.any(stream.row < job.used_rows)
+        block, now, _, _ = carry
+        return (block < blocks) & jnp.any(now.row < task.used_rows)
 
     def advance(carry):
-        block, stream, room, rows = carry
-        rows = lax.dynamic_update_slice_in_dim(rows, stream.row[None], block, 0)
-        stream, room = _advance_stream(job, stream, dtype, room, block * BLOCK)
-        return block + 1, stream, room, rows
+        block, now, room, told = carry
+        state, room = task.engine.advance(now.state, dtype, room, block * BLOCK)
+        following, ended, results = _following(task, now.row, state, dtype)
+        told = jax.tree.map(lambda kept, new: _with(kept, new, block), told, Blocks(now.row, ended, results))
+        return block + 1, following, room, told
 
-    idle = jnp.full((blocks, len(stream.row)), job.used_rows, stream.row.dtype)
-    _, stream, room, rows = lax.while_loop(goes_on, advance, (jnp.int32(0), stream, room, idle))
-    return stream, room, rows
+    def nothing(like, value=0):
+        return jnp.full((blocks, *like.shape), value, like.dtype)
+
+    results = jax.tree.map(nothing, jax.eval_shape(task.engine.results, begun.state))
+    told = Blocks(nothing(begun.row, task.used_rows), jnp.zeros((blocks, lanes), bool), results)
+    room = Records.empty(blocks * BLOCK, lanes, dtype)
+    _, following, room, told = lax.while_loop(goes_on, advance, (jnp.int32(0), begun, room, told))
+    return packed(following), room, told
 
 
-def _advance_stream(job: Job, stream: Stream, dtype, room: Any = None, slot: Array | int = 0) -> tuple[Stream, Any]:
-    """Take all lanes a block further; those whose sample has ended note its results and start their next."""
-    state, room = job.engine.advance(stream.state, dtype, room, slot)
-    ended = job.engine.ended(state) & (stream.row < job.used_rows)
-    results = _note(stream.results, stream.row, ended, job.engine.results(state))
-    row = stream.row + ended
-    fresh = _start_row(job, row, dtype)
+def _following(job: Job, row: IntArray, state: Any, dtype) -> tuple[Lanes, BoolArray, LaneResults]:
+    """After a block: lanes whose sample has ended start their next; which these are, and the results of all."""
+    ended = job.engine.ended(state) & (row < job.used_rows)
+    fresh = _start_row(job, row + ended, dtype)
 
     def pick(new, old):
         return jnp.where(ended.reshape(ended.shape + (1,) * (new.ndim - 1)), new, old)
 
-    return Stream(row, jax.tree.map(pick, fresh, state), results), room
+    return Lanes(row + ended, jax.tree.map(pick, fresh, state)), ended, job.engine.results(state)
+
+
+def _with(kept: Array, new: Array, at: Array) -> Array:
+    """`kept` with `new` as its entry `at`."""
+    return lax.dynamic_update_slice_in_dim(kept, new[None], at, 0)
 
 
 def _note(results: LaneResults, row: IntArray, ended: BoolArray, new: LaneResults) -> LaneResults:
@@ -170,6 +191,12 @@ def _note(results: LaneResults, row: IntArray, ended: BoolArray, new: LaneResult
         return at + 1, jax.tree.map(note, results, new)
 
     return lax.while_loop(lambda carry: carry[0] <= last, note_row, (first, results))[1]
+
+
+def _at_start(job: Job, lanes: int, dtype) -> Lanes:
+    """All lanes at the beginning of their first sample."""
+    row = jnp.zeros(lanes, jnp.int32)
+    return Lanes(row, _start_row(job, row, dtype))
 
 
 def _start_row(job: Job, row: IntArray, dtype) -> Any:

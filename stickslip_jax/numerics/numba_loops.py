@@ -21,42 +21,26 @@ def _loop(function: Any) -> Any:
 
 @_loop
 @no_type_check
-def runs_of(ending, sample, samples, owner, length, place):
-    """Owners and lengths of the runs among records, and where the sticks of each lane are to go; how many of both."""
-    blocks, lanes = sample.shape
-    slots = len(ending) // blocks
-    counts = np.zeros((blocks, lanes), np.uint32)
-    for block in range(blocks):
-        for slot in range(block * slots, (block + 1) * slots):
-            for lane in range(lanes):
-                counts[block, lane] += ending[slot, lane] >= 0
-    runs = sticks = 0
-    for lane in range(lanes):
-        place[lane] = sticks
-        before = np.int64(-1)
-        for block in range(blocks):
-            whose, count = sample[block, lane], np.int64(counts[block, lane])
-            if count > 0 and whose < samples:
-                if whose != before:
-                    owner[runs], length[runs] = whose, 0
-                    runs, before = runs + 1, whose
-                length[runs - 1] += count
-                sticks += count
-    return runs, sticks
+def gather(
+    values, ending, sample, samples, whose, so_far, last, count, finish, start, end, position, slip, endings, owner,
+    order,
+):  # fmt: skip
+    """Put the sticks among records into columns, and return their number.
 
-
-@_loop
-@no_type_check
-def gather(values, ending, sample, samples, place, start, end, position, endings):
-    """Put the sticks among records into columns: those of each lane together, from its `place` (lanes,) on."""
+    `whose`, `so_far`, `last`, (lanes,): the sample that each lane is in, its sticks so far, and the end of the last;
+    `count`, `finish`, (samples,): the same of each sample.
+    """
     blocks, lanes = sample.shape
     slots = len(ending) // blocks
     found = np.empty(lanes + 1, np.uint32)
     skipped = np.empty(lanes, np.int8)
-    one = np.uint64(1)  # Unsigned, for Numba tests whether signed indices are negative.
+    one, at = np.uint64(1), np.uint64(0)  # Unsigned, for Numba tests whether signed indices are negative.
     for block in range(blocks):
         for lane in range(lanes):
-            skipped[lane] = 0 if sample[block, lane] < samples else -1
+            of_lane = sample[block, lane]
+            skipped[lane] = 0 if of_lane < samples else -1
+            if of_lane != whose[lane]:
+                whose[lane], so_far[lane], last[lane] = of_lane, 0, 0
         for slot in range(block * slots, (block + 1) * slots):
             # No branch depends on whether there is a stick: guessed wrong, it would cost more than all the rest.
             codes, number = ending[slot], np.uint64(0)
@@ -66,45 +50,37 @@ def gather(values, ending, sample, samples, place, start, end, position, endings
             starts, ends, positions = values[slot, 0], values[slot, 1], values[slot, 2]
             for index in range(number):
                 lane = np.uint64(found[index])
-                at = place[lane]
-                start[at], end[at], position[at] = starts[lane], ends[lane], positions[lane]
-                endings[at] = codes[lane]
-                place[lane] = at + one
+                begin, finished, before = starts[lane], ends[lane], so_far[lane]
+                start[at], end[at], position[at], slip[at] = begin, finished, positions[lane], begin - last[lane]
+                endings[at], owner[at], order[at] = codes[lane], whose[lane], before
+                so_far[lane], last[lane] = before + 1, finished
+                at += one
+        for lane in range(lanes):
+            if skipped[lane] == 0:
+                count[whose[lane]], finish[whose[lane]] = so_far[lane], last[lane]
+    return at
 
 
 @_loop
 @no_type_check
-def join(place, length, columns, endings, joined, joined_endings):
-    """Copy runs of sticks, (runs,), one after the other."""
-    to = np.uint64(0)
-    for run in range(len(place)):
-        begin = np.uint64(place[run])
-        for at in range(begin, begin + np.uint64(length[run])):
-            joined[0][to], joined[1][to], joined[2][to] = columns[0][at], columns[1][at], columns[2][at]
-            joined_endings[to] = endings[at]
-            to += np.uint64(1)
+def put_in_order(first, owner, order, columns, ending, ordered, ordered_ending):
+    """Put each stick where the sticks of its sample begin, `first` (samples,), plus its `order` among them."""
+    for i in range(len(owner)):
+        at = np.uint64(first[np.uint64(owner[i])] + order[i])
+        ordered[0][at], ordered[1][at], ordered[2][at] = columns[0][i], columns[1][i], columns[2][i]
+        ordered_ending[at] = ending[i]
 
 
 @_loop
 @no_type_check
-def _fill(start, end, position, begin, before, first, size, run, rows):
-    """Start, duration, position, and slip before, of a block of sticks; the next run."""
+def _fill(start, end, position, slip, first, size, rows):
+    """Start, duration, position, and slip before, of a block of sticks."""
     # Slices, for Numba tests whether sums of signed indices are negative, and then takes numbers one at a time.
     starts, ends, positions = start[first : first + size], end[first : first + size], position[first : first + size]
-    one, two, three, four = rows[0], rows[1], rows[2], rows[3]
+    slips, one, two, three, four = slip[first : first + size], rows[0], rows[1], rows[2], rows[3]
     for i in range(len(starts)):
-        one[i] = starts[i]
+        one[i], three[i], four[i] = starts[i], positions[i], slips[i]
         two[i] = np.float64(ends[i]) - np.float64(starts[i])
-        three[i] = positions[i]
-    four, starts = four[1:], starts[1:]
-    for i in range(len(starts)):
-        four[i] = starts[i] - ends[i]
-    if first > 0:
-        rows[3, 0] = start[first] - end[first - 1]
-    while run < len(begin) and begin[run] < first + size:
-        rows[3, begin[run] - first] = start[begin[run]] - before[run]
-        run += 1
-    return run
 
 
 @_loop
@@ -176,16 +152,15 @@ def _product(row, other):
 
 @_loop
 @no_type_check
-def survey(start, end, position, begin, before, all_slips, number, low, high, total):
+def survey(start, end, position, slip, all_slips, number, low, high, total):
     """How many starts, durations, positions and slips, their extremes and their sums, (4,).
 
-    Runs begin at `begin`, the slips before them at the times `before`. Only slips above 0 s, unless `all_slips`.
+    Only slips above 0 s, unless `all_slips`.
     """
     rows = np.empty((4, _BLOCK))
-    run = 0
     for first in range(0, len(start), _BLOCK):
         size = min(_BLOCK, len(start) - first)
-        run = _fill(start, end, position, begin, before, first, size, run, rows)
+        _fill(start, end, position, slip, first, size, rows)
         for a in range(4):
             row = rows[a][:size]
             if a == 3 and not all_slips:
@@ -197,8 +172,7 @@ def survey(start, end, position, begin, before, all_slips, number, low, high, to
 @_loop
 @no_type_check
 def count(
-    start, end, position, begin, before, all_slips, mean, scale, bin_of, shift, pair_bin_of, pairs, counts, scatter,
-    third,
+    start, end, position, slip, all_slips, mean, scale, bin_of, shift, pair_bin_of, pairs, counts, scatter, third,
 ):  # fmt: skip
     """Count numbers in bins and sum products and cubes of their deviations from the `mean`.
 
@@ -206,10 +180,9 @@ def count(
     ``2**shift[a]`` and begin with `pair_bin_of`; `pairs`, (pairs, 4): x, y, bins of y, first place in `counts`.
     """
     rows, places = np.empty((4, _BLOCK)), np.empty((4, _BLOCK), np.int64)
-    run = 0
     for first in range(0, len(start), _BLOCK):
         size = min(_BLOCK, len(start) - first)
-        run = _fill(start, end, position, begin, before, first, size, run, rows)
+        _fill(start, end, position, slip, first, size, rows)
         for a in range(4):
             row, place = rows[a][:size], places[a][:size]
             if a == 3 and not all_slips:
@@ -230,19 +203,25 @@ def count(
 
 @_loop
 @no_type_check
-def numbered(start, end, position, place, length, order, columns, number):
-    """Start, duration and position, (3, orders, samples), of the sticks of each order, and their number, (orders,).
+def numbered(start, end, position, owner, order, skipped, columns, number, earlier, first_two):
+    """Start, duration and position, (3, orders, sticks), of the sticks of each order, and their `number`, (orders,).
 
-    `order`: of the first stick of each run, (runs,), from 0, negative if it is not numbered.
+    And the durations of the first and the second stick of each sample that has both, (2, samples); `earlier`: room.
+    `skipped`: how many sticks of each sample have no number, (samples,).
     """
     most = len(number)
-    for run in range(len(place)):
-        for inside in range(max(0, -order[run]), min(length[run], most - order[run])):
-            at, which = np.uint64(place[run] + inside), np.uint64(order[run] + inside)
+    for i in range(len(start)):
+        whose = np.uint64(owner[i])
+        which = order[i] - skipped[whose]
+        if 0 <= which < most:
+            duration = np.float64(end[i]) - np.float64(start[i])
             to = np.uint64(number[which])
-            columns[0, which, to], columns[2, which, to] = start[at], position[at]
-            columns[1, which, to] = np.float64(end[at]) - np.float64(start[at])
+            columns[0, which, to], columns[1, which, to], columns[2, which, to] = start[i], duration, position[i]
             number[which] += 1
+            if which == 0:
+                earlier[whose] = duration
+            elif which == 1:
+                first_two[0, to], first_two[1, to] = earlier[whose], duration
 
 
 @_loop

@@ -8,7 +8,7 @@ import numpy as np
 from ..numerics import numba_loops
 from ..numerics.dyadic import Axis, DyadicCounts
 from ..numerics.power_sums import PowerSums
-from ..stick_runs import StickRuns
+from ..stick_stream import StickStream
 from . import stick_sums
 from .stick_sums import BINS, BINS_BY_ORDER, BINS_OF_PAIRS, PAIRS, QUANTITIES, OrderSums, StickSums
 
@@ -16,13 +16,12 @@ _SLIP = len(QUANTITIES)  # the column of slips, after those of the sticks
 _X, _Y = ([QUANTITIES.index(pair[axis]) for pair in PAIRS] for axis in (0, 1))
 
 
-def sums_of_sticks(sticks: StickRuns, t1: float) -> StickSums:
+def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
     """Of the sticks of finished samples, simulated up to `t1`, s."""
     d = _SLIP + 1
-    before, last = sticks.edges()
     # A sample that begins with a stick has no slip there.
     all_slips = not np.any(sticks.begins_at_zero)
-    columns = (sticks.start, sticks.end, sticks.position, *map(sticks.in_memory, (sticks.place, before)), all_slips)
+    columns = (sticks.start, sticks.end, sticks.position, sticks.slip, all_slips)
     number, low, high, total = np.zeros(d, np.int64), np.full(d, np.inf), np.full(d, -np.inf), np.zeros(d)
     numba_loops.survey(*columns, number, low, high, total)
     if number[0] == 0 or not np.all(np.isfinite(total)):
@@ -51,7 +50,7 @@ def sums_of_sticks(sticks: StickRuns, t1: float) -> StickSums:
         for at in (slice(_SLIP), slice(_SLIP, d))
     )
     slip_bins = DyadicCounts.with_counts((fine[_SLIP],), found[_SLIP], BINS) if number[_SLIP] else _NO_SLIPS
-    after = np.maximum(last.dtype.type(t1) - last, 0).astype(np.float64)
+    after = sticks.slip_after(t1).astype(np.float64)
     after = after[after > 0]
     return StickSums(
         of_sticks,
@@ -65,32 +64,33 @@ def sums_of_sticks(sticks: StickRuns, t1: float) -> StickSums:
     )
 
 
-def sums_of_orders(sticks: StickRuns, skipped: np.ndarray, orders: int) -> OrderSums:
+def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> OrderSums:
     """Of the first `orders` numbered sticks; `skipped`: how many of each sample are not, (samples,)."""
-    most, d = max(orders, 2), len(QUANTITIES)
-    columns, number = np.empty((d, most, sticks.samples)), np.zeros(most, np.int64)
-    of_runs = (sticks.place, sticks.length, sticks.earlier - skipped[sticks.owner])
-    numba_loops.numbered(sticks.start, sticks.end, sticks.position, *of_runs, columns, number)
-    has_second = (sticks.count - skipped)[sticks.count > skipped] > 1
-    first, second = (columns[1, order, : number[order]] for order in (0, 1))
-    first_two = stick_sums.sums_of_first_two(first[has_second], second)
-    return OrderSums(*_by_order(columns[:, :orders], number[:orders]), *first_two)
+    # No more than there are, but the first two.
+    most = max(2, min(orders, int(sticks.count.max(initial=0))))
+    columns, number = np.empty((len(QUANTITIES), most, len(sticks.count))), np.zeros(most, np.int64)
+    earlier, first_two = np.empty(len(sticks.count)), np.empty((2, len(sticks.count)))
+    of_sticks = (sticks.start, sticks.end, sticks.position, sticks.owner, sticks.order)
+    numba_loops.numbered(*of_sticks, skipped, columns, number, earlier, first_two)
+    return OrderSums(*_by_order(columns, number, orders), *stick_sums.sums_of_first_two(*first_two[:, : number[1]]))
 
 
-def _by_order(columns: np.ndarray, number: np.ndarray) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
-    """Sums and histograms of the first `number` of each order, (d, orders, samples)."""
-    d, orders, _ = columns.shape
-    if not np.any(number):
+def _by_order(columns: np.ndarray, found: np.ndarray, orders: int) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
+    """Sums and histograms of the first `orders`, of what `numbered` found."""
+    d, present = len(columns), found[:orders]
+    if not np.any(present):
         no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
         return PowerSums.stacked([PowerSums.none(d)] * orders), (no_bins,) * d
+    number = np.zeros(orders, np.int64)
+    number[: len(present)] = present
     low, high, total = (np.full((orders, d), value) for value in (np.inf, -np.inf, 0.0))
-    numba_loops.survey_orders(columns, number, low, high, total)
+    numba_loops.survey_orders(columns, present, low, high, total)
     axes = [_axis(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
     shapes = [(orders, axis.size) for axis in axes]
     counts, begin = _room(shapes)
     mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
     bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
-    numba_loops.count_orders(columns, number, mean, _scales(axes), bin_of, bins, counts, scatter, third)
+    numba_loops.count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
     scatter += np.tril(scatter, -1).swapaxes(1, 2)
     found = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
     return PowerSums(number, mean, scatter, third, low, high), tuple(

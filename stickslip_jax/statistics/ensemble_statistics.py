@@ -11,7 +11,7 @@ from .._status import Ending
 from ..events import FlatSticks
 from ..numerics.dyadic import DyadicCounts
 from ..numerics.power_sums import PowerSums
-from ..stick_runs import StickRuns
+from ..stick_stream import StickStream
 from .clusters import Clusters
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
@@ -89,7 +89,8 @@ class EnsembleStatistics:
     @cached_property
     def slip_duration(self) -> Distribution:
         """Durations of all slips, s."""
-        before, after = StickRuns.of(self.sticks).slips(self.t1)
+        sticks = StickStream.of(self.sticks)
+        before, after = sticks.slip, sticks.slip_after(self.t1)
         owner = np.concatenate([self.sticks.sample, np.arange(len(after))])
         values = np.concatenate([before, after])
         slips = values > 0
@@ -248,7 +249,7 @@ class EnsembleStatistics:
 
     def _column(self, name: str) -> np.ndarray:
         if name == "slip_before":
-            return np.asarray(StickRuns.of(self.sticks).slips(self.t1)[0], np.float64)
+            return np.asarray(StickStream.of(self.sticks).slip, np.float64)
         return np.asarray(getattr(self.sticks, name), np.float64)
 
     def _unit(self, name: str) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..numerics.dyadic import DyadicCounts
 from ..numerics.power_sums import PowerSums
-from ..stick_runs import StickRuns
+from ..stick_stream import StickStream
 
 BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
 BINS_BY_ORDER = 1024
@@ -39,7 +39,7 @@ class OrderSums(NamedTuple):
     first_two_bins: DyadicCounts
 
 
-def sums_of_sticks(sticks: StickRuns, t1: float) -> StickSums:
+def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
     """Of the sticks of finished samples, simulated up to `t1`, s."""
     columns = _columns(sticks)
     stick_bins, pair_bins = _stick_bins(columns)
@@ -47,12 +47,14 @@ def sums_of_sticks(sticks: StickRuns, t1: float) -> StickSums:
     return StickSums(PowerSums.of(*columns), stick_bins, PowerSums.of(slip), DyadicCounts.of(slip, BINS), pair_bins)
 
 
-def sums_of_orders(sticks: StickRuns, skipped: np.ndarray, orders: int) -> OrderSums:
+def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> OrderSums:
     """Of the first `orders` numbered sticks; `skipped`: how many of each sample are not, (samples,)."""
     columns = _columns(sticks)
-    at = [sticks.at_order(order, skipped) for order in range(max(orders, 2))]
-    has_first = sticks.count > skipped
-    first_two = tuple(columns[1][found] for found in (at[0][(sticks.count - skipped)[has_first] > 1], at[1]))
+    which = sticks.order - skipped[sticks.owner]
+    at = [np.flatnonzero(which == order) for order in range(max(orders, 2))]
+    first = np.empty(len(sticks.count))
+    first[sticks.owner[at[0]]] = columns[1][at[0]]
+    first_two = first[sticks.owner[at[1]]], columns[1][at[1]]
     return OrderSums(*_of_orders(columns, at[:orders]), *sums_of_first_two(*first_two))
 
 
@@ -61,15 +63,15 @@ def sums_of_first_two(first: np.ndarray, second: np.ndarray) -> tuple[PowerSums,
     return PowerSums.of(first, second), DyadicCounts.of_columns((first, second), BINS_OF_PAIRS)
 
 
-def _slip_durations(sticks: StickRuns, t1: float) -> np.ndarray:
+def _slip_durations(sticks: StickStream, t1: float) -> np.ndarray:
     """How long each slip lasts, s, in any order."""
-    before, after = (np.asarray(durations, np.float64) for durations in sticks.slips(t1))
+    before, after = (np.asarray(durations, np.float64) for durations in (sticks.slip, sticks.slip_after(t1)))
     if np.any(sticks.begins_at_zero):
         before = before[before > 0]
     return np.concatenate([before, after[after > 0]])
 
 
-def _columns(sticks: StickRuns) -> tuple[np.ndarray, ...]:
+def _columns(sticks: StickStream) -> tuple[np.ndarray, ...]:
     """Start, duration and position of every stick, as `QUANTITIES`."""
     start, end = (np.asarray(column, np.float64) for column in (sticks.start, sticks.end))
     return start, end - start, np.asarray(sticks.position, np.float64)

@@ -13,7 +13,7 @@ from .._status import Ending
 from ..numerics import loops
 from ..numerics.dyadic import DyadicCounts
 from ..numerics.power_sums import PowerSums
-from ..stick_runs import StickRuns
+from ..stick_stream import StickStream
 from . import stick_sums
 from .stick_sums import BINS
 
@@ -31,7 +31,7 @@ class Numbering(NamedTuple):
     count_initial_rest: bool
 
     def skipped(self, sticks: Any) -> np.ndarray:
-        """How many sticks of each sample are not numbered, (samples,); of `FlatSticks` or `StickRuns`."""
+        """How many sticks of each sample are not numbered, (samples,); of `FlatSticks` or `StickStream`."""
         begins = sticks.begins_at_zero
         return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
 
@@ -64,7 +64,7 @@ class StickTally(NamedTuple):
 
     @classmethod
     def of(
-        cls, sticks: StickRuns, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: Numbering
+        cls, sticks: StickStream, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: Numbering
     ) -> "StickTally":
         """Of finished samples: their sticks, total stick time (s) and number of slips, (samples,) each."""
         fraction = np.asarray(stick_time, np.float64) / t1
