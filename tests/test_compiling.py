@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from stickslip_jax.numerics import compiling
+from stickslip_jax.numerics import compiling, native_call
 from stickslip_jax.numerics.compiling import CompiledNatively, computed_once, native_loop, native_loops_work
 
 X = np.linspace(0.1, 0.9, 8)
@@ -30,23 +30,52 @@ def shared(x):
     return jnp.sin(product), product - x
 
 
-TRANSFORMED = {
+def along(f):
+    return lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),))
+
+
+FORWARD = {
     "plain": lambda f: f,
     "jit": jax.jit,
     "vmap": jax.vmap,
-    "jvp": lambda f: lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),)),
+    "jvp": along,
+    "jit of jvp": lambda f: jax.jit(along(f)),
+    "jit of jvp of jvp": lambda f: jax.jit(along(along(f))),
+    "second derivative alone": lambda f: jax.jit(lambda x: along(along(f))(x)[1][1]),
+    "jit of vmap of jvp of vmap": lambda f: jax.jit(jax.vmap(along(jax.vmap(f)), in_axes=1, out_axes=1)),
+}
+REVERSE = {
     "grad": lambda f: jax.grad(lambda x: jax.tree.leaves(f(x))[0].sum()),
     "vmap of grad": lambda f: jax.vmap(jax.grad(lambda x: jax.tree.leaves(f(x))[0].sum())),
     "grad of jit of vmap": lambda f: jax.grad(lambda x: jax.tree.leaves(jax.jit(jax.vmap(f))(x))[0].sum()),
 }
 
 
-@pytest.mark.parametrize("transform", TRANSFORMED.values(), ids=TRANSFORMED)
-@pytest.mark.parametrize(("wrap", "function"), [(native_loop, doubling), (computed_once, shared)], ids=["loop", "once"])
-def test_wrapped_functions_give_the_same(wrap, function, transform):
-    got, expected = (jax.tree.leaves(transform(f)(jnp.asarray(X))) for f in (wrap(function), function))
+def assert_the_same(wrap, function, transform, x):
+    got, expected = (jax.tree.leaves(transform(f)(jnp.asarray(x))) for f in (wrap(function), function))
     for a, b in zip(got, expected, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-14)
+
+
+@pytest.mark.parametrize("transform", FORWARD.values(), ids=FORWARD)
+def test_a_native_loop_gives_the_same(transform):
+    assert_the_same(native_loop, doubling, transform, X.reshape(2, 4))
+
+
+@pytest.mark.parametrize("transform", [*FORWARD.values(), *REVERSE.values()], ids=[*FORWARD, *REVERSE])
+def test_what_is_computed_once_is_the_same(transform):
+    assert_the_same(computed_once, shared, transform, X if transform in REVERSE.values() else X.reshape(2, 4))
+
+
+def test_called_outside_of_jit_a_native_loop_is_compiled_once():
+    loop = native_loop(doubling)
+    caches = (native_call._compiled, native_call._with_tangents, native_call._batched)
+    for transform in (lambda f: f, jax.vmap, along, lambda f: jax.vmap(along(f))):
+        misses = []
+        for _ in range(3):
+            jax.block_until_ready(transform(loop)(jnp.asarray(X)))
+            misses.append([cache.cache_info().misses for cache in caches])
+        assert misses[1] == misses[2]
 
 
 def compiled_text(function, *args) -> str:
@@ -126,7 +155,12 @@ for used in ((0,), (1,), (2,), (0, 1), (1, 2)):
         return [results[place] for place in used]
     jax.block_until_ready(jax.jit(some)(x, kept))
     jax.block_until_ready(jax.jit(jax.vmap(some))(x[None], kept[None]))
-    jax.block_until_ready(jax.jvp(lambda x: some(x, kept)[-1].astype(float), (x,), (x,)))
+    real = lambda x: some(x, kept)[-1].astype(float)
+    jax.block_until_ready(jax.jvp(real, (x,), (x,)))
+    slope = lambda f: lambda x: jax.jvp(f, (x,), (x,))[1]
+    jax.block_until_ready(jax.jit(slope(real))(x))
+    jax.block_until_ready(jax.jit(slope(slope(real)))(x))
+    jax.block_until_ready(jax.jit(jax.vmap(slope(slope(slope(real)))))(x[None]))
 print("done")
 """
 

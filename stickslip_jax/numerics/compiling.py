@@ -12,17 +12,16 @@ from functools import cache, wraps
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 
+from .native_call import NATIVE, native_call
+
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-_ARRAYS = (jax.Array, np.ndarray, np.generic, float, int, complex)
 _OWN_CALL = {"inlineable": "false"}
-_NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 
 def native_loop(
@@ -30,22 +29,34 @@ def native_loop(
 ) -> Callable[_Arguments, _Result]:
     """`function`, a loop over small arrays, compiled into one native function of the CPU.
 
-    One thread runs it. Works under jit, vmap, jvp and grad; `static_argnames` as in ``jax.jit``.
+    One thread runs it. Works under jit, vmap and jvp, not in reverse mode; `static_argnames` as in ``jax.jit``, to be
+    given by name.
     """
-    tagged = _tagged(_reading_all(function), static_argnames, _NATIVE)
+    compiled = jax.jit(function, static_argnames=static_argnames)
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        # XLA (jaxlib 0.10.2) aborts the process if the native function does not read one of its arguments, or if
-        # results that nobody uses are dropped and then arguments too. So all are read and all are used.
-        return lax.optimization_barrier(tagged(*args, **options))[0]
+        if not native_loops_work():
+            return function(*args, **options)
+        traced = compiled.trace(*args, **options)
+        arrays = jax.tree.leaves((args, {name: option for name, option in options.items() if name not in fixed}))
+        return jax.tree.unflatten(jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays))
 
+    fixed = frozenset(static_argnames)
     return call
 
 
 def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """`function`, its results stored: whatever uses them does not compute them again."""
-    return _tagged(function, (), _OWN_CALL)
+    compiled = jax.jit(function)
+
+    @wraps(function)
+    def call(*args: Any, **options: Any) -> Any:
+        if not native_loops_work():
+            return function(*args, **options)
+        return set_xla_metadata(compiled(*args, **options), **_OWN_CALL)
+
+    return call
 
 
 class CompiledNatively(Generic[_Arguments, _Result]):
@@ -77,32 +88,6 @@ class CompiledNatively(Generic[_Arguments, _Result]):
             return result
 
 
-def _tagged(function: Callable, static_argnames: tuple[str, ...], tags: dict[str, str]) -> Callable:
-    compiled = jax.jit(function, static_argnames=static_argnames)
-
-    @wraps(function)
-    def call(*args: Any, **options: Any) -> Any:
-        if not native_loops_work():
-            return function(*args, **options)
-        # Tagging the results tags the call that they come from. (The context manager of the same name would tag every
-        # operation inside it too, and none of those would then be fused.)
-        return set_xla_metadata(compiled(*args, **options), **tags)
-
-    return call
-
-
-def _reading_all(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, tuple[_Result, Any]]:
-    """`function`, with a second result that depends on every array among its arguments."""
-
-    @wraps(function)
-    def both(*args: Any, **options: Any) -> Any:
-        arrays = [jnp.asarray(leaf) for leaf in jax.tree.leaves((args, options)) if isinstance(leaf, _ARRAYS)]
-        firsts = [jnp.ravel(array)[0].astype(float) for array in arrays if array.size]
-        return function(*args, **options), sum(firsts)
-
-    return both
-
-
 @cache
 def native_loops_work() -> bool:
     """Whether this JAX compiles a tagged loop for the CPU, and computes the right thing."""
@@ -115,7 +100,7 @@ def native_loops_work() -> bool:
     try:
         # Compiled ahead of the call: a plain call would be traced where this is asked for under the user's jit.
         ones = np.ones(1 << 12, np.float32)  # smaller loops become native without being asked to
-        compiled = jax.jit(lambda x: set_xla_metadata(jax.jit(loop)(x), **_NATIVE)).lower(ones).compile()
+        compiled = jax.jit(lambda x: set_xla_metadata(jax.jit(loop)(x), **NATIVE)).lower(ones).compile()
         text, right = compiled.as_text() or "", np.array_equal(np.asarray(compiled(ones)), 8 * ones)
     except Exception:  # a probe: whatever goes wrong, plain compilation works
         return False
