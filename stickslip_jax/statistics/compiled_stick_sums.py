@@ -92,9 +92,9 @@ def _by_order(columns: np.ndarray, found: np.ndarray, orders: int) -> tuple[Powe
     bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
     numba_loops.count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
     scatter += np.tril(scatter, -1).swapaxes(1, 2)
-    found = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
+    parts = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
     return PowerSums(number, mean, scatter, third, low, high), tuple(
-        DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in found
+        DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in parts
     )
 
 
