@@ -1,0 +1,117 @@
+"""A call that stays whole under every transformation of JAX, and is compiled into one native function of the CPU.
+
+XLA (jaxlib 0.10.2) ends the process where a native function does not read one of its arguments. A function under
+``jax.jit`` may come to that whatever it reads: JAX drops the results that nobody uses, as there always are in a
+derivative of a derivative, and what they alone needed. This primitive has no rule by which anything could be dropped,
+and when JAX has done all that it does, every argument is read and every result kept.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+
+NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
+
+_call = Primitive("native_call")
+_call.multiple_results = True
+_KEPT = 512  # functions and their derivatives: those called outside of ``jax.jit`` are not to be compiled again
+
+
+def native_call(closed: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+    """The results of `closed`; under jit, vmap and jvp. Reverse mode is not known, as for the loops inside."""
+    return _call.bind(*args, closed=closed)
+
+
+def _as_native(*args: Any, closed: ClosedJaxpr) -> list[Any]:
+    def reading_all(*args):
+        firsts = [jnp.ravel(jnp.asarray(array))[0].astype(float) for array in args if jnp.size(array)]
+        return jaxpr_as_fun(closed)(*args), sum(firsts)
+
+    # Tagging the results tags the call that they come from. (The context manager of the same name would tag every
+    # operation inside it too, and none of those would then be fused.)
+    return lax.optimization_barrier(set_xla_metadata(jax.jit(reading_all)(*args), **NATIVE))[0]
+
+
+@lru_cache(_KEPT)
+def _compiled(closed: ClosedJaxpr) -> Any:
+    return jax.jit(lambda *args: native_call(closed, args))
+
+
+@_call.def_impl
+def _run(*args: Any, closed: ClosedJaxpr) -> list[Any]:
+    return _compiled(closed)(*args)
+
+
+@_call.def_abstract_eval
+def _shapes(*_: Any, closed: ClosedJaxpr) -> list[Any]:
+    return list(closed.out_avals)
+
+
+@lru_cache(_KEPT)
+def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[ClosedJaxpr, tuple[bool, ...]]:
+    """The function of all arguments and the tangents of those that are `moved`; its results are those of `closed` and
+    the tangents of the real ones, and which these are.
+    """
+    real = tuple(jnp.issubdtype(aval.dtype, jnp.inexact) for aval in closed.out_avals)
+
+    def both(args, tangents):
+        def of(*changed):
+            changed = iter(changed)
+            return jaxpr_as_fun(closed)(*(next(changed) if m else arg for arg, m in zip(args, moved, strict=True)))
+
+        out, slopes = jax.jvp(of, [arg for arg, m in zip(args, moved, strict=True) if m], tangents)
+        return out, [slope for slope, is_real in zip(slopes, real, strict=True) if is_real]
+
+    tangents = [aval for aval, m in zip(closed.in_avals, moved, strict=True) if m]
+    return jax.make_jaxpr(both)(list(closed.in_avals), tangents), real
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, closed: ClosedJaxpr) -> tuple[list[Any], list[Any]]:
+    moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
+    both, real = _with_tangents(closed, moved)
+    results = native_call(both, [*primals, *(tangent for tangent, m in zip(tangents, moved, strict=True) if m)])
+    out, slopes = results[: len(real)], iter(results[len(real) :])
+    return out, [
+        next(slopes) if is_real else ad.Zero(aval.to_tangent_aval())
+        for aval, is_real in zip(closed.out_avals, real, strict=True)
+    ]
+
+
+@lru_cache(_KEPT)
+def _batched(closed: ClosedJaxpr, axes: tuple[Any, ...], size: int) -> tuple[ClosedJaxpr, tuple[Any, ...]]:
+    """The function of batched arguments, and the axes of its results (None: without one)."""
+
+    def with_axis(aval, axis):
+        shape = aval.shape if axis is None else (*aval.shape[:axis], size, *aval.shape[axis:])
+        return jax.ShapeDtypeStruct(shape, aval.dtype, weak_type=aval.weak_type)
+
+    found = []
+
+    def look(*args):
+        results = jaxpr_as_fun(closed)(*args)
+        # What no batched argument has gone into has no axis, and is not to be computed for each member of the batch.
+        found[:] = [None if getattr(result, "batch_dim", None) is None else 0 for result in results]
+        return results
+
+    args = [with_axis(aval, axis) for aval, axis in zip(closed.in_avals, axes, strict=True)]
+    jax.eval_shape(jax.vmap(look, axes), *args)
+    out_axes = tuple(found)
+    return jax.make_jaxpr(jax.vmap(jaxpr_as_fun(closed), axes, list(out_axes)))(*args), out_axes
+
+
+def _batch(args: Sequence[Any], axes: Sequence[Any], *, closed: ClosedJaxpr) -> tuple[list[Any], Sequence[Any]]:
+    size = next(arg.shape[axis] for arg, axis in zip(args, axes, strict=True) if axis is not None)
+    batched, out_axes = _batched(closed, tuple(axes), size)
+    return native_call(batched, args), out_axes
+
+
+ad.primitive_jvps[_call] = _jvp
+batching.primitive_batchers[_call] = _batch
+mlir.register_lowering(_call, mlir.lower_fun(_as_native, multiple_results=True))
