@@ -16,6 +16,7 @@ Where the guard turns round closer to zero than `_DOUBT`, a stick may come or go
 """
 
 import abc
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -37,6 +38,8 @@ _DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
 _AT_ONCE = 1e-9  # of a step: a fall so early means that the mode was over when the step began
+_GRAZING = 64  # of the guard's round-off: a slip whose guard begins to change by less, in a step, begins at rest
+_EARLY, _SHORTER = 0.02, 0.25  # of a step
 _MANY_TRIES = 12  # guesses that have not landed by then are followed by halving, down to where round-off decides
 
 
@@ -193,11 +196,23 @@ def advance(
     delta = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
     near = jnp.abs(delta) <= _LANDED[dtype.itemsize] * step + clock
     stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
-    at_once = look.falls & (s0 <= noise) & ((look.where < _AT_ONCE) | (lane.tries > 2 * _MANY_TRIES))
+    # Released, a mass leaves its stick with no relative velocity and hardly any relative acceleration: whether it does
+    # at all is not seen from a step that ends after it has been caught again. Shorter ones show it.
+    hidden = look.falls & ~sticking & (s0 <= noise) & (jnp.abs(d0) * h <= _GRAZING * noise) & (look.where < _EARLY)
+    early = (look.where < _AT_ONCE) & ~hidden
+    at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
     landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
     again = ~landed & (look.falls | look.turns) & ~stalled
     taken = ~landed & ~again
-    doubt = taken & (look.lowest < _DOUBT[dtype.itemsize] * scale) & (look.lowest > -noise) & (s0 > noise)
+    few = _DOUBT[dtype.itemsize]
+    # Here the guard is so flat that it is near its lowest point: were that a little higher, or lower, there would be no
+    # event, or one. (The guard of a slip that has only just begun at rest has never been high.)
+    flat = (jnp.abs(d1) * step < math.sqrt(2 * few) * scale) & (sticking | (lane.t + h - lane.event > step))
+    inside = (look.lowest < few * scale) & (look.lowest > -noise) & (s0 > noise)
+    touched = (taken & (inside | (flat & (s1 < few * scale)))) | (landed & ~at_once & flat)
+    # Against a jump of the base, or the horizon: an event that was about to come, or had only just been.
+    due = (d1 < 0) & (s1 < -few * step * d1)
+    race = taken & to_stop & (due | (stop - lane.event < few * step))
 
     # The event: a Newton step from where the step ended. Its tangent is that of the implicit function theorem.
     delta = jnp.where(landed & ~at_once, delta, 0)
@@ -207,19 +222,25 @@ def advance(
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
-    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), doubts=lane.doubts + doubt)
+    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0))
 
-    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, look.where)
+    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     moved = moved._replace(turns=lane.turns + 1)
-    switched, record = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
+    switched, record, edge, abrupt = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
+    doubt = touched | (race & abrupt) | (edge < 2 * few)
+    switched = switched._replace(doubts=lane.doubts + doubt)
     longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
     switched = switched._replace(target=lax.stop_gradient(jnp.where(again, guess * h, longest)))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
 
 
-def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord]:
-    """Settle the mode after an event or at the end of a piece, and note the stick that ended."""
+def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
+    """Settle the mode after an event or at the end of a piece, and note the stick that ended.
+
+    Also returned: how far from the edge of the stick's band it was decided whether the mass sticks (infinity if that
+    was not decided), and whether the mode ended abruptly, by a jump of the base or the horizon.
+    """
     ended = at_stop & (lane.t < t1)
     was_stick = lane.sign == 0
     feeds, jumped = next_feeds(streams, lane.feeds, lane.t, ended)
@@ -227,8 +248,10 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
 
     on_base = model.on_base(inputs, lane.y)
     holds = model.can_stick(inputs, on_base)
-    sign = jnp.where(landed, jnp.where(was_stick, model.release_sign(inputs, on_base), -lane.sign), lane.sign)
-    sign = jnp.where(landed & ~was_stick & holds, 0, sign)
+    resting = model.at_rest(inputs, lane.y)
+    # A mass that is not at rest there moves on, against friction that now acts the other way.
+    turned = jnp.where(was_stick | resting, model.release_sign(inputs, on_base), -lane.sign)
+    sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
     settled_y, settled_sign = _settle(model, inputs, _where(was_stick & ~jumped, on_base, lane.y), lane.sign, jumped)
     settle = ended & ~slipping
@@ -242,6 +265,9 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     record = StickRecord(lane.stick_start, lane.t, lane.stick_position, ending)
     begins = ~was_stick & (sign == 0)
     at_rest = landed & model.at_rest(inputs, y)
+    decided = (landed & ~was_stick) | (ended & jumped & resting)
+    edge = jnp.abs(model.guard(inputs, jnp.zeros_like(lane.t), on_base, jnp.zeros_like(lane.sign))[0])
+    edge = jnp.where(decided, edge, jnp.inf)
     # A mass put down on the very edge of the band leaves it at once: that is no stick.
     no_stick = was_stick & (sign != 0) & ~over
     totals = Totals(
@@ -258,7 +284,7 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
         at_start=lane.at_start & ~no_stick,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
         stick_position=jnp.where(begins, y[0], lane.stick_position),
-    ), record
+    ), record, edge, cut | jumped
 
 
 def next_feeds(

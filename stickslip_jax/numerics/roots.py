@@ -14,6 +14,7 @@ from .._types import BoolArray, FloatArray
 
 _POLISHES = 4  # of the root of the cubic; the next guess starts from a shorter step anyway
 _NEAR_START = 0.02  # a minimum in so small a part of the step has been looked at already
+_UNSURE = 0.1
 
 
 class Outlook(NamedTuple):
@@ -54,7 +55,9 @@ def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, n
     lowest = jnp.where(turning, p(jnp.where(turning, least, 0)), jnp.inf)
     dips = lowest < -noise
     falls = dips | (s1 < -noise)
-    turns = ~falls & turning & (least > _NEAR_START) & (lowest < 0.5 * jnp.minimum(s0, s1))
+    # Near the start the cubic is good to a small part of the fall that is left: enough, unless zero is as close.
+    uncertain = (s0 - lowest > noise) & (lowest < _UNSURE * (s0 - lowest))
+    turns = ~falls & turning & ((least > _NEAR_START) | uncertain) & (lowest < 0.5 * jnp.minimum(s0, s1))
 
     right = jnp.where(dips, least, 1)
     rises_first = (s0 <= noise) & (squared > 0) & (most > 0) & (most < right)
