@@ -25,7 +25,7 @@ from .dynamics.interval_engine import (
     status_of,
 )
 from .dynamics.method import Exact
-from .dynamics.switched_engine import State
+from .dynamics.switched_model import State
 from .dynamics.switched_run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
 from .dynamics.time_scales import room_to_give
 from .events import Sticks, sticks_in_order

@@ -25,7 +25,8 @@ from .dynamics.regularized_solve import (
     watch_one,
 )
 from .dynamics.stick_watch import Watch, hermite
-from .dynamics.switched_engine import State, has_ended, status_of_lane
+from .dynamics.switched_engine import has_ended, status_of_lane
+from .dynamics.switched_model import State
 from .dynamics.time_scales import room_to_give, step_for
 from .events import sticks_in_order
 from .numerics.known import NotKnown

@@ -24,7 +24,7 @@ from ..numerics.elementary import sincos_of_small
 from ..numerics.runge_kutta import runge_kutta_step
 from ..numerics.sharing import sincos
 from ..systems.motor_cart import MotorCart
-from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
+from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
 
 _SOLVER = diffrax.Dopri8()
 _LONGEST_TURN = 0.4  # of the motor in a step, rad
@@ -48,7 +48,7 @@ class CartModel(SwitchedModel):
     def slip(self, inputs: CartInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
         # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
         field = _Slip(self, sincos(y[0]), sincos(inputs.phase), sign)
-        angle, speed, current = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=_SOLVER)
+        (angle, speed, current), _ = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=_SOLVER)
         return y[0] + angle, speed, current
 
     def stick(self, inputs: CartInputs, y: State, h: FloatArray) -> State:

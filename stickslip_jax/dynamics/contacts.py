@@ -18,7 +18,7 @@ from ..systems.switched_system import Base, SwitchedSystem
 from .cart_model import CartInputs, CartModel
 from .general_model import GeneralInputs, GeneralModel
 from .oscillator_model import OscillatorInputs, OscillatorModel
-from .switched_engine import Pieces, State
+from .switched_model import Pieces, State
 
 
 class Contact(eqx.Module):

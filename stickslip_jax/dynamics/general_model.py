@@ -19,7 +19,7 @@ from ..base_motion.pieces import added
 from ..base_motion.smooth import Signal
 from ..numerics.runge_kutta import runge_kutta_step
 from ..systems.switched_system import Base, SwitchedSystem
-from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
+from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
 
 _NEWTON_STEPS = 2  # to the relative velocity zero; where it is linear in the state, the first one arrives
 _LEAST_GAIN = 64  # units in the last place of the terms of the gain; what is smaller has no effect
@@ -64,11 +64,19 @@ class GeneralModel(SwitchedModel):
         return GeneralInputs(t, *added(t, pieces.base))
 
     def slip(self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+        return self.slip_and_error(inputs, y, h, sign)[0]
+
+    def slip_and_error(
+        self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray
+    ) -> tuple[State, FloatArray]:
         return runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
 
     def stick(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
-        held = runge_kutta_step(_Stick(self, inputs), y, h, solver=self.solver)
-        return self._held(inputs, h, held)
+        return self.stick_and_error(inputs, y, h)[0]
+
+    def stick_and_error(self, inputs: GeneralInputs, y: State, h: FloatArray) -> tuple[State, FloatArray]:
+        held, error = runge_kutta_step(_Stick(self, inputs), y, h, solver=self.solver)
+        return self._held(inputs, h, held), error
 
     def rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
         slid, held = self.slip_rates(inputs, tau, y, sign), self.stick_rates(inputs, tau, y)

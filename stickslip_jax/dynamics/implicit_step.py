@@ -17,7 +17,7 @@ from .._types import FloatArray
 from ..systems.friction import FrictionLaw
 from .contacts import Contact
 from .switch import Switch
-from .switched_engine import State
+from .switched_model import State
 
 _GAMMA = 1 - 1 / math.sqrt(2)
 _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}

@@ -20,7 +20,8 @@ from .general_model import GeneralModel
 from .method import Exact
 from .oscillator_model import OscillatorModel, has_closed_form
 from .solver_model import SolverOscillatorModel
-from .switched_engine import Streams, SwitchedModel
+from .switched_engine import Streams
+from .switched_model import SwitchedModel
 
 _RESONANCE = 1e-7  # relative distance of frequencies at which the steady answer to a force means nothing any more
 

@@ -13,7 +13,7 @@ from ..base_motion.pieces import added
 from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
 from ..numerics.sharing import sincos
 from ..systems.mass_spring import MassSpring
-from .switched_engine import NOISE_ULPS, Pieces, State, SwitchedModel
+from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
 
 _SERIES = 0.1  # below this |(beta^2 - omega^2) h^2|, damped rotations are summed as series
 

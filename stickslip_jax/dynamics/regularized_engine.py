@@ -17,7 +17,8 @@ from .implicit_step import implicit_step
 from .interval_engine import StickRecord
 from .stick_watch import Criterion, Step, Watch, start_watch, watch_step
 from .switch import Switch
-from .switched_engine import State, Streams, is_spent, next_feeds, no_stick
+from .switched_engine import Streams, is_spent, next_feeds, no_stick
+from .switched_model import State
 
 
 class Field(NamedTuple):

@@ -16,7 +16,7 @@ from .method import Regularized
 from .models import streams_of
 from .regularized_engine import Field, Passage
 from .stick_watch import Criterion, Watch, start_watch, watch_step
-from .switched_engine import Pieces
+from .switched_model import Pieces
 
 
 class Tables(eqx.Module):

@@ -6,7 +6,7 @@ import equinox as eqx
 from .._types import FloatArray
 from ..numerics.runge_kutta import runge_kutta_step
 from .oscillator_model import OscillatorInputs, OscillatorModel
-from .switched_engine import State
+from .switched_model import State
 
 
 class SolverOscillatorModel(OscillatorModel):
@@ -15,6 +15,11 @@ class SolverOscillatorModel(OscillatorModel):
     solver: diffrax.AbstractERK
 
     def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+        return self.slip_and_error(inputs, y, h, sign)[0]
+
+    def slip_and_error(
+        self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
+    ) -> tuple[State, FloatArray]:
         return runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
 
 

@@ -15,7 +15,6 @@ ends of a step cannot show; so steps must be short against the shortest time sca
 Where the guard turns round closer to zero than `_DOUBT`, a stick may come or go with the last digits: that is counted.
 """
 
-import abc
 import math
 from typing import Any, NamedTuple
 
@@ -27,86 +26,21 @@ from jax import lax
 
 from .._status import Ending, Status
 from .._types import BoolArray, FloatArray, IntArray
-from ..base_motion.pieces import Feed, Piece, PieceLaw, next_feed
+from ..base_motion.pieces import Feed, PieceLaw, next_feed
 from ..numerics.roots import look_ahead
 from ..numerics.sharing import sharing
 from .interval_engine import StickRecord, Totals, start_totals
+from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
 
-State = tuple[FloatArray, ...]
 _LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
 _DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
-NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
+_ERROR = {8: 1e-9, 4: 1e-5}  # of a step without a closed form, relative; its solver's estimate is far too high
+_LEAST_ERROR = 1e-20
 _AT_ONCE = 1e-9  # of a step: a fall so early means that the mode was over when the step began
 _GRAZING = 64  # of the guard's round-off: a slip whose guard begins to change by less, in a step, begins at rest
 _EARLY, _SHORTER = 0.02, 0.25  # of a step
 _MANY_TRIES = 12  # guesses that have not landed by then are followed by halving, down to where round-off decides
-
-
-class Pieces(NamedTuple):
-    """The piece under way of every part that comes in pieces: of base velocity, ground acceleration and force."""
-
-    base: tuple[Piece, ...]
-    ground: tuple[Piece, ...]
-    force: tuple[Piece, ...]
-
-
-class SwitchedModel(eqx.Module):
-    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t."""
-
-    @abc.abstractmethod
-    def inputs(self, t: FloatArray, pieces: Pieces) -> Any:
-        """What the drive does from time t on, until a piece ends."""
-
-    @abc.abstractmethod
-    def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
-        """The state after slipping for the time `h` with relative velocity of this sign."""
-
-    @abc.abstractmethod
-    def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
-        """The state after sticking for the time `h`."""
-
-    @abc.abstractmethod
-    def rates(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> State:
-        """The time derivative of the state; `sign` is 0 in a stick."""
-
-    @abc.abstractmethod
-    def at_rest(self, inputs: Any, y: State) -> BoolArray:
-        """Whether the mass has the velocity of what it rubs on, but for round-off, at `tau` 0."""
-
-    @abc.abstractmethod
-    def slip_sign(self, inputs: Any, y: State) -> FloatArray:
-        """The sign of the relative velocity at `tau` 0 and right after it, for a mass that is not at rest."""
-
-    @abc.abstractmethod
-    def guard(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A number that is positive while the mode lasts, and its time derivative.
-
-        In a slip: ``sign`` times the relative velocity. In a stick: ``1 - (needed friction / largest friction)^2``.
-        """
-
-    @abc.abstractmethod
-    def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
-        """The size of the terms that cancel in the guard, to judge round-off by."""
-
-    @abc.abstractmethod
-    def on_base(self, inputs: Any, y: State) -> State:
-        """The state at `tau` 0 with the relative velocity made exactly zero."""
-
-    @abc.abstractmethod
-    def can_stick(self, inputs: Any, y: State) -> BoolArray:
-        """Whether friction can hold the mass on the base, at `tau` 0 and relative velocity zero."""
-
-    @abc.abstractmethod
-    def release_sign(self, inputs: Any, y: State) -> FloatArray:
-        """The sign of the relative velocity with which a mass leaves a stick, at `tau` 0."""
-
-    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
-        """The longest step to take from `y`, `age` s after the last event at rest.
-
-        Transients may call for shorter ones at first, and a stick may allow longer ones.
-        """
-        return step
 
 
 class Lane(NamedTuple):
@@ -116,6 +50,7 @@ class Lane(NamedTuple):
     y: State
     sign: FloatArray
     target: FloatArray  # length of the next step to try
+    pace: FloatArray  # the longest step that the error of those before allows
     event: FloatArray  # time of the last event at rest
     tries: IntArray
     turns: IntArray  # of the loop so far
@@ -158,6 +93,7 @@ def start_lane(
         y,
         sign,
         lax.stop_gradient(model.step_limit(zero, step, y, sign)),
+        jnp.full((), jnp.inf, dtype),
         zero,
         none,
         none,
@@ -179,12 +115,13 @@ def advance(
     inputs = model.inputs(lane.t, streams.pieces(lane.feeds))
     stop = jnp.minimum(t1, _first(feed.piece.end for feed in lane.feeds))
     left = stop - lane.t
-    to_stop = lane.target >= left
+    to_stop = lane.t + lane.target >= stop  # so written, for the sum may be rounded up to it
     h = jnp.where(to_stop, left, lane.target)
     sticking = lane.sign == 0
     # What is not chosen must stay finite for the sake of derivatives: a slip over the long step of a stick may not.
-    slid = model.slip(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
-    y1 = _where(sticking, model.stick(inputs, lane.y, h), slid)
+    slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
+    held, error_held = model.stick_and_error(inputs, lane.y, h)
+    y1, error = _where(sticking, held, slid), lax.stop_gradient(jnp.where(sticking, error_held, error))
 
     s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(inputs, h, y1, lane.sign)
@@ -203,16 +140,12 @@ def advance(
     at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
     landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
     again = ~landed & (look.falls | look.turns) & ~stalled
+    # A step to be tried again anyway may be too long because it goes beyond the event.
+    rough = ~again & (error > _ERROR[dtype.itemsize])
+    landed, again = landed & ~rough, again | rough
     taken = ~landed & ~again
-    few = _DOUBT[dtype.itemsize]
-    # Here the guard is so flat that it is near its lowest point: were that a little higher, or lower, there would be no
-    # event, or one. (The guard of a slip that has only just begun at rest has never been high.)
-    flat = (jnp.abs(d1) * step < math.sqrt(2 * few) * scale) & (sticking | (lane.t + h - lane.event > step))
-    inside = (look.lowest < few * scale) & (look.lowest > -noise) & (s0 > noise)
-    touched = (taken & (inside | (flat & (s1 < few * scale)))) | (landed & ~at_once & flat)
-    # Against a jump of the base, or the horizon: an event that was about to come, or had only just been.
-    due = (d1 < 0) & (s1 < -few * step * d1)
-    race = taken & to_stop & (due | (stop - lane.event < few * step))
+    stretch = _Stretch(sticking, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
+    touched, race = _close_calls(stretch, taken, landed & ~at_once, taken & to_stop)
 
     # The event: a Newton step from where the step ended. Its tangent is that of the implicit function theorem.
     delta = jnp.where(landed & ~at_once, delta, 0)
@@ -227,12 +160,49 @@ def advance(
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     moved = moved._replace(turns=lane.turns + 1)
     switched, record, edge, abrupt = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
-    doubt = touched | (race & abrupt) | (edge < 2 * few)
+    doubt = touched | (race & abrupt) | (edge < 2 * _DOUBT[dtype.itemsize])
     switched = switched._replace(doubts=lane.doubts + doubt)
     longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
-    switched = switched._replace(target=lax.stop_gradient(jnp.where(again, guess * h, longest)))
+    pace = _pace(lane.pace, h, error, taken, rough)
+    target = jnp.where(again & ~rough, guess * h, jnp.minimum(longest, pace))
+    switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+class _Stretch(NamedTuple):
+    """What tells of a step how close things were: the guard at both ends and lowest between, and times, s."""
+
+    sticking: BoolArray
+    s0: FloatArray
+    s1: FloatArray
+    d1: FloatArray
+    lowest: FloatArray
+    noise: FloatArray
+    scale: FloatArray
+    step: FloatArray
+    age: FloatArray  # since the last event at rest, at the end of the step
+
+
+def _close_calls(of: _Stretch, taken: BoolArray, landed: BoolArray, stopped: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Whether the last digits decided whether there was an event, and whether they would if the mode ended abruptly."""
+    few = _DOUBT[of.s1.dtype.itemsize]
+    # Here the guard is so flat that it is near its lowest point: were that a little higher, or lower, there would be no
+    # event, or one. (The guard of a slip that has only just begun at rest has never been high.)
+    flat = (jnp.abs(of.d1) * of.step < math.sqrt(2 * few) * of.scale) & (of.sticking | (of.age > of.step))
+    inside = (of.lowest < few * of.scale) & (of.lowest > -of.noise) & (of.s0 > of.noise)
+    touched = (taken & (inside | (flat & (of.s1 < few * of.scale)))) | (landed & flat)
+    # An event that was about to come, or had only just been.
+    due = (of.d1 < 0) & (of.s1 < -few * of.step * of.d1)
+    return touched, stopped & (due | (of.age < few * of.step))
+
+
+def _pace(pace: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, rough: BoolArray) -> FloatArray:
+    """The longest step from here on, by the error of the one tried: with the order of the solvers used, 8 or less."""
+    allowed = _ERROR[h.dtype.itemsize] / jnp.maximum(error, _LEAST_ERROR)
+    change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
+    faster = jnp.where(taken & (h >= 0.999 * pace), pace * change, pace)
+    return jnp.where(rough, h * jnp.minimum(change, 0.8), faster)
 
 
 def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
@@ -275,16 +245,21 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
         censored=lane.totals.censored + (over & cut),
         stick_time=lane.totals.stick_time + jnp.where(over, lane.t - lane.stick_start, 0),
     )
-    return lane._replace(
-        y=y,
-        sign=sign,
-        totals=totals,
-        feeds=feeds,
-        event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
-        at_start=lane.at_start & ~no_stick,
-        stick_start=jnp.where(begins, lane.t, lane.stick_start),
-        stick_position=jnp.where(begins, y[0], lane.stick_position),
-    ), record, edge, cut | jumped
+    return (
+        lane._replace(
+            y=y,
+            sign=sign,
+            totals=totals,
+            feeds=feeds,
+            event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
+            at_start=lane.at_start & ~no_stick,
+            stick_start=jnp.where(begins, lane.t, lane.stick_start),
+            stick_position=jnp.where(begins, y[0], lane.stick_position),
+        ),
+        record,
+        edge,
+        cut | jumped,
+    )
 
 
 def next_feeds(

@@ -15,7 +15,8 @@ from ..numerics.known import largest, smallest
 from .blocks import few_sizes, scan_in_blocks
 from .interval_engine import StickRecord
 from .models import model_of, streams_of
-from .switched_engine import Lane, Pieces, State, advance, has_ended, no_stick, start_lane, status_of_lane
+from .switched_engine import Lane, advance, has_ended, no_stick, start_lane, status_of_lane
+from .switched_model import Pieces, State
 
 MOST_TURNS = 2**30  # they are counted in 32 bits
 

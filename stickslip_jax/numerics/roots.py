@@ -56,8 +56,9 @@ def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, n
     dips = lowest < -noise
     falls = dips | (s1 < -noise)
     # Near the start the cubic is good to a small part of the fall that is left: enough, unless zero is as close.
-    uncertain = (s0 - lowest > noise) & (lowest < _UNSURE * (s0 - lowest))
+    uncertain = lowest < _UNSURE * (s0 - lowest)
     turns = ~falls & turning & ((least > _NEAR_START) | uncertain) & (lowest < 0.5 * jnp.minimum(s0, s1))
+    turns = turns & (s0 - lowest > noise)
 
     right = jnp.where(dips, least, 1)
     rises_first = (s0 <= noise) & (squared > 0) & (most > 0) & (most < right)

@@ -13,7 +13,8 @@ from jax import lax
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import Feed
-from ..dynamics.switched_engine import Lane, State, Streams, SwitchedModel, next_feeds
+from ..dynamics.switched_engine import Lane, Streams, next_feeds
+from ..dynamics.switched_model import State, SwitchedModel
 from ..numerics.roots import look_ahead, lowest_between, steepest_fall
 from .edges import Edges, Number
 

@@ -1,0 +1,87 @@
+"""What the switched engine needs to know of a system: how it moves, and what tells when its mode is over."""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._types import BoolArray, FloatArray
+from ..base_motion.pieces import Piece
+
+State = tuple[FloatArray, ...]
+NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
+
+
+class Pieces(NamedTuple):
+    """The piece under way of every part that comes in pieces: of base velocity, ground acceleration and force."""
+
+    base: tuple[Piece, ...]
+    ground: tuple[Piece, ...]
+    force: tuple[Piece, ...]
+
+
+class SwitchedModel(eqx.Module):
+    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t."""
+
+    @abc.abstractmethod
+    def inputs(self, t: FloatArray, pieces: Pieces) -> Any:
+        """What the drive does from time t on, until a piece ends."""
+
+    @abc.abstractmethod
+    def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
+        """The state after slipping for the time `h` with relative velocity of this sign."""
+
+    def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray]:
+        """The same, and its relative error as far as it comes from the length of the step: 0 for closed forms."""
+        return self.slip(inputs, y, h, sign), jnp.zeros_like(h)
+
+    @abc.abstractmethod
+    def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
+        """The state after sticking for the time `h`."""
+
+    def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray]:
+        """The same, and its relative error."""
+        return self.stick(inputs, y, h), jnp.zeros_like(h)
+
+    @abc.abstractmethod
+    def rates(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        """The time derivative of the state; `sign` is 0 in a stick."""
+
+    @abc.abstractmethod
+    def at_rest(self, inputs: Any, y: State) -> BoolArray:
+        """Whether the mass has the velocity of what it rubs on, but for round-off, at `tau` 0."""
+
+    @abc.abstractmethod
+    def slip_sign(self, inputs: Any, y: State) -> FloatArray:
+        """The sign of the relative velocity at `tau` 0 and right after it, for a mass that is not at rest."""
+
+    @abc.abstractmethod
+    def guard(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A number that is positive while the mode lasts, and its time derivative.
+
+        In a slip: ``sign`` times the relative velocity. In a stick: ``1 - (needed friction / largest friction)^2``.
+        """
+
+    @abc.abstractmethod
+    def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
+        """The size of the terms that cancel in the guard, to judge round-off by."""
+
+    @abc.abstractmethod
+    def on_base(self, inputs: Any, y: State) -> State:
+        """The state at `tau` 0 with the relative velocity made exactly zero."""
+
+    @abc.abstractmethod
+    def can_stick(self, inputs: Any, y: State) -> BoolArray:
+        """Whether friction can hold the mass on the base, at `tau` 0 and relative velocity zero."""
+
+    @abc.abstractmethod
+    def release_sign(self, inputs: Any, y: State) -> FloatArray:
+        """The sign of the relative velocity with which a mass leaves a stick, at `tau` 0."""
+
+    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+        """The longest step to take from `y`, `age` s after the last event at rest.
+
+        Transients may call for shorter ones at first, and a stick may allow longer ones.
+        """
+        return step
