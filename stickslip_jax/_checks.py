@@ -7,8 +7,12 @@ and what they cause shows in the per-lane status.
 import numbers
 from typing import Any
 
+import jax
 import numpy as np
 from jax.core import Tracer
+
+SMALLEST, LARGEST = 1e-100, 1e100
+"""Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
 
 
 def is_traced(value: Any) -> bool:
@@ -24,6 +28,9 @@ def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given.")
     if is_traced(value):
         return
+    is_key = isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key)
+    if is_key:
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but a random key was given.")
     array = np.asarray(value)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {show(value)} was given.")
@@ -32,10 +39,11 @@ def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
 
 
 def positive(name: str, value: Any, unit: str = "") -> None:
-    """Check that ``value`` is a finite number greater than zero."""
+    """Check that ``value`` is a number greater than zero, of a size that can be computed with."""
     numeric(name, value)
     if not is_traced(value) and not value > 0:
         raise ValueError(f"Argument {name} must be positive{_unit(unit)}, but {show(value)} was given.")
+    _sized(name, value, unit)
 
 
 def non_negative(name: str, value: Any, unit: str = "") -> None:
@@ -43,6 +51,15 @@ def non_negative(name: str, value: Any, unit: str = "") -> None:
     numeric(name, value)
     if not is_traced(value) and not value >= 0:
         raise ValueError(f"Argument {name} must be zero or positive{_unit(unit)}, but {show(value)} was given.")
+    _sized(name, value, unit)
+
+
+def _sized(name: str, value: Any, unit: str) -> None:
+    if not is_traced(value) and value != 0 and not SMALLEST <= float(value) <= LARGEST:
+        raise ValueError(
+            f"Argument {name} must be between {SMALLEST} and {LARGEST}{_unit(unit)}, but {show(value)} was given; "
+            "choose other units."
+        )
 
 
 def truth(name: str, value: Any) -> None:
@@ -51,11 +68,13 @@ def truth(name: str, value: Any) -> None:
         raise ValueError(f"Argument {name} must be True or False, but {show(value)} was given.")
 
 
-def whole_number(name: str, value: Any, minimum: int = 1) -> int:
-    """Check that ``value`` is a whole number of at least ``minimum`` and return it as an int."""
+def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = None) -> int:
+    """Check that ``value`` is a whole number of at least ``minimum``, at most ``maximum``, and return it as an int."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
         raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {show(value)} was given.")
+    if maximum is not None and value > maximum:
+        raise ValueError(f"Argument {name} must be at most {maximum}, but {show(value)} was given.")
     return int(value)
 
 

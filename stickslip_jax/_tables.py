@@ -1,10 +1,12 @@
 """Sticks as tables in files, one row a stick."""
 
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from . import _checks
 from ._status import Ending
 from .statistics.source import position_of
 
@@ -13,6 +15,8 @@ _WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
 def write_sticks(ensemble: Any, path: Any) -> Path:
     """Write every stick of `ensemble` to `path`, whose ending tells the format; see `Ensemble.write_sticks`."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
     sticks, path = ensemble.require_sticks(), Path(path)
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:

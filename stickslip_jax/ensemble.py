@@ -41,7 +41,7 @@ from .set_up import (
     state_of,
     working_dtype,
 )
-from .statistics.tally import Numbering
+from .statistics.tally import MOST_ORDERS, Numbering
 from .stick_stream import StickGatherer
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
@@ -78,7 +78,7 @@ def simulate_ensemble(
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
     - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
       `samples`); "sticks" keeps every stick besides; "totals" only stick time, sticks and slips, which is the fastest.
-    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick.
+    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick (at most the 1000th).
     - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the first of these.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
@@ -151,8 +151,7 @@ class _Run(NamedTuple):
         check_system(system)
         check_method(method)
         _checks.positive("t1", t1, "s")
-        if _checks.whole_number("samples", samples) > _MOST_SAMPLES:
-            raise ValueError(f"Argument samples must be at most {_MOST_SAMPLES}, but {samples} was given.")
+        _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
         if keep not in ("totals", "statistics", "sticks"):
             raise ValueError(f"Argument keep must be 'totals', 'statistics' or 'sticks', but {keep!r} was given.")
         y0 = state_of(system, y0, may_be_random=True)
@@ -177,7 +176,7 @@ class _Run(NamedTuple):
 
 def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
     _checks.truth("count_initial_rest", count_initial_rest)
-    return Numbering(_checks.whole_number("orders", orders), count_initial_rest)
+    return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
 
 
 def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact) -> Engine:
@@ -224,7 +223,7 @@ class _Plan(NamedTuple):
         lanes, rows = 256, 32
         if chunk is not None:
             # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
-            chunk = min(_checks.whole_number("chunk", chunk), max(samples, 4096))
+            chunk = min(_checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
@@ -237,7 +236,7 @@ class _Plan(NamedTuple):
     @classmethod
     def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
         """For adaptive steps: a lane each."""
-        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk)
+        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES)
         lanes = min(most, -(-samples // threads) if chunk is None else samples)
         return cls(lanes, 1, lanes, threads)
 

@@ -92,6 +92,61 @@ def test_not_a_number(label, value):
     refuses(lambda: NUMBERS[label](value), argument(label), value)
 
 
+SIZED = POSITIVE | {
+    "mu": ss.Coulomb,
+    "damping": lambda value: system(damping=value),
+    "motor_constant": lambda value: ss.MotorCart(motor_constant=value),
+    "motor_inertia": lambda value: ss.MotorCart(motor_inertia=value),
+    "motor_damping": lambda value: ss.MotorCart(motor_damping=value),
+    "resistance": lambda value: ss.MotorCart(resistance=value),
+    "inductance": lambda value: ss.MotorCart(inductance=value),
+    "interval": lambda value: ss.KanaiTajimi(rms=1.0, interval=value),
+    "ground_frequency": lambda value: ss.KanaiTajimi(rms=1.0, ground_frequency=value),
+    "ground_damping": lambda value: ss.KanaiTajimi(rms=1.0, ground_damping=value),
+}
+
+
+@pytest.mark.parametrize("value", [5e-324, 1e-200, 1e300], ids=show)
+@pytest.mark.parametrize("label", SIZED)
+def test_numbers_too_small_or_too_large_to_compute_with(label, value):
+    refuses(lambda: SIZED[label](value), argument(label), value)
+
+
+@pytest.mark.parametrize("label", NUMBERS)
+def test_a_random_key_is_no_number(label):
+    with pytest.raises(ValueError, match=rf"\AArgument {re.escape(argument(label))} must be .*a random key was given"):
+        NUMBERS[label](KEY)
+
+
+def ensemble(**changed):
+    law = ss.PoissonSwitching(1.0, 1.0)
+    return ss.simulate_ensemble(system(), law, **({"t1": 5.0, "samples": 20, "key": KEY} | changed))
+
+
+@pytest.mark.parametrize("name", ["orders", "chunk", "samples"])
+def test_whole_numbers_beyond_what_can_be_held(name):
+    for value in (2**31 + 1, 10**39):
+        refuses(lambda value=value: ensemble(**{name: value}), name, value)
+
+
+def test_as_many_orders_as_are_allowed():
+    few, many = (ensemble(orders=orders, t1=30.0).statistics for orders in (3, 1000))
+    assert many.orders == 1000
+    for number in (1, 3):
+        assert many.order(number).duration.mean.value == few.order(number).duration.mean.value
+    assert many.order(1000).duration.number == 0
+
+
+def test_where_a_table_is_to_be_written():
+    many = ensemble(keep="sticks")
+    for value in (None, 3):
+        refuses(lambda value=value: many.write_sticks(value), "path", value)
+
+
+def test_a_statistic_for_the_bootstrap_has_an_error():
+    refuses(lambda: ss.bootstrap_interval(ensemble(), lambda one: 1.0), "statistic", 1.0)
+
+
 @pytest.mark.parametrize("value", [-0.1, -1, -1e-300], ids=show)
 def test_negative_friction(value):
     refuses(lambda: ss.Coulomb(mu=value), "mu", value)
@@ -256,7 +311,7 @@ def test_velocity_steps_that_are_none(durations, velocities):
         ss.VelocitySteps(durations, velocities)
 
 
-@pytest.mark.parametrize("t1", [1e300, 1e12])
+@pytest.mark.parametrize("t1", [1e99, 1e12])
 @pytest.mark.parametrize("law", [ss.PoissonSwitching(1.0, 1.0), ss.SquareWave(1.0, 1e-3), ss.RandomSteps(1.0, 1e-3)])
 def test_more_intervals_than_can_be_numbered(law, t1):
     with pytest.raises(ValueError, match=r"\AArgument t1 must be shorter: .*\.\Z"):

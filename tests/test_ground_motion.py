@@ -273,7 +273,7 @@ class TestBadArguments:
         with pytest.raises(ValueError, match=r"\AArgument t1 must be .*, but .* was given\.\Z"):
             LAW.sample(KEY, value)
 
-    @pytest.mark.parametrize("value", [1e300, 1e12])
+    @pytest.mark.parametrize("value", [1e99, 1e12])
     def test_more_samples_than_can_be_numbered(self, value):
         with pytest.raises(ValueError, match=r"\AArgument t1 must be shorter: .*\.\Z"):
             LAW.sample(KEY, value)

@@ -155,10 +155,9 @@ def advance(
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
-    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0))
+    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), turns=lane.turns + 1)
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
-    moved = moved._replace(turns=lane.turns + 1)
     switched, record, edge, abrupt = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
     doubt = touched | (race & abrupt) | (edge < 2 * _DOUBT[dtype.itemsize])
     switched = switched._replace(doubts=lane.doubts + doubt)

@@ -40,6 +40,11 @@ def bootstrap_interval(
     require_ensemble(ensemble).finished_sticks()  # refuses an ensemble that has none
     require_statistic(statistic)
     features, whole = ensemble.retained.features, statistic(ensemble)
+    if not isinstance(whole, Estimate):
+        raise ValueError(
+            "Argument statistic must be a function that returns an Estimate, such as stick_fraction or "
+            f"mean_stick_duration, but it returned {_checks.show(whole)}."
+        )
     number = len(features)
     if number < 2 or not whole.standard_error > 0:
         return math.nan, math.nan

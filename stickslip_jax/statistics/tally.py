@@ -17,6 +17,8 @@ from ..stick_stream import StickStream
 from . import stick_sums
 from .stick_sums import BINS
 
+MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
+
 SAMPLE_QUANTITIES = ("stick_count", "slip_count", "stick_fraction")
 """What is told of each sample."""
 

@@ -7,6 +7,7 @@ import diffrax
 from pydantic import Field, field_validator, model_validator
 
 from ..dynamics.method import Exact, Regularized
+from ..statistics.tally import MOST_ORDERS
 from .bases_config import BaseConfig, SourceVoltageConfig
 from .sections import (
     Section,
@@ -33,13 +34,17 @@ class RunConfig(Section):
         default="sticks",
         description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
     )
-    orders: int = Field(default=10, ge=1, description="statistics tell of the 1st, 2nd, ... up to this stick")
+    orders: int = Field(
+        default=10, ge=1, le=MOST_ORDERS, description="statistics tell of the 1st, 2nd, ... up to this stick"
+    )
     count_initial_rest: bool = Field(
         default=False, description="whether a stick that begins at t = 0 counts as the first"
     )
     dtype: Literal["float64", "float32"] = Field(default="float64", description="float64 or float32")
     threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
-    chunk: int | None = Field(default=None, ge=1, description="samples simulated per call; not given: chosen for speed")
+    chunk: int | None = Field(
+        default=None, ge=1, le=2**31, description="samples simulated per call; not given: chosen for speed"
+    )
     step: float | None = Field(default=None, gt=0, description="time step, s; not given: as the time scales demand")
     max_steps: int | None = Field(
         default=None, ge=1, description="time steps allowed to one sample; not given: more than enough"
