@@ -8,6 +8,7 @@ import numbers
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -28,8 +29,7 @@ def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given.")
     if is_traced(value):
         return
-    is_key = isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key)
-    if is_key:
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but a random key was given.")
     array = np.asarray(value)
     if array.dtype.kind not in "iuf":
@@ -73,7 +73,7 @@ def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = 
     whole = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
         raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {show(value)} was given.")
-    if maximum is not None and value > maximum:
+    if maximum is not None and int(value) > maximum:
         raise ValueError(f"Argument {name} must be at most {maximum}, but {show(value)} was given.")
     return int(value)
 

@@ -6,21 +6,16 @@ loop, some of which end the process. The package's own laws and systems use none
 compiled too, XLA is asked for neither.
 """
 
-import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 
-from ..base_motion.smooth import UserMotion
 from ..numerics.compiling import CompiledNatively
-from ..systems.friction import FrictionCurve
 from . import lanes, regularized_lanes
-
-_PACKAGE = __name__.partition(".")[0]
-_THEIRS = (FrictionCurve, UserMotion)  # what wraps a user's function
+from .own import is_own
 
 
 class Chunks(NamedTuple):
@@ -33,7 +28,7 @@ class Chunks(NamedTuple):
 
 def chunks_of(engine: lanes.Engine) -> Chunks:
     """The functions for jobs of `engine`."""
-    return _COMPILED[_is_own(engine)]
+    return _COMPILED[is_own(engine)]
 
 
 # A solver of diffrax holds more than arrays; plain numbers must be arrays here.
@@ -53,21 +48,3 @@ def _compiled(is_own: bool) -> Chunks:
 # The passes left out find nothing to improve in these loops, and take a quarter of the time to compile.
 _WIDE = {"xla_cpu_prefer_vector_width": 512, "xla_llvm_disable_expensive_passes": True}
 _COMPILED = {is_own: _compiled(is_own) for is_own in (True, False)}
-
-
-def _is_own(engine: lanes.Engine) -> bool:
-    """Whether nothing but the package's own functions is compiled with the engine."""
-    return all(
-        type(module).__module__.startswith((f"{_PACKAGE}.", "diffrax.")) and not isinstance(module, _THEIRS)
-        for module in _modules(engine)
-    )
-
-
-def _modules(tree: Any) -> Iterator[eqx.Module]:
-    if isinstance(tree, eqx.Module):
-        yield tree
-        for field in dataclasses.fields(tree):
-            yield from _modules(getattr(tree, field.name, None))
-    elif isinstance(tree, (tuple, list)):
-        for entry in tree:
-            yield from _modules(entry)

@@ -6,6 +6,7 @@ import equinox as eqx
 from .._types import FloatArray
 from ..numerics.runge_kutta import runge_kutta_step
 from .oscillator_model import OscillatorInputs, OscillatorModel
+from .own import is_own
 from .switched_model import State
 
 
@@ -19,8 +20,10 @@ class SolverOscillatorModel(OscillatorModel):
 
     def slip_and_error(
         self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
-    ) -> tuple[State, FloatArray]:
-        return runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+    ) -> tuple[State, FloatArray | None]:
+        y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        # Of the package's own functions all is known that the step depends on (`time_scales.py`).
+        return y1, None if isinstance(self.solver, diffrax.Dopri8) and is_own(self) else error
 
 
 class _Slip(eqx.Module):

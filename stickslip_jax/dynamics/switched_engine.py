@@ -87,7 +87,8 @@ def start_lane(
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
-    y, sign = _settle(model, model.inputs(zero, streams.pieces(feeds)), y, zero, jnp.ones((), bool))
+    inputs = model.inputs(zero, streams.pieces(feeds))
+    y, sign = _settle(model, inputs, y, model.at_rest(inputs, y))
     return Lane(
         zero,
         y,
@@ -121,7 +122,7 @@ def advance(
     # What is not chosen must stay finite for the sake of derivatives: a slip over the long step of a stick may not.
     slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
     held, error_held = model.stick_and_error(inputs, lane.y, h)
-    y1, error = _where(sticking, held, slid), lax.stop_gradient(jnp.where(sticking, error_held, error))
+    y1, error = _where(sticking, held, slid), lax.stop_gradient(_chosen(sticking, error_held, error))
 
     s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(inputs, h, y1, lane.sign)
@@ -141,7 +142,7 @@ def advance(
     landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
     again = ~landed & (look.falls | look.turns) & ~stalled
     # A step to be tried again anyway may be too long because it goes beyond the event.
-    rough = ~again & (error > _ERROR[dtype.itemsize])
+    rough = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[dtype.itemsize])
     landed, again = landed & ~rough, again | rough
     taken = ~landed & ~again
     stretch = _Stretch(sticking, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
@@ -162,7 +163,7 @@ def advance(
     doubt = touched | (race & abrupt) | (edge < 2 * _DOUBT[dtype.itemsize])
     switched = switched._replace(doubts=lane.doubts + doubt)
     longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
-    pace = _pace(lane.pace, h, error, taken, rough)
+    pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
     target = jnp.where(again & ~rough, guess * h, jnp.minimum(longest, pace))
     switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
@@ -222,7 +223,7 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     turned = jnp.where(was_stick | resting, model.release_sign(inputs, on_base), -lane.sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
-    settled_y, settled_sign = _settle(model, inputs, _where(was_stick & ~jumped, on_base, lane.y), lane.sign, jumped)
+    settled_y, settled_sign = _settle(model, inputs, lane.y, resting | (was_stick & ~jumped))
     settle = ended & ~slipping
     sign = jnp.where(settle, settled_sign, sign)
     y = _where(settle, settled_y, _where(landed & (sign == 0), on_base, lane.y))
@@ -233,7 +234,7 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     ending = jnp.where(over, jnp.where(cut, horizon, jnp.where(ended & jumped, switched, released)), none)
     record = StickRecord(lane.stick_start, lane.t, lane.stick_position, ending)
     begins = ~was_stick & (sign == 0)
-    at_rest = landed & model.at_rest(inputs, y)
+    at_rest = landed & (resting | (sign == 0))
     decided = (landed & ~was_stick) | (ended & jumped & resting)
     edge = jnp.abs(model.guard(inputs, jnp.zeros_like(lane.t), on_base, jnp.zeros_like(lane.sign))[0])
     edge = jnp.where(decided, edge, jnp.inf)
@@ -276,9 +277,8 @@ def next_feeds(
     return tuple(following), jumped
 
 
-def _settle(model, inputs, y, sign, jumped):
-    """The mode of a mass in the state `y`, found from nothing but its relative velocity, or kept in a stick."""
-    resting = model.at_rest(inputs, y) | ((sign == 0) & ~jumped)
+def _settle(model, inputs, y, resting):
+    """The mode of a mass in the state `y`, found from nothing but whether it is at rest there."""
     on_base = model.on_base(inputs, y)
     held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
     return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
@@ -321,6 +321,13 @@ def _first(times) -> FloatArray | float:
     for time in times:
         earliest = jnp.minimum(earliest, time)
     return earliest
+
+
+def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+    """One of two errors, of which None is 0."""
+    if one is None and other is None:
+        return None
+    return jnp.where(first, 0 if one is None else one, 0 if other is None else other)
 
 
 def _where(chosen: BoolArray, new: State, old: State) -> State:

@@ -4,7 +4,6 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import Piece
@@ -32,17 +31,19 @@ class SwitchedModel(eqx.Module):
     def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
         """The state after slipping for the time `h` with relative velocity of this sign."""
 
-    def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray]:
-        """The same, and its relative error as far as it comes from the length of the step: 0 for closed forms."""
-        return self.slip(inputs, y, h, sign), jnp.zeros_like(h)
+    def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray | None]:
+        """The same, and its relative error as far as it comes from the length of the step; None where that is known
+        to be short enough.
+        """
+        return self.slip(inputs, y, h, sign), None
 
     @abc.abstractmethod
     def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
         """The state after sticking for the time `h`."""
 
-    def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray]:
-        """The same, and its relative error."""
-        return self.stick(inputs, y, h), jnp.zeros_like(h)
+    def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray | None]:
+        """The same, and its relative error or None."""
+        return self.stick(inputs, y, h), None
 
     @abc.abstractmethod
     def rates(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> State:
