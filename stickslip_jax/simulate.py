@@ -31,9 +31,10 @@ class Simulation(eqx.Module):
     - `final_state`: (position m, velocity m/s), of a `MotorCart` (angle rad, angular velocity rad/s, current A), at
       `time_reached`, which is ``t1`` if the trajectory is FINISHED.
     - `status`: a `Status` code; 0 is FINISHED. Anything else: do not use the numbers.
-    - `doubts`: how often the relative velocity (or the force that a stick needs) turned round so close to the edge that
-      the last digits decide whether there was an event: about 1e-9 of its scale (float32: 1e-3). 0 where no time steps
-      were made.
+    - `doubts`: how often the last digits decided whether there was an event: the relative velocity (or the force that a
+      stick needs) turned round close to the edge, or just beyond it; the mass came to rest where friction could just
+      hold it; a jump of the base or the horizon came just before or after an event. Close means about 1e-9 of the scale
+      (float32: 1e-3). 0 where no time steps were made.
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
     - `switching_times`: the instants at which the base velocity jumps (or may; of a trajectory in time steps: at which
       its steps begin), s.

@@ -10,9 +10,11 @@ function, the guard, that is positive while the present mode lasts. Each turn of
 - if it comes down near zero and turns up again, the step is tried again up to the turning point, to see which it is;
 - a step never crosses the end of a piece of the base motion or of the load: there the mode is settled afresh.
 
+- a step whose error the solver estimates as too large is tried again, shorter.
+
 What can be missed: two falls in one step between which the guard has two more extrema, which the cubic through the
 ends of a step cannot show; so steps must be short against the shortest time scale (`time_scales.py` sees to it).
-Where the guard turns round closer to zero than `_DOUBT`, a stick may come or go with the last digits: that is counted.
+Where something less than `_DOUBT` would have made or undone an event, that is counted (`_close_calls`).
 """
 
 import math
