@@ -23,7 +23,7 @@ class SolverOscillatorModel(OscillatorModel):
     ) -> tuple[State, FloatArray | None]:
         y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
         # Of the package's own functions all is known that the step depends on (`time_scales.py`).
-        return y1, None if isinstance(self.solver, diffrax.Dopri8) and is_own(self) else error
+        return y1, None if is_own(self) else error
 
 
 class _Slip(eqx.Module):
