@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .. import _checks
 from .._types import Array, Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.random import RandomPhase
@@ -41,7 +42,8 @@ def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularize
     if duration is None:
         # Without friction nothing sticks, however slowly it passes.
         slows = jnp.asarray(deceleration) > 0
-        duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), jnp.finfo(dtype).max)
+        never = min(_checks.LARGEST, float(jnp.finfo(dtype).max))
+        duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
         duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
     scales = _state_scales(system, drive, dtype)
