@@ -4,7 +4,7 @@
 constant, linear and harmonic forces (any book on vibration). Other forces and friction laws: `solver_model.py`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 
@@ -33,6 +33,7 @@ class OscillatorModel(SwitchedModel):
 
     system: MassSpring
     smooth: Signal | None
+    steps_may_be_long: ClassVar[bool] = True
 
     def inputs(self, t: FloatArray, pieces: Pieces) -> OscillatorInputs:
         base, base_slope = added(t, pieces.base)

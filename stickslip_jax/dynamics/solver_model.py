@@ -1,5 +1,7 @@
 """The mass and spring where slips have no closed form: each step is one step of a solver."""
 
+from typing import ClassVar
+
 import diffrax
 import equinox as eqx
 
@@ -14,6 +16,7 @@ class SolverOscillatorModel(OscillatorModel):
     """An `OscillatorModel` whose slips are integrated by `solver`: any friction law, any smooth force."""
 
     solver: diffrax.AbstractERK
+    steps_may_be_long: ClassVar[bool] = False
 
     def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
         return self.slip_and_error(inputs, y, h, sign)[0]

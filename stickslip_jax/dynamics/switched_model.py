@@ -1,7 +1,7 @@
 """What the switched engine needs to know of a system: how it moves, and what tells when its mode is over."""
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 
@@ -21,7 +21,12 @@ class Pieces(NamedTuple):
 
 
 class SwitchedModel(eqx.Module):
-    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t."""
+    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t.
+
+    `steps_may_be_long`: whether `slip` and `stick` are as exact over long times as over a step.
+    """
+
+    steps_may_be_long: ClassVar[bool] = False
 
     @abc.abstractmethod
     def inputs(self, t: FloatArray, pieces: Pieces) -> Any:

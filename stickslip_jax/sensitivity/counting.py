@@ -18,10 +18,10 @@ from ..base_motion.laws import BangBangLaw, PoissonSwitching
 from ..base_motion.random import realised_state
 from ..dynamics.interval_engine import Scales, scales_of, start_motion, start_totals, status_of
 from ..dynamics.interval_lanes import draw_block
-from ..dynamics.lanes import Engine, LaneResults
+from ..dynamics.lanes import Engine
 from ..systems.mass_spring import MassSpring
 from .edges import Edges, IntervalLane, cross_with_edges
-from .kernels import crossing, ending, flux, hits, through
+from .kernels import crossing, ending, hits, through, weighted_flux
 
 
 class Likelihood(NamedTuple):
@@ -32,13 +32,31 @@ class Likelihood(NamedTuple):
     sticks: Scalar
 
 
-class _Flux(NamedTuple):
-    """What has come through the edges so far."""
+class Counted(NamedTuple):
+    """The totals of each sample. Of the last two there is one for each window, both zero.
 
-    births: FloatArray  # zero; its derivative is what sticks born and lost add to that of the number of sticks
-    narrow: FloatArray  # the same by narrower windows
-    near: FloatArray  # zero; its derivative counts the arcs that a kernel reached
-    switches: IntArray
+    The derivative of `births` is what sticks born and lost add to that of the number of sticks; the derivative of
+    `near` counts the edges that a kernel reached.
+    """
+
+    status: AnyArray
+    stick_time: AnyArray
+    sticks: AnyArray
+    births: tuple[AnyArray, ...]
+    near: tuple[AnyArray, ...]
+
+
+class Flux(NamedTuple):
+    """What has come through the edges so far, for each window: `births` and `near` of `Counted`."""
+
+    births: tuple[FloatArray, ...]
+    near: tuple[FloatArray, ...]
+
+    @classmethod
+    def none(cls, windows: int, dtype: Any) -> "Flux":
+        """At the beginning."""
+        zeros = (jnp.zeros((), dtype),) * windows
+        return cls(zeros, zeros)
 
 
 class _Lanes(NamedTuple):
@@ -47,24 +65,23 @@ class _Lanes(NamedTuple):
     words: tuple[Array, Array]  # the key words of the lane's sample
     first: Array  # number of its next interval
     lane: IntervalLane
-    flux: _Flux
+    flux: Flux
+    switches: IntArray
     stalled: BoolArray
 
 
-class CountingEngine(Engine):
+class IntervalCounting(Engine):
     """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0` (numbers, or `Uniform` values).
 
-    The results' `sticks` are real numbers with the derivative of the expectation, `slips` are zeros with the same one
-    found by windows a quarter as wide, and the derivative of `doubts` counts the arcs near the edge of a stick's
-    existence: those within a window. `fixed_start` tells that all samples begin in the same
-    state: what comes of the first arc is then no random number with a density.
+    `reaches` (windows,): how far the kernels look, as shares of the parameter (see `kernels.crossing`). `fixed_start`
+    tells that all samples begin in the same state: what comes of the first arc is then no random number with a density.
     """
 
     system: MassSpring
     law: BangBangLaw
     t1: Scalar
     y0: tuple[Any, ...]
-    reach: AnyArray  # how far the widest kernels look, as a share of the parameter (see `kernels.crossing`)
+    reaches: AnyArray
     likelihood: Likelihood | None
     fixed_start: bool = eqx.field(static=True)
 
@@ -73,65 +90,59 @@ class CountingEngine(Engine):
         motion = start_motion(self._scales(dtype), (x, velocity))
         none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
         lane = IntervalLane(self.law.begin(words, dtype), motion, start_totals(dtype), zero)
-        return _Lanes(words, none.astype(jnp.uint32), lane, _Flux(zero, zero, zero, none), jnp.zeros((), bool))
+        flux = Flux.none(len(self.reaches), dtype)
+        return _Lanes(words, none.astype(jnp.uint32), lane, flux, none, jnp.zeros((), bool))
 
     def advance(self, state: _Lanes, dtype, room: Any, slot: Array | int) -> tuple[_Lanes, Any]:
         scales = self._scales(dtype)
         drawn, numbers = draw_block(self.law, state.words, state.first, dtype)
 
-        def step_one(lane, flux, drawn, is_first):
+        def step_one(lane, flux, switches, drawn, is_first):
             moved, stick, edges, duration = cross_with_edges(self.law, scales, lane, drawn)
             arrival = stick.start - lane.motion.t
             flux = self._with_flux(flux, edges, arrival, is_first & self.fixed_start)
-            return moved, flux._replace(switches=flux.switches + (lane.motion.t + duration < scales.t1))
+            return moved, flux, switches + (lane.motion.t + duration < scales.t1)
 
         def step(lanes, inputs):
             return jax.vmap(step_one)(*lanes, *inputs), None
 
-        (lane, total), _ = lax.scan(step, (state.lane, state.flux), (drawn, numbers == 0))
+        begun = (state.lane, state.flux, state.switches)
+        (lane, flux, switches), _ = lax.scan(step, begun, (drawn, numbers == 0))
         stalled = lane.motion.t <= state.lane.motion.t
-        return _Lanes(state.words, state.first + np.uint32(len(numbers)), lane, total, stalled), room
+        return _Lanes(state.words, state.first + np.uint32(len(numbers)), lane, flux, switches, stalled), room
 
     def ended(self, state: _Lanes) -> BoolArray:
         # Written so that a NaN time counts as ended.
         t = state.lane.motion.t
         return ~(t < jnp.asarray(self.t1, t.dtype)) | state.stalled
 
-    def results(self, state: _Lanes) -> LaneResults:
-        motion, totals, through = state.lane.motion, state.lane.totals, state.flux
-        time = totals.stick_time
-        sticks, narrow = totals.sticks + through.births, through.narrow
+    def results(self, state: _Lanes) -> Counted:
+        motion, totals, flux = state.lane.motion, state.lane.totals, state.flux
+        time, births = totals.stick_time, flux.births
         if self.likelihood is not None:
             # log p = switches log(rate) - rate t1 + ..., of a Poisson process.
             rate = jnp.asarray(self.likelihood.rate, time.dtype)
-            score = flux(through.switches / rate - self.t1, rate, jnp.ones((), bool))
-            by_score = (sticks - self.likelihood.sticks) * score
-            sticks, narrow = sticks + by_score, narrow + by_score
+            score = weighted_flux(state.switches / rate - self.t1, rate, jnp.ones((), bool))
+            births = tuple(born + (totals.sticks - self.likelihood.sticks) * score for born in births)
             time = time + (time - self.likelihood.stick_time) * score
-        return LaneResults(
-            sticks=sticks,
-            slips=narrow,
-            stick_time=time,
-            status=status_of(motion, jnp.asarray(self.t1, time.dtype)),
-            doubts=through.near,
-        )
+        status = status_of(motion, jnp.asarray(self.t1, time.dtype))
+        return Counted(status, time, totals.sticks, births, flux.near)
 
-    def _with_flux(self, total: _Flux, edges: Edges, arrival: FloatArray, is_fixed: BoolArray | bool) -> _Flux:
+    def _with_flux(self, total: Flux, edges: Edges, arrival: FloatArray, is_fixed: BoolArray | bool) -> Flux:
         """`total` with what one interval adds: its flux through every edge of existence."""
-        reach = jnp.asarray(self.reach, arrival.dtype)
         exact, races = jnp.zeros_like(arrival), ~jnp.asarray(is_fixed)
         if isinstance(self.law, PoissonSwitching):
             rate = jnp.asarray(self.law.rate, arrival.dtype)
             # The gap that ends at the arrival, with the random number that made it held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
-            exact, races = flux(rate, gap - arrival, edges.exists), jnp.zeros((), bool)
+            exact, races = weighted_flux(rate, gap - arrival, edges.exists), jnp.zeros((), bool)
         edges = edges.only(~jnp.asarray(is_fixed), races)
-        return _Flux(
-            births=total.births + exact + through(edges, reach, crossing, ending),
-            narrow=total.narrow + exact + through(edges, reach / 4, crossing, ending),
-            near=total.near + through(edges, reach, hits, hits),
-            switches=total.switches,
-        )
+        reaches = jnp.asarray(self.reaches, arrival.dtype)
+        return Flux(
+            tuple(born + exact + through(edges, reach, crossing, ending)
+                  for born, reach in zip(total.births, reaches, strict=True)),
+            tuple(near + through(edges, reach, hits, hits) for near, reach in zip(total.near, reaches, strict=True)),
+        )  # fmt: skip
 
     def _scales(self, dtype) -> Scales:
         return scales_of(self.system, self.t1, dtype)

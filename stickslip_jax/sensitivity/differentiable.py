@@ -11,7 +11,8 @@ from jax import lax
 from .._status import Status
 from .._types import Array
 from ..dynamics.lanes import Job, summarise
-from .estimators import RATE, counting_engine
+from .counting import IntervalCounting
+from .estimators import RATE, counting_engine, counting_paths
 from .first_look import problem_of, reach_of, require_precision
 from .parameters import Path, with_numbers
 from .problem import Pilot, Problem, room_for
@@ -104,10 +105,12 @@ def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
 def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
     """By counting lanes."""
     assert isinstance(problem.statistic, OfTotals)
-    engine = counting_engine(problem, pilot, reach)
+    # One window, as wide as may be: which is best cannot be asked inside a compiled function.
+    engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [reach]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
-    paths = problem.paths()
-    by_score: tuple[Path, ...] = (("likelihood", "rate"),) if engine.likelihood is not None and RATE in paths else ()
+    paths = counting_paths(problem)
+    has_likelihood = isinstance(engine, IntervalCounting) and engine.likelihood is not None
+    by_score: tuple[Path, ...] = (("likelihood", "rate"),) if has_likelihood and RATE in paths else ()
     by = tuple(by_score[0] if by_score and path == RATE else path for path in paths)
 
     def means(values: Array, varied: Array | None = None) -> Array:
@@ -117,9 +120,10 @@ def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
         if varied is not None:
             here = with_numbers(here, by, varied)
         job = Job(here, problem.words, np.uint32(0), np.int32(rows))
-        results = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
-        done = results.status == Status.FINISHED
-        totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (results.stick_time, results.sticks, done)]
+        counted: Any = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
+        done = counted.status == Status.FINISHED
+        sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
+        totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]
         return weights @ jnp.stack([jnp.sum(leaf, dtype=problem.dtype) for leaf in totals])
 
     return means
@@ -129,7 +133,6 @@ def _recorded(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
     """By recorded sequences."""
     engine, paths, room = problem.engine(), problem.paths(), room_for(problem, pilot)
     room = Room(2 * room.blocks, 2 * room.slots, 0 if problem.has_sudden_switches else 2 * room.edges)
-    # One window, as wide as may be: which is best cannot be asked inside a compiled function.
     reaches = np.array([reach])
 
     def means(values: Array, varied: Array | None = None) -> Array:

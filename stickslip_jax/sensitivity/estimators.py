@@ -9,13 +9,15 @@ from .._status import Status
 from ..base_motion.laws import PoissonSwitching
 from ..dynamics.chunks import chunks_of
 from ..dynamics.lanes import Engine, Job
-from .counting import CountingEngine, Likelihood
+from ..dynamics.own import is_own
+from .counting import IntervalCounting, Likelihood
 from .parameters import Parameter, Path, check_numbers, with_numbers
 from .problem import Pilot, Problem, lanes_and_rows, sequence_lanes
 from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
 from .sequences import Room
 from .statistic import OfTotals
 from .traces import traced
+from .turn_counting import TurnCounting
 
 RATE: Path = ("law", "rate")
 _MOST_DOUBLINGS = 6  # of the room for a realisation
@@ -45,61 +47,82 @@ def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | No
     )
 
 
-def counted(problem: Problem, pilot: Pilot, reach: float) -> tuple[Tally, tuple[Columns, ...]]:
-    """All parameters by counting lanes, with windows of `reach` and a quarter of it."""
-    engine = counting_engine(problem, pilot, reach)
-    paths, number = list(problem.paths()), len(problem.parameters)
+def counted(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
+    """All parameters by counting lanes, with windows of all `reaches`."""
+    engine = counting_engine(problem, pilot, reaches)
+    paths, number = list(counting_paths(problem)), len(problem.parameters)
     pathwise = list(range(number))
     for index, path in enumerate(problem.paths()):
-        if path == RATE and engine.likelihood is not None:
+        if path == RATE and isinstance(engine, IntervalCounting) and engine.likelihood is not None:
             # Its derivative from the likelihood, and beside it the pathwise one.
             paths[index] = ("likelihood", "rate")
             pathwise[index] = len(paths)
             paths.append(RATE)
-    return run_counting(problem, engine, tuple(paths)), _columns(number, 2, len(paths), pathwise)
+    tally = _run_counting(problem, engine, tuple(paths))
+    return tally, _columns(number, len(reaches), len(paths), pathwise)
 
 
-def counting_engine(problem: Problem, pilot: Pilot, reach: float) -> CountingEngine:
-    """The engine that counts."""
+def counting_engine(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> IntervalCounting | TurnCounting:
+    """The engine that counts; without `reaches`, for pathwise derivatives only."""
+    reaches = np.asarray(reaches, problem.dtype)
+    if not problem.by_intervals:
+        return TurnCounting(problem.engine(), reaches, problem.fixed_start)
     likelihood = None
     if type(problem.law) is PoissonSwitching:
         likelihood = Likelihood(problem.law.rate, pilot.stick_time, pilot.sticks)
-    return CountingEngine(
-        problem.system,
-        problem.law,
-        problem.t1,
-        problem.y0,
-        np.asarray(reach, problem.dtype),
-        likelihood,
-        problem.fixed_start,
+    return IntervalCounting(
+        problem.system, problem.law, problem.t1, problem.y0, reaches, likelihood, problem.fixed_start
     )
 
 
-def run_counting(problem: Problem, engine: CountingEngine, paths: tuple[Path, ...]) -> Tally:
-    """The problem's parts; columns: their derivatives by every path, and the pathwise parts of these."""
+def counting_paths(problem: Problem) -> tuple[Path, ...]:
+    """Where the parameters are in the engine that counts."""
+    return problem.paths() if problem.by_intervals else tuple(("turns", *path) for path in problem.paths())
+
+
+def _run_counting(problem: Problem, engine: IntervalCounting | TurnCounting, paths: tuple[Path, ...]) -> Tally:
+    """The problem's parts; columns: their derivatives by every path and window, and the pathwise parts of these."""
+    per_task, record = _counter(problem, engine, paths)
+
+    def simulate(first: int, number: int) -> Rows:
+        parts, slopes, pathwise, near, status = record(first, number)
+        return Rows.of(status, parts, slopes, pathwise, near[: len(problem.parameters)])
+
+    return run_chunks(simulate, problem.samples, per_task, problem.threads)
+
+
+def _counter(
+    problem: Problem, engine: IntervalCounting | TurnCounting, paths: tuple[Path, ...]
+) -> tuple[int, Callable[[int, int], Any]]:
+    """A function of a task's first sample and their number (at most the number given beside it).
+
+    It gives the parts (samples, 2), their derivatives (paths, samples, windows, 2), the pathwise parts of these
+    (paths, samples, 2), how many edges each window reached (paths, samples, windows), and status.
+    """
     assert isinstance(problem.statistic, OfTotals)
-    lanes, rows = lanes_and_rows(problem)
-    is_own = type(problem.law).__module__.startswith(__name__.partition(".")[0])
+    lanes, rows, per_task = lanes_and_rows(problem)
     weights = problem.statistic.weights(problem.t1)
     units = units_of(engine, paths)[:, None]
 
-    def simulate(first: int, number: int) -> Rows:
-        (*totals, _, _), (d_time, *d_counts, near), status = count_chunk[is_own](
+    def record(first: int, number: int) -> Any:
+        totals, (d_time, d_births, near), status = count_chunk[is_own(engine)](
             engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)),
             paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
         )  # fmt: skip
-        time, *counts = (_flat(leaf, number) / units for leaf in (d_time, *d_counts))
-        slopes = np.stack([np.stack([time, count], axis=-1) @ weights[:, :2].T for count in counts], axis=2)
+        totals = np.stack([_flat(leaf, number) for leaf in totals], axis=-1)
+        time, births = _flat(d_time, number) / units, [_flat(leaf, number) / units for leaf in d_births]
+        slopes = [np.stack([time, born], axis=-1) @ weights[:, :2].T for born in births]
         # The number of sticks of one trajectory does not change.
         pathwise = time[..., None] * weights[:, 0]
-        parts = np.stack([_flat(leaf, number) for leaf in totals], axis=-1) @ weights[:, :2].T + weights[:, 2]
-        # The likelihood takes no window: it rests on all sticks.
-        near = [_flat(totals[1], number) if path[0] == "likelihood" else reached
-                for path, reached in zip(paths, _flat(near, number), strict=True)]  # fmt: skip
-        near = np.stack([near[: len(problem.parameters)]] * 2, axis=-1)
-        return Rows.of(_flat(status, number).astype(int), parts, slopes, pathwise, near)
+        slopes = np.stack(slopes, axis=2) if slopes else np.zeros((*pathwise.shape[:2], 0, 2))
+        near = np.stack([_flat(leaf, number) for leaf in near], axis=-1) if near else np.zeros(slopes.shape[:3])
+        for index, path in enumerate(paths):
+            if path[0] == "likelihood":  # takes no window: it rests on all sticks
+                near[index] = totals[:, 1:]
+        parts = totals @ weights[:, :2].T + weights[:, 2]
+        return parts, slopes, pathwise, near, _flat(status, number).astype(int)
 
-    return run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
+    return per_task, record
 
 
 def recorded(problem: Problem, room: Room, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
@@ -144,10 +167,7 @@ def differenced(
     """
     engine, paths = problem.engine(), problem.paths()
     units = units_of(engine, paths)
-    values = _counted_values if problem.is_counted else _recorded_values
-    lanes, rows = lanes_and_rows(problem) if problem.is_counted else (sequence_lanes(problem), 1)
-    room = room._replace(edges=0)
-    record = _recorder(problem, room, steps[:1])
+    values, per_task, pathwise_of = _by_totals(problem) if problem.is_counted else _by_sequences(problem, room)
     pairs = [
         (step * unit, *_ends(engine, path, parameter, step * unit))
         for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
@@ -156,23 +176,66 @@ def differenced(
 
     def simulate(first: int, number: int) -> Rows:
         def difference(length: float, *ends: Engine) -> Any:
-            (low, low_status, low_count), (high, high_status, high_count) = (
-                values(problem, end, first, number, room) for end in ends
-            )
+            (low, low_status, low_count), (high, high_status, high_count) = (values(end, first, number) for end in ends)
             return (high - low) / (2 * length), np.maximum(low_status, high_status), low_count != high_count
 
-        parts, status, _ = values(problem, engine, first, number, room)
+        parts, status, _ = values(engine, first, number)
         differences, statuses, near = zip(*(difference(*pair) for pair in pairs), strict=True)
         shape = (len(paths), len(steps), number)
         slopes = np.moveaxis(np.reshape(differences, (*shape, 2)), 2, 1)
-        pathwise = np.zeros((len(paths), number, 2))
-        if with_pathwise:
-            pathwise = np.asarray(record(first)[1].parts, float)[:, :number] / units[:, None, None]
+        pathwise = pathwise_of(first, number) if with_pathwise else np.zeros((len(paths), number, 2))
         near = np.moveaxis(np.reshape(near, shape), 2, 1).astype(float)
         return Rows.of(np.max([status, *statuses], axis=0), parts, slopes, pathwise, near)
 
-    tally = run_chunks(simulate, problem.samples, lanes * rows, problem.threads)
+    tally = run_chunks(simulate, problem.samples, per_task, problem.threads)
     return tally, _columns(len(paths), len(steps), len(paths))
+
+
+# A function of an engine, a task's first sample and their number that gives the statistic's parts, status and number of
+# sticks; the largest number of samples of a task; a function of the other two that gives the pathwise derivatives.
+_Values = tuple[Callable[[Engine, int, int], Any], int, Callable[[int, int], np.ndarray]]
+
+
+def _by_totals(problem: Problem) -> _Values:
+    """What `differenced` calls, by lanes that keep totals."""
+    assert isinstance(problem.statistic, OfTotals)
+    lanes, rows, per_task = lanes_and_rows(problem)
+    weights = problem.statistic.weights(problem.t1)
+
+    def values(engine: Engine, first: int, number: int) -> Any:
+        job = Job(engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)))
+        results = chunks_of(engine).summarise(job, lanes=lanes, rows=rows, dtype=problem.dtype)
+        totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
+        return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
+
+    def pathwise(first: int, number: int) -> np.ndarray:
+        counting = TurnCounting(problem.engine(), np.zeros(0), problem.fixed_start)
+        return _counter(problem, counting, counting_paths(problem))[1](first, number)[2]
+
+    return values, per_task, pathwise
+
+
+def _by_sequences(problem: Problem, room: Room) -> _Values:
+    """The same by recorded sequences."""
+    lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
+    room = room._replace(edges=0)
+    record = _recorder(problem, room, np.zeros(0))
+
+    def values(engine: Engine, first: int, number: int) -> Any:
+        def run(room: Room) -> Any:
+            done = value_chunk(
+                problem.statistic, traced(engine, problem.fixed_start), problem.words, np.uint32(first),
+                lanes=lanes, room=room, dtype=problem.dtype,
+            )  # fmt: skip
+            return done, done[1], done[2], np.zeros(1)
+
+        parts, status, sticks = (np.asarray(leaf)[:number] for leaf in _with_room(run, room))
+        return parts.astype(float), status, sticks
+
+    def pathwise(first: int, number: int) -> np.ndarray:
+        return np.asarray(record(first)[1].parts, float)[:, :number] / units
+
+    return values, lanes, pathwise
 
 
 def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> list[Engine]:
@@ -187,28 +250,6 @@ def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> li
             f"{length:g}, which it does not allow. {error}"
         ) from error
     return ends
-
-
-def _counted_values(problem: Problem, engine: Engine, first: int, number: int, room: Room) -> Any:
-    assert isinstance(problem.statistic, OfTotals)
-    lanes, rows = lanes_and_rows(problem)
-    job = Job(engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)))
-    results = chunks_of(engine).summarise(job, lanes=lanes, rows=rows, dtype=problem.dtype)
-    totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
-    weights = problem.statistic.weights(problem.t1)
-    return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
-
-
-def _recorded_values(problem: Problem, engine: Engine, first: int, number: int, room: Room) -> Any:
-    def run(room: Room) -> Any:
-        done = value_chunk(
-            problem.statistic, traced(engine, problem.fixed_start), problem.words, np.uint32(first),
-            lanes=sequence_lanes(problem), room=room, dtype=problem.dtype,
-        )  # fmt: skip
-        return done, done[1], done[2], np.zeros(1)
-
-    parts, status, sticks = (np.asarray(leaf)[:number] for leaf in _with_room(run, room))
-    return parts.astype(float), status, sticks
 
 
 def _with_room(run: Callable[[Room], tuple[Any, Any, Any, Any]], room: Room) -> Any:

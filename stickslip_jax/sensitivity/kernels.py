@@ -66,12 +66,12 @@ def _hits_jvp(primals, tangents):
 def _moved(primals, tangents):
     """``u``, the sign of the motion, and whether ``|u| < 1``, where it counts."""
     distance, reach, where = primals
-    moves = jnp.abs(tangents[0])
-    hit = where & (jnp.abs(distance) < reach * moves)
-    return distance / jnp.where(hit, reach * moves, 1), jnp.sign(tangents[0]), hit
+    change = jnp.abs(tangents[0])
+    hit = where & (jnp.abs(distance) < reach * change)
+    return distance / jnp.where(hit, reach * change, 1), jnp.sign(tangents[0]), hit
 
 
-def flux(weight: Array, distance: FloatArray, where: BoolArray) -> Array:
+def weighted_flux(weight: Array, distance: FloatArray, where: BoolArray) -> Array:
     """Zero, with the derivative ``weight * d distance`` where it holds.
 
     Added to a count, it makes the derivative of the count that of its expectation.

@@ -67,7 +67,7 @@ class Problem(NamedTuple):
     @property
     def is_counted(self) -> bool:
         """Whether nothing need be recorded."""
-        return self.by_intervals and self.statistic.is_of_totals
+        return self.statistic.is_of_totals
 
     def engine(self) -> Engine:
         """What simulates it, the fastest."""
@@ -107,12 +107,11 @@ def room_for(problem: Problem, pilot: Pilot) -> Room:
     return Room(-(-intervals // BLOCK), slots, 2 * slots)
 
 
-def lanes_and_rows(problem: Problem) -> tuple[int, int]:
-    """In how many lanes and rows a chunk is counted."""
-    lanes, rows = (256, 16)
-    share = _share(problem)
-    lanes = min(lanes, max(64, 1 << (share - 1).bit_length()))
-    return lanes, max(1, min(rows, -(-share // lanes)))
+def lanes_and_rows(problem: Problem) -> tuple[int, int, int]:
+    """In how many lanes and rows totals are found, as in an ensemble (`ensemble.py`), and the samples of a task."""
+    lanes, rows = 256, 32
+    fair = -(-_share(problem) // lanes) * lanes
+    return lanes, rows, min(fair, lanes * rows)
 
 
 def sequence_lanes(problem: Problem) -> int:

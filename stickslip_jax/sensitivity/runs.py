@@ -13,11 +13,12 @@ from .._types import AnyInteger, Array
 from ..dynamics.lanes import Job, summarise
 from ..numerics.compiling import CompiledNatively
 from ..numerics.moments import Moments
-from .counting import CountingEngine
+from .counting import IntervalCounting
 from .parameters import Path, number_at, with_numbers
 from .sequences import Room, features_of, record_sequences
 from .statistic import StickStatistic
 from .traces import TracedIntervals, TracedTurns
+from .turn_counting import TurnCounting
 
 
 class Rows(NamedTuple):
@@ -101,7 +102,7 @@ def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
 
 
 def _count(
-    engine: CountingEngine,
+    engine: IntervalCounting | TurnCounting,
     words: Array,
     first: AnyInteger,
     used_rows: AnyInteger,
@@ -110,18 +111,18 @@ def _count(
     lanes: int,
     rows: int,
     dtype: Any,
-) -> Any:
-    """Total stick time, number of sticks, and two zeros as `CountingEngine` tells (rows, lanes); their derivatives by
-    the numbers at `paths` (paths, rows, lanes), of which the last count what the kernels reached; status (rows, lanes).
+) -> tuple[Any, Any, Any]:
+    """Total stick time and number of sticks (rows, lanes); the derivatives by the numbers at `paths` of stick time,
+    births and what was near (paths, rows, lanes), the last two for each window; status (rows, lanes).
     """
 
     def run(values):
         job = Job(with_numbers(engine, paths, values), words, first, used_rows)
-        results = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
-        counts = (jnp.asarray(results.sticks, dtype), results.slips, results.doubts)
-        return (results.stick_time, *counts), results.status
+        counted: Any = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
+        return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
 
-    return derivatives_of(run, engine, paths, dtype)
+    (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
+    return (time, sticks), slopes, status
 
 
 def _sequence(

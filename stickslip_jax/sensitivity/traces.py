@@ -114,15 +114,18 @@ class TracedTurns(eqx.Module):
 
     def edges(self, state: Any, moments: Moment) -> Edges:
         """The edges of moments (slots, lanes)."""
-        engine = self.engine
+        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, state.smooth)
+
+    def edges_of(self, moments: Moment, smooth: Any) -> Edges:
+        """The edges of moments (moments,), each under its own smooth drive."""
+        engine, dtype = self.engine, moments.t.dtype
         streams = streams_of(engine.system, engine.drive)
-        dtype = moments.t.dtype
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
         def edges_of(moment, smooth):
             return edges_of_moment(model_of(engine.system, smooth, engine.solver), streams, t1, step, moment)
 
-        return jax.vmap(jax.vmap(edges_of), in_axes=(0, None))(moments, state.smooth)
+        return jax.vmap(edges_of)(moments, smooth)
 
     def ended(self, state: Any) -> BoolArray:
         """Which lanes have come to the end of their sample."""

@@ -3,25 +3,31 @@
 While a mode lasts its guard is positive (`dynamics.switched_engine`). Where the guard falls and turns up again it has
 a lowest value, which tells how far the arc was from touching zero; where it does fall through zero, following the same
 flow beyond tells the same, with the other sign. So the lowest value is smooth through 0 and known on both sides.
+
+What is looked for is found without derivatives (`_places`); the derivatives come from one look at what is there
+(`_at`).
 """
 
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import Feed
 from ..dynamics.switched_engine import Lane, Streams, next_feeds
-from ..dynamics.switched_model import State, SwitchedModel
-from ..numerics.roots import look_ahead, lowest_between, steepest_fall
+from ..dynamics.switched_model import Pieces, State, SwitchedModel
+from ..numerics.roots import steepest_fall
+from ..numerics.sharing import sharing
 from .edges import Edges, Number
 
 _NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a lowest value nearer to 0 is 0 by construction
 _FAR = 0.5  # of the guard's scale: no kernel reaches so far
-_STEPS_BEYOND = (0.5, 1.5, 12)  # how a flow is followed beyond what ended it: first and last of so many time steps
-_TRIES = 3  # to find the lowest point in a step, by cubics
+# How a flow is followed, in time steps: so far altogether, then a few tries between the last two places.
+_STEPS, _TRIES = np.linspace(0.5, 1.5, 12), 5
+_JUST_AFTER = 0.05  # of a time step
 
 
 class Moment(NamedTuple):
@@ -51,6 +57,7 @@ class _Turn(NamedTuple):
     dips: BoolArray  # the guard fell and turned up again
     fall: FloatArray  # where it fell then, a fraction of the turn
     falls: BoolArray  # the guard was falling when the piece ended
+    rise: FloatArray  # the guard's slope at the end
 
     @property
     def may_be_near(self) -> BoolArray:
@@ -58,35 +65,49 @@ class _Turn(NamedTuple):
         return self.has_event | self.crosses | self.dips | self.falls
 
 
-class _Stretch(NamedTuple):
-    """A stretch of a flow: time and state at its beginning, its length; the guard's value and slope at both ends."""
+class _Place(NamedTuple):
+    """A place on a flow, s after its beginning; whether it is what was looked for; how fast that changes there."""
+
+    tau: FloatArray
+    found: BoolArray
+    rate: FloatArray
+
+
+class _Look(NamedTuple):
+    """What a look at a place shows: the time and state there, the guard and its slope."""
 
     t: FloatArray
     y: State
-    length: FloatArray
-    s0: FloatArray
-    d0: FloatArray
-    s1: FloatArray
-    d1: FloatArray
+    value: FloatArray
+    slope: FloatArray
 
 
+@sharing
 def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, moment: Moment) -> BoolArray:
     """Whether the turn has edges to look for."""
     return _turn(model, streams, t1, lax.stop_gradient(moment)).may_be_near
 
 
+@sharing
 def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> Edges:
     """The edges of one turn that may have some."""
-    turn, sticking = _turn(model, streams, t1, moment), moment.sign == 0
-    here = _stretch(model, streams, moment, turn, step)
-    grazing, nearest = _grazing(model, streams, moment, turn, here)
-    left, is_late, is_undone = _race(model, streams, moment, turn, here)
+    fixed, pieces = lax.stop_gradient(moment), streams.pieces(moment.feeds)
+    turn, sticking = _turn(model, streams, t1, fixed), fixed.sign == 0
+    # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
+    start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
+    places = _places(model, *lax.stop_gradient((pieces, start)), turn, step)
+    looks = _at(model, pieces, start, places.tau)
+    (here, across), (then, then_across) = (
+        [jax.tree.map(lambda leaf, number=number: leaf[number], found) for number in (0, 1)] for found in (places, looks)
+    )
+    grazing, nearest = _grazing(model, pieces, fixed, turn, here, then)
+    would, is_late = _late(model, pieces, fixed, turn, here, then)
+    left, is_undone = turn.stop - jnp.where(turn.has_event, moment.end, would), _is_undone(model, streams, fixed, turn)
     at_horizon = turn.stop >= t1
     # No stick begins after t1; a slip after t1 parts none.
     horizon = Number(t1 + (left - turn.stop), (turn.has_event | (is_late & at_horizon)) & ~sticking)
     race = Number(left, (turn.has_event | is_late) & is_undone & ~at_horizon)
-    switched = turn.has_event | turn.crosses
-    time = jnp.where(switched, moment.end, jnp.where(is_late, turn.stop, nearest))
+    time = jnp.where(turn.has_event | turn.crosses, fixed.end, jnp.where(is_late, turn.stop, nearest))
     return Edges(
         time=lax.stop_gradient(time),
         exists=turn.has_event,
@@ -94,61 +115,28 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
         grazing=grazing,
         race=race,
         horizon=horizon,
-        crossing=_crossing(model, streams, moment, switched & ~sticking),
+        crossing=_crossing(model, pieces, moment, turn, across, then_across),
     )
 
 
 def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, moment: Moment) -> _Turn:
     sticking = moment.sign == 0
-    tau = lax.stop_gradient(moment.end - moment.t)
+    tau = moment.end - moment.t
     stop = jnp.min(jnp.stack([t1, *(feed.piece.end for feed in moment.feeds)]), axis=0)
     inputs = model.inputs(moment.t, streams.pieces(moment.feeds))
-    s0, d0 = model.guard(inputs, jnp.zeros_like(tau), moment.y, moment.sign)
-    s1, d1 = model.guard(inputs, tau, moment.y_end, moment.sign)
-    fall = steepest_fall(s0, d0 * tau, s1, d1 * tau)
+
+    def guard(tau, y):
+        return model.guard(inputs, tau, y, moment.sign)
+
+    s, d = jax.vmap(guard)(*_stacked((jnp.zeros_like(tau), moment.y), (tau, moment.y_end)))
+    fall = steepest_fall(s[0], d[0] * tau, s[1], d[1] * tau)
     taken = (moment.t < t1) & (tau > 0)
     inside = taken & (moment.end < stop)
     has_event = inside & ((moment.sign_end == 0) != sticking)
     crosses = inside & ~sticking & (moment.sign_end == -moment.sign)
-    dips = taken & ~has_event & ~crosses & (fall < 1) & (d1 > 0)
-    falls = taken & (moment.end >= stop) & (s1 > 0) & (d1 < 0)
-    return _Turn(tau, stop, has_event, crosses, dips, fall, falls)
-
-
-def _stretch(model: SwitchedModel, streams: Streams, moment: Moment, turn: _Turn, step: FloatArray) -> _Stretch:
-    """Where the guard turns up: in the turn, or, if that ended with an event, in what the flow would have done then.
-
-    In a turn cut short by the end of a piece: where the guard would have come to zero.
-    """
-    pieces = streams.pieces(moment.feeds)
-
-    def follow(t, y, length):
-        inputs, nothing = model.inputs(t, pieces), jnp.zeros_like(length)
-        ahead = _flow(model, inputs, y, length, moment.sign)
-        before, after = model.guard(inputs, nothing, y, moment.sign), model.guard(inputs, length, ahead, moment.sign)
-        return _Stretch(t, y, length, *before, *after), ahead
-
-    # A turn that dips is looked at from where the guard falls.
-    before = jnp.where(turn.dips, turn.fall * turn.tau, 0)
-    inputs = model.inputs(moment.t, pieces)
-    start = _flow(model, inputs, moment.y, before, moment.sign)
-    whole, ahead = follow(moment.t + before, start, turn.tau - before)
-    longest = lax.stop_gradient(model.step_limit(jnp.full_like(step, jnp.inf), step, ahead, moment.sign))
-    longest = jnp.where(moment.sign == 0, step, longest)
-
-    def go_on(carry, share):
-        found, kept, t, y = carry
-        length = share * longest
-        beyond, ahead = follow(t, y, length)
-        hit = ~found & jnp.where(turn.falls, beyond.s1 <= 0, (beyond.d0 < 0) & (beyond.d1 > 0))
-        kept = jax.tree.map(lambda new, old: jnp.where(hit, new, old), beyond, kept)
-        return (found | hit, kept, t + length, ahead), None
-
-    # Not found is told by a stretch whose guard does not turn.
-    nowhere = whole._replace(d1=jnp.where(turn.dips, whole.d1, -1.0))
-    start = (turn.dips, nowhere, moment.t + turn.tau, ahead)
-    (_, kept, _, _), _ = lax.scan(go_on, start, jnp.linspace(*_STEPS_BEYOND, dtype=step.dtype))
-    return kept
+    dips = taken & ~has_event & ~crosses & (fall < 1) & (d[1] > 0)
+    falls = taken & (moment.end >= stop) & (s[1] > 0) & (d[1] < 0)
+    return _Turn(tau, stop, has_event, crosses, dips, fall, falls, d[1])
 
 
 def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign: FloatArray) -> State:
@@ -157,86 +145,152 @@ def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign:
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
 
 
+def _places(model: SwitchedModel, pieces: Pieces, start: Any, turn: _Turn, step: FloatArray) -> _Place:
+    """The places (2,) that tell how near something was, on both flows.
+
+    On that of the turn: where the guard turns up, in the turn or beyond the event that ended it; of a turn that was cut
+    short by the end of a piece, where the guard would have come to zero. On that of a mass which crosses the base
+    velocity: where the guard is lowest for the time since, seen from its beginning.
+    """
+
+    def look(t0, y0, sign, is_across):
+        def goal(tau, s, d):
+            """Negative before the place, positive after it."""
+            along = jnp.where(turn.falls, -s, d)
+            return jnp.where(is_across, (d * tau - s) / jnp.where(tau > 0, tau * tau, 1), along)
+
+        first = jnp.where(is_across, _JUST_AFTER * step, jnp.where(turn.dips, turn.fall, 1) * turn.tau)
+        longest = jnp.where(sign == 0, step, model.step_limit(jnp.full_like(step, jnp.inf), step, y0, sign))
+
+        @sharing
+        def go_on(carry, share):
+            before, after, y = carry
+            # Beyond: a step further. Between two places: where the line through their values is zero.
+            to = before.tau + jnp.where(after.found, _between(before, after), jnp.nan_to_num(share) * longest)
+            to = jnp.where(jnp.isnan(share), first, to)
+            inputs = model.inputs(t0 + before.tau, pieces)
+            ahead = _flow(model, inputs, y, to - before.tau, sign)
+            value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
+            new, is_before = _Side(to, value, jnp.ones_like(to), jnp.ones((), bool)), value < 0
+            before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
+            return (before, after, _either(is_before, ahead, y)), None
+
+        none, no, yes = jnp.zeros_like(step), jnp.zeros((), bool), jnp.ones((), bool)
+        inside = turn.dips & ~is_across
+        ends = _Side(none, -(none + 1), none + 1, no), _Side(turn.tau, turn.rise, none + 1, inside & yes)
+        shares = jnp.asarray([np.nan, *_STEPS, *[0.0] * _TRIES], step.dtype)
+        (before, after, _), _ = lax.scan(go_on, (*ends, y0), shares)
+        length = after.tau - before.tau
+        rate = (after.value - before.value) / jnp.where(length > 0, length, 1)
+        found = before.found & after.found & (length > 0)
+        return _Place(jnp.where(found, before.tau + _between(before, after), before.tau), found, rate)
+
+    return jax.vmap(look)(*start, jnp.array([False, True]))
+
+
+class _Side(NamedTuple):
+    """A place on one side of what is looked for, and the value there; its weight by the Illinois rule."""
+
+    tau: FloatArray
+    value: FloatArray
+    weight: FloatArray
+    found: BoolArray
+
+
+def _between(before: _Side, after: _Side) -> FloatArray:
+    """How far after the first of two places to look next: where the line through their weighted values is zero."""
+    a, b = before.value * before.weight, after.value * after.weight
+    return jnp.clip(a / jnp.where(a == b, 1, a - b), 0, 1) * (after.tau - before.tau)
+
+
+def _replaced(side: _Side, new: _Side, by_new: BoolArray) -> _Side:
+    """A side, or what is new there. One that stays counts for half from then on, so that both close in."""
+    stays = side._replace(weight=side.weight / 2)
+    return _Side(*(jnp.where(by_new, a, b) for a, b in zip(new, stays, strict=True)))
+
+
+def _at(model: SwitchedModel, pieces: Pieces, start: Any, tau: FloatArray) -> _Look:
+    """A look at the places `tau` (2,) on both flows."""
+    # A solver is not to be asked for steps longer than it takes.
+    steps = 1 if model.steps_may_be_long else len(_STEPS)
+
+    def look(t0, y0, sign, tau):
+        length = tau / steps
+
+        @sharing
+        def go_on(carry, _):
+            t, y = carry
+            return (t + length, _flow(model, model.inputs(t, pieces), y, length, sign)), None
+
+        (t, y), _ = lax.scan(go_on, (t0, y0), None, length=steps)
+        return _Look(t, y, *model.guard(model.inputs(t, pieces), jnp.zeros_like(t), y, sign))
+
+    return jax.vmap(look)(*start, lax.stop_gradient(tau))
+
+
 def _grazing(
-    model: SwitchedModel, streams: Streams, moment: Moment, turn: _Turn, here: _Stretch
+    model: SwitchedModel, pieces: Pieces, fixed: Moment, turn: _Turn, here: _Place, then: _Look
 ) -> tuple[Number, FloatArray]:
     """Minus the guard's lowest value, and when it is reached."""
-    inputs = model.inputs(here.t, streams.pieces(moment.feeds))
-    turns = (turn.dips | turn.has_event) & (here.d0 < 0) & (here.d1 > 0)
-
-    def guard(tau):
-        return model.guard(inputs, tau, _flow(model, inputs, here.y, tau, moment.sign), moment.sign)
-
-    def narrow(bracket, _):
-        at, _ = _lowest(bracket)
-        new = (at, *lax.stop_gradient(guard(at)))
-        below = new[2] < 0
-        left, right = (jax.tree.map(lambda a, b: jnp.where(side, a, b), new, end)  # noqa: B023
-                       for side, end in ((below, bracket[0]), (~below, bracket[1])))  # fmt: skip
-        return (left, right), None
-
-    bracket = lax.stop_gradient((
-        (jnp.zeros_like(here.length), here.s0, jnp.where(turns, here.d0, -1)),
-        (here.length, here.s1, jnp.where(turns, here.d1, 1)),
-    ))  # fmt: skip
-    bracket, _ = lax.scan(narrow, bracket, None, length=_TRIES)
-    at, bend = _lowest(bracket)
-    value, slope = guard(jnp.where(turns, at, 0))
-    # One Newton step more, along a parabola; where the lowest point is does not matter to first order.
-    shift = -lax.stop_gradient(slope) / jnp.where(bend > 0, bend, 1)
-    lowest = value + slope * shift + 0.5 * bend * shift * shift
-    when = here.t + at + shift
-    scale = lax.stop_gradient(model.guard_scale(inputs, here.y, moment.sign))
+    # A Newton step more, along a parabola; where the lowest point is does not matter to first order.
+    bend = jnp.where(here.rate > 0, here.rate, 1)
+    shift = -lax.stop_gradient(then.slope) / bend
+    lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
+    when = lax.stop_gradient(then.t) + shift
+    scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(pieces)), fixed.y, fixed.sign)
     size = jnp.abs(lowest)
     near = (size > _NOISE[size.dtype.itemsize] * scale) & (size < _FAR * scale)
-    return Number(-lowest, turns & (bend > 0) & near & (when < turn.stop)), when
+    turns = (turn.dips | turn.has_event) & here.found & (here.rate > 0)
+    return Number(-lowest, turns & near & (when < turn.stop)), when
 
 
-def _lowest(bracket: tuple[Any, Any]) -> tuple[FloatArray, FloatArray]:
-    """Where the guard is lowest between two points (time, value, slope) that it falls from and rises to, and its
-    second derivative there.
-    """
-    (a, s0, d0), (b, s1, d1) = bracket
-    length = b - a
-    u, bend = lowest_between(s0, d0 * length, s1, d1 * length)
-    return a + u * length, bend / jnp.where(length > 0, length * length, 1)
+def _late(
+    model: SwitchedModel, pieces: Pieces, fixed: Moment, turn: _Turn, here: _Place, then: _Look
+) -> tuple[FloatArray, BoolArray]:
+    """When the mode would have been switched, had the piece not ended; whether it would."""
+    falls = turn.falls & here.found & (then.slope < 0)
+    slope = lax.stop_gradient(jnp.where(falls, then.slope, -1))
+    # The Newton step carries the derivative.
+    would = then.t - then.value / slope
+    there = model.inputs(lax.stop_gradient(would), lax.stop_gradient(pieces))
+    sticks = model.can_stick(there, model.on_base(there, lax.stop_gradient(then.y)))
+    return would, falls & ((fixed.sign == 0) | sticks)
 
 
-def _race(
-    model: SwitchedModel, streams: Streams, moment: Moment, turn: _Turn, here: _Stretch
-) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Time from the switch of the mode to the end of the piece; whether the switch would have come after it; whether
-    what follows in the drive undoes the switch.
-    """
-    sticking, pieces = moment.sign == 0, streams.pieces(moment.feeds)
-    # When the switch would have come, had nothing ended: guessed by a cubic, and then a Newton step.
-    inputs = model.inputs(here.t, pieces)
-    falls = turn.falls & (here.s0 > 0) & (here.s1 <= 0)
-    look = look_ahead(here.s0, here.d0 * here.length, here.s1, here.d1 * here.length, jnp.zeros_like(here.s0))
-    guess = lax.stop_gradient(here.length) * look.where
-    y = _flow(model, inputs, here.y, jnp.where(falls, guess, 0), moment.sign)
-    value, slope = model.guard(inputs, guess, y, moment.sign)
-    falls = falls & (slope < 0)
-    would = here.t + guess - value / lax.stop_gradient(jnp.where(falls, slope, -1))
-    there = model.inputs(lax.stop_gradient(would), pieces)
-    is_late = falls & (sticking | model.can_stick(there, model.on_base(there, lax.stop_gradient(y))))
-    left = turn.stop - jnp.where(turn.has_event, moment.end, would)
+def _is_undone(model: SwitchedModel, streams: Streams, fixed: Moment, turn: _Turn) -> BoolArray:
+    """Whether what follows in the drive undoes a switch that comes just before it."""
     if not streams.all:
-        return left, is_late, jnp.zeros_like(falls)
-    following, jumped = next_feeds(streams, moment.feeds, turn.stop, jnp.ones((), bool))
-    now = lax.stop_gradient(jnp.where(turn.has_event, moment.end, turn.stop))
+        return jnp.zeros_like(turn.falls)
+    following, jumped = next_feeds(streams, fixed.feeds, turn.stop, jnp.ones((), bool))
+    now = jnp.where(turn.has_event, fixed.end, turn.stop)
     inputs = model.inputs(now, streams.pieces(following))
-    y = model.on_base(inputs, moment.y_end)
+    y = model.on_base(inputs, fixed.y_end)
     _, rate = model.guard(inputs, jnp.zeros_like(now), y, jnp.zeros_like(now))
-    undone = jnp.where(sticking, ~jumped & (rate > 0), jumped | ~model.can_stick(inputs, y))
-    return left, is_late, undone
+    return jnp.where(fixed.sign == 0, ~jumped & (rate > 0), jumped | ~model.can_stick(inputs, y))
 
 
-def _crossing(model: SwitchedModel, streams: Streams, moment: Moment, arrives: BoolArray) -> Number:
-    """How far friction is from the other edge of what it can hold, for arrivals that this edge comes towards."""
-    inputs = model.inputs(moment.end, streams.pieces(moment.feeds))
-    nothing = jnp.zeros_like(moment.end)
-    y = model.on_base(inputs, moment.y_end)
-    guard, rate = model.guard(inputs, nothing, y, nothing)
-    other = model.release_sign(inputs, y) == -moment.sign
-    return Number(guard, arrives & other & (rate < 0) & (jnp.abs(guard) < _FAR))
+def _crossing(
+    model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, across: _Place, then: _Look
+) -> Number:
+    """How far friction is from being unable to hold an arrival near the far edge of what it can.
+
+    Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and is
+    soon back, to stick; it stays away where the line from its arrival to the lowest point of the guard after it does
+    not go down. The slope of that line tells of arrivals that are held; of others their own arcs tell.
+    """
+    fixed = lax.stop_gradient(moment)
+    inputs, nothing = model.inputs(moment.end, pieces), jnp.zeros_like(moment.end)
+    guard, rate = model.guard(inputs, nothing, moment.y_end, nothing)
+    other = model.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
+    near = (turn.has_event | turn.crosses) & (fixed.sign != 0) & other & (jnp.abs(guard) < _FAR)
+    returns = rate > 0
+    down = -then.value / jnp.where(across.found, across.tau, 1)
+    return Number(jnp.where(returns, down, guard), near & (~returns | (turn.has_event & across.found)))
+
+
+def _stacked(*trees: Any) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _either(first: BoolArray, one: State, other: State) -> State:
+    return tuple(jnp.where(first, a, b) for a, b in zip(one, other, strict=True))
