@@ -90,7 +90,7 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
         reaches = widest * np.array(PAIRED_WINDOWS)
         tally, columns = differenced(problem, room, reaches, with_pathwise=True)
     elif problem.is_counted:
-        reaches = widest * np.array(COUNTED_WINDOWS if problem.by_intervals else RECORDED_WINDOWS)
+        reaches = widest * np.array(COUNTED_WINDOWS)
         tally, columns = counted(problem, pilot, reaches)
     else:
         reaches = widest * np.array(RECORDED_WINDOWS)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._types import Array, BoolArray, IntArray
+from .._types import Array, BoolArray, FloatArray, IntArray
 from ..base_motion.random import RandomPhase, realised_state
 from ..dynamics.interval_engine import StickRecord, scales_of, start_motion, start_totals, status_of
 from ..dynamics.interval_lanes import IntervalEngine, draw_block
@@ -17,7 +17,7 @@ from ..dynamics.models import model_of, streams_of
 from ..dynamics.switched_engine import advance
 from ..dynamics.switched_lanes import SwitchedEngine
 from .edges import Edges, IntervalLane, cross_with_edges
-from .turn_edges import Moment, edges_of_moment, may_be_near
+from .turn_edges import Moment, crossed_at, edges_of_moment, may_be_near
 
 
 class Trace(NamedTuple):
@@ -78,6 +78,13 @@ class TracedIntervals(eqx.Module):
         return status_of(motion, jnp.asarray(self.engine.t1, motion.t.dtype))
 
 
+class _Followed(NamedTuple):
+    """What a `SwitchedEngine` keeps of its lanes, and `Moment.crossed` of each."""
+
+    turns: Any
+    crossed: FloatArray
+
+
 class TracedTurns(eqx.Module):
     """A `SwitchedEngine` that hands out edges."""
 
@@ -90,7 +97,8 @@ class TracedTurns(eqx.Module):
         laws = streams_of(self.engine.system, self.engine.drive).all
         ends = [feed.piece.end for law, feed in zip(laws, state.lane.feeds, strict=True) if law.is_random]
         certain = self.fixed_start and ends and not isinstance(self.engine.drive.smooth, RandomPhase)
-        return state, jnp.min(jnp.stack(ends)) if certain else jnp.zeros((), dtype)
+        followed = _Followed(state, -jnp.ones((), dtype))
+        return followed, jnp.min(jnp.stack(ends)) if certain else jnp.zeros((), dtype)
 
     def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
         """Take all lanes a block further."""
@@ -98,23 +106,26 @@ class TracedTurns(eqx.Module):
         streams = streams_of(engine.system, engine.drive)
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
-        def turn_one(lane, smooth):
+        smooth = state.turns.smooth
+
+        def turn_one(lane, crossed, smooth):
             model = model_of(engine.system, smooth, engine.solver)
             moved, stick = advance(model, streams, t1, step, lane)
             if not with_edges:
-                return moved, Trace(stick, None, None)
-            moment = Moment.of(lane, moved)
-            return moved, Trace(stick, moment, may_be_near(model, streams, t1, moment))
+                return (moved, crossed), Trace(stick, None, None)
+            moment = Moment.of(lane, moved, crossed)
+            following = crossed_at(streams, t1, moment)
+            return (moved, following), Trace(stick, moment, may_be_near(model, streams, t1, step, moment))
 
         def turn(lanes, _):
-            return jax.vmap(turn_one)(lanes, state.smooth)
+            return jax.vmap(turn_one)(*lanes, smooth)
 
-        lanes, trace = lax.scan(turn, state.lane, None, length=BLOCK)
-        return state._replace(lane=lanes), trace
+        (lanes, crossed), trace = lax.scan(turn, (state.turns.lane, state.crossed), None, length=BLOCK)
+        return _Followed(state.turns._replace(lane=lanes), crossed), trace
 
-    def edges(self, state: Any, moments: Moment) -> Edges:
+    def edges(self, state: _Followed, moments: Moment) -> Edges:
         """The edges of moments (slots, lanes)."""
-        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, state.smooth)
+        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, state.turns.smooth)
 
     def edges_of(self, moments: Moment, smooth: Any) -> Edges:
         """The edges of moments (moments,), each under its own smooth drive."""
@@ -129,11 +140,11 @@ class TracedTurns(eqx.Module):
 
     def ended(self, state: Any) -> BoolArray:
         """Which lanes have come to the end of their sample."""
-        return self.engine.ended(state)
+        return self.engine.ended(state.turns)
 
     def status(self, state: Any) -> IntArray:
         """The `Status` of every lane."""
-        return jnp.asarray(self.engine.results(state).status)
+        return jnp.asarray(self.engine.results(state.turns).status)
 
 
 def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedTurns:

@@ -52,10 +52,10 @@ class TurnCounting(Engine):
         return _Lanes(turns, state.certain, flux), room
 
     def ended(self, state: _Lanes) -> BoolArray:
-        return self.turns.ended(state.turns)
+        return self._traced.ended(state.turns)
 
     def results(self, state: _Lanes) -> Counted:
-        totals = self.turns.results(state.turns)
+        totals = self.turns.results(state.turns.turns)
         return Counted(totals.status, totals.stick_time, totals.sticks, *state.flux)
 
     def _with_flux(self, state: _Lanes, trace: Trace) -> Flux:
@@ -72,7 +72,7 @@ class TurnCounting(Engine):
             wanted = done + jnp.arange(1, lanes + 1)
             at = jnp.minimum(jnp.searchsorted(found, wanted), turns * lanes - 1)
             lane, exists = at % lanes, wanted <= found[-1]
-            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], (state.turns.smooth, state.certain))
+            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], (state.turns.turns.smooth, state.certain))
             edges = self._traced.edges_of(jax.tree.map(lambda leaf: leaf[at], moments), smooth)
             edges = edges.only(exists & (edges.time >= certain), exists)
 

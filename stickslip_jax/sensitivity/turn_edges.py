@@ -27,11 +27,14 @@ _NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a lowest value nearer to 0 
 _FAR = 0.5  # of the guard's scale: no kernel reaches so far
 # How a flow is followed, in time steps: so far altogether, then a few tries between the last two places.
 _STEPS, _TRIES = np.linspace(0.5, 1.5, 12), 5
-_JUST_AFTER = 0.05  # of a time step
+_JUST_AFTER, _SOON = 0.05, 4.0  # time steps; no kernel reaches further in time either
 
 
 class Moment(NamedTuple):
-    """A turn of the loop: time, state, sign and pieces under way at its beginning; the first three at its end."""
+    """A turn of the loop: time, state, sign and pieces under way at its beginning; the first three at its end.
+
+    `crossed`: when the slip began, if it began as the mass crossed the base velocity; else negative (s).
+    """
 
     t: FloatArray
     y: State
@@ -40,11 +43,12 @@ class Moment(NamedTuple):
     end: FloatArray
     y_end: State
     sign_end: FloatArray
+    crossed: FloatArray
 
     @classmethod
-    def of(cls, before: Lane, after: Lane) -> "Moment":
+    def of(cls, before: Lane, after: Lane, crossed: FloatArray) -> "Moment":
         """The turn that led from `before` to `after`."""
-        return cls(before.t, before.y, before.sign, before.feeds, after.t, after.y, after.sign)
+        return cls(before.t, before.y, before.sign, before.feeds, after.t, after.y, after.sign, crossed)
 
 
 class _Turn(NamedTuple):
@@ -53,11 +57,11 @@ class _Turn(NamedTuple):
     tau: FloatArray
     stop: FloatArray
     has_event: BoolArray  # the mode was switched, by nothing from outside
-    crosses: BoolArray  # the mass crossed the base velocity
-    dips: BoolArray  # the guard fell and turned up again
+    crosses: BoolArray  # the mass crossed the base velocity, and friction nearly held it, or could have
+    dips: BoolArray  # what tells of a graze fell and turned up again
     fall: FloatArray  # where it fell then, a fraction of the turn
-    falls: BoolArray  # the guard was falling when the piece ended
-    rise: FloatArray  # the guard's slope at the end
+    falls: BoolArray  # the guard was falling when the piece ended, and soon to be zero
+    rise: FloatArray  # the slope at the end
 
     @property
     def may_be_near(self) -> BoolArray:
@@ -82,25 +86,37 @@ class _Look(NamedTuple):
     slope: FloatArray
 
 
+def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
+    """`Moment.crossed` for the turn after `moment`."""
+    ends = [(law.jumps, feed.piece.end) for law, feed in zip(streams.all, moment.feeds, strict=True)]
+    stop = jnp.min(jnp.stack([t1, *(end for _, end in ends)]))
+    crosses = (moment.sign != 0) & (moment.sign_end == -moment.sign) & (moment.end < stop)
+    jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(moment.end >= end for jumps, end in ends if jumps)]))
+    goes_on = (moment.sign_end == moment.sign) & ~jumped
+    return jnp.where(crosses, moment.end, jnp.where(goes_on, moment.crossed, -1))
+
+
 @sharing
-def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, moment: Moment) -> BoolArray:
+def may_be_near(
+    model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment
+) -> BoolArray:
     """Whether the turn has edges to look for."""
-    return _turn(model, streams, t1, lax.stop_gradient(moment)).may_be_near
+    return _turn(model, streams, t1, step, lax.stop_gradient(moment)).may_be_near
 
 
 @sharing
 def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> Edges:
     """The edges of one turn that may have some."""
     fixed, pieces = lax.stop_gradient(moment), streams.pieces(moment.feeds)
-    turn, sticking = _turn(model, streams, t1, fixed), fixed.sign == 0
+    turn, sticking = _turn(model, streams, t1, step, fixed), fixed.sign == 0
     # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
     start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
-    places = _places(model, *lax.stop_gradient((pieces, start)), turn, step)
+    places = _places(model, *lax.stop_gradient((pieces, start)), fixed, turn, step)
     looks = _at(model, pieces, start, places.tau)
     (here, across), (then, then_across) = (
         [jax.tree.map(lambda leaf, number=number: leaf[number], found) for number in (0, 1)] for found in (places, looks)
     )
-    grazing, nearest = _grazing(model, pieces, fixed, turn, here, then)
+    grazing, nearest = _grazing(model, pieces, moment, turn, here, then)
     would, is_late = _late(model, pieces, fixed, turn, here, then)
     left, is_undone = turn.stop - jnp.where(turn.has_event, moment.end, would), _is_undone(model, streams, fixed, turn)
     at_horizon = turn.stop >= t1
@@ -119,24 +135,48 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
     )
 
 
-def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, moment: Moment) -> _Turn:
+def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> _Turn:
     sticking = moment.sign == 0
     tau = moment.end - moment.t
     stop = jnp.min(jnp.stack([t1, *(feed.piece.end for feed in moment.feeds)]), axis=0)
     inputs = model.inputs(moment.t, streams.pieces(moment.feeds))
 
-    def guard(tau, y):
-        return model.guard(inputs, tau, y, moment.sign)
+    def measured(tau, y):
+        s, d = model.guard(inputs, tau, y, moment.sign)
+        return s, d, *_measure(s, d, tau + _lag(moment), _after_crossing(moment))
 
-    s, d = jax.vmap(guard)(*_stacked((jnp.zeros_like(tau), moment.y), (tau, moment.y_end)))
-    fall = steepest_fall(s[0], d[0] * tau, s[1], d[1] * tau)
+    s, d, q, dq = jax.vmap(measured)(*_stacked((jnp.zeros_like(tau), moment.y), (tau, moment.y_end)))
+    fall = steepest_fall(q[0], dq[0] * tau, q[1], dq[1] * tau)
+    fall = jnp.where(_after_crossing(moment) & (moment.t <= moment.crossed), _JUST_AFTER, fall)
     taken = (moment.t < t1) & (tau > 0)
     inside = taken & (moment.end < stop)
     has_event = inside & ((moment.sign_end == 0) != sticking)
     crosses = inside & ~sticking & (moment.sign_end == -moment.sign)
-    dips = taken & ~has_event & ~crosses & (fall < 1) & (d[1] > 0)
-    falls = taken & (moment.end >= stop) & (s[1] > 0) & (d[1] < 0)
-    return _Turn(tau, stop, has_event, crosses, dips, fall, falls, d[1])
+    held, _ = model.guard(model.inputs(moment.end, streams.pieces(moment.feeds)), 0 * tau, moment.y_end, 0 * tau)
+    crosses = crosses & (jnp.abs(held) < _FAR)
+    dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
+    falls = taken & (moment.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step * d[1])
+    return _Turn(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
+
+
+def _after_crossing(moment: Moment) -> BoolArray:
+    """Whether the turn is of a slip that began as the mass crossed the base velocity."""
+    return (moment.crossed >= 0) & (moment.sign != 0)
+
+
+def _lag(moment: Moment) -> FloatArray:
+    """How long ago that was when the turn began, s."""
+    return jnp.where(_after_crossing(moment), moment.t - moment.crossed, 0)
+
+
+def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """What is lowest where the guard `s`, of slope `d`, grazes, and its slope: itself, or its ratio to its `age`.
+
+    A slip that has just begun grazes, and is over, in a place that soon becomes an inflection and is lost if things are
+    a little different. The ratio has its lowest value there still; both fall through zero together.
+    """
+    age = jnp.where(is_ratio & (age > 0), age, 1)
+    return jnp.where(is_ratio, s / age, s), jnp.where(is_ratio, (d * age - s) / (age * age), d)
 
 
 def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign: FloatArray) -> State:
@@ -145,19 +185,22 @@ def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign:
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
 
 
-def _places(model: SwitchedModel, pieces: Pieces, start: Any, turn: _Turn, step: FloatArray) -> _Place:
+def _places(
+    model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, turn: _Turn, step: FloatArray
+) -> _Place:
     """The places (2,) that tell how near something was, on both flows.
 
-    On that of the turn: where the guard turns up, in the turn or beyond the event that ended it; of a turn that was cut
-    short by the end of a piece, where the guard would have come to zero. On that of a mass which crosses the base
-    velocity: where the guard is lowest for the time since, seen from its beginning.
+    On that of the turn: where the guard (see `_measure`) turns up, in the turn or beyond the event that ended it; of a
+    turn that was cut short by the end of a piece, where the guard would have come to zero. On that of a mass which
+    crosses the base velocity: the same, for the slip that begins there.
     """
 
     def look(t0, y0, sign, is_across):
+        lag, is_ratio = jnp.where(is_across, 0, _lag(moment)), is_across | _after_crossing(moment)
+
         def goal(tau, s, d):
             """Negative before the place, positive after it."""
-            along = jnp.where(turn.falls, -s, d)
-            return jnp.where(is_across, (d * tau - s) / jnp.where(tau > 0, tau * tau, 1), along)
+            return jnp.where(turn.falls & ~is_across, -s, _measure(s, d, lag + tau, is_ratio)[1])
 
         first = jnp.where(is_across, _JUST_AFTER * step, jnp.where(turn.dips, turn.fall, 1) * turn.tau)
         longest = jnp.where(sign == 0, step, model.step_limit(jnp.full_like(step, jnp.inf), step, y0, sign))
@@ -171,7 +214,8 @@ def _places(model: SwitchedModel, pieces: Pieces, start: Any, turn: _Turn, step:
             inputs = model.inputs(t0 + before.tau, pieces)
             ahead = _flow(model, inputs, y, to - before.tau, sign)
             value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
-            new, is_before = _Side(to, value, jnp.ones_like(to), jnp.ones((), bool)), value < 0
+            # What is over at the first place cannot come to an end after it.
+            new, is_before = _Side(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
             before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
             return (before, after, _either(is_before, ahead, y)), None
 
@@ -229,19 +273,21 @@ def _at(model: SwitchedModel, pieces: Pieces, start: Any, tau: FloatArray) -> _L
 
 
 def _grazing(
-    model: SwitchedModel, pieces: Pieces, fixed: Moment, turn: _Turn, here: _Place, then: _Look
+    model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, here: _Place, then: _Look
 ) -> tuple[Number, FloatArray]:
-    """Minus the guard's lowest value, and when it is reached."""
+    """Minus the lowest value, and when it is reached."""
+    fixed, is_ratio = lax.stop_gradient(moment), _after_crossing(moment)
     # A Newton step more, along a parabola; where the lowest point is does not matter to first order.
     bend = jnp.where(here.rate > 0, here.rate, 1)
-    shift = -lax.stop_gradient(then.slope) / bend
+    shift = jnp.where(is_ratio, 0, -lax.stop_gradient(then.slope) / bend)
     lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
     when = lax.stop_gradient(then.t) + shift
     scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(pieces)), fixed.y, fixed.sign)
     size = jnp.abs(lowest)
     near = (size > _NOISE[size.dtype.itemsize] * scale) & (size < _FAR * scale)
     turns = (turn.dips | turn.has_event) & here.found & (here.rate > 0)
-    return Number(-lowest, turns & near & (when < turn.stop)), when
+    age = jnp.where(is_ratio & here.found, then.t - moment.crossed, 1)
+    return Number(-lowest / age, turns & near & (when < turn.stop)), when
 
 
 def _late(
@@ -274,9 +320,9 @@ def _crossing(
 ) -> Number:
     """How far friction is from being unable to hold an arrival near the far edge of what it can.
 
-    Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and is
-    soon back, to stick; it stays away where the line from its arrival to the lowest point of the guard after it does
-    not go down. The slope of that line tells of arrivals that are held; of others their own arcs tell.
+    Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and soon
+    comes back, to stick, or does not: of one that is held, how nearly it would not is told by the slip that it would
+    begin. Of others their own slips tell.
     """
     fixed = lax.stop_gradient(moment)
     inputs, nothing = model.inputs(moment.end, pieces), jnp.zeros_like(moment.end)
