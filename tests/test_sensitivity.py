@@ -64,13 +64,14 @@ def z_score(one, other) -> float:
     return (one.derivative - other.derivative) / math.hypot(one.standard_error, other.standard_error)
 
 
-def compare(statistic, wrt, samples, step, case, factor=1):
-    """Corrected and finite-difference results of one case, by different random numbers."""
+def compare(statistic, wrt, samples, step, case, factor=1, **more):
+    """Corrected (with `more`) and finite-difference results of one case, by different random numbers."""
     case = dict(case)
     system, law = case.pop("system"), case.pop("law")
     corrected = ss.sensitivity(
-        STATISTICS[statistic], system, law, wrt=wrt, samples=samples, key=jax.random.key(11), **case
-    )
+        STATISTICS[statistic], system, law, wrt=wrt, samples=samples, key=jax.random.key(11), method="corrected",
+        **case, **more,
+    )  # fmt: skip
     differences = ss.sensitivity(
         STATISTICS[statistic], system, law, wrt=wrt, samples=factor * samples, key=jax.random.key(12), step=step,
         method="finite-difference", **case,
@@ -187,7 +188,7 @@ def test_other_bases(name):
             samples = 32_768
             if name in CLOSELY:
                 samples, more, step = 1 << 20, {"reach": CLOSELY[name]}, CLOSELY[name] / 3
-        corrected, differences = compare(statistic, wrt, samples, step, case | more, 4)
+        corrected, differences = compare(statistic, wrt, samples, step, case, 4, **more)
         for parameter, result in corrected.items():
             assert abs(z_score(result, differences[parameter])) < AGREE, (statistic, parameter)
 
@@ -211,8 +212,9 @@ def test_static_friction():
     ]
     for statistic in (ss.mean_stick_count, ss.mean_stick_duration, ss.stick_fraction):
         corrected = ss.sensitivity(
-            statistic, system(1.1), law, wrt=("mu", "mu_static"), samples=32_768, key=jax.random.key(6), **options
-        )["mu_static"]
+            statistic, system(1.1), law, wrt=("mu", "mu_static"), samples=32_768, key=jax.random.key(6),
+            method="corrected", **options,
+        )["mu_static"]  # fmt: skip
         low, high = (statistic(end) for end in ends)
         # As if the ends were independent, which is more than the error of their difference.
         error = math.hypot(low.standard_error, high.standard_error) / (2 * step)
@@ -273,13 +275,13 @@ def test_user_functional_and_realisation_means():
     system, law = case.pop("system"), case.pop("law")
     options = {"wrt": "mu", "samples": 4_096, **case}
     number = ss.StickFunctional(lambda sticks: jnp.sum(sticks.mask), "number")
-    recorded = ss.sensitivity(number, system, law, key=jax.random.key(3), **options)
+    recorded = ss.sensitivity(number, system, law, key=jax.random.key(3), method="corrected", **options)
     counted = ss.sensitivity(ss.mean_stick_count, system, law, key=jax.random.key(4), **options)
     assert abs(z_score(recorded, counted)) < AGREE
     assert recorded.pathwise == 0
     mean = ss.RealisationMeanDuration()
-    corrected = ss.sensitivity(mean, system, law, key=jax.random.key(3), **options)
-    differences = ss.sensitivity(mean, system, law, key=jax.random.key(5), method="finite-difference", **options)
+    corrected = ss.sensitivity(mean, system, law, key=jax.random.key(3), method="corrected", **options)
+    differences = ss.sensitivity(mean, system, law, key=jax.random.key(5), **options)
     assert abs(z_score(corrected, differences)) < AGREE
 
 
@@ -375,7 +377,7 @@ def test_differentiable_in_several_parameters():
         estimate = ss.differentiable(statistic, system, law, **options)
         value, gradient = jax.jit(jax.value_and_grad(estimate))(point)
         _, forward = jax.jvp(estimate, (point,), (jnp.array([1.0, 0.0]),))
-        results = ss.sensitivity(statistic, system, law, **options)
+        results = ss.sensitivity(statistic, system, law, method="corrected", **options)
         assert value == pytest.approx(results["mu"].value, rel=1e-12)
         assert float(forward) == pytest.approx(float(gradient[0]), rel=1e-9)
         for index, result in enumerate(results.values()):

@@ -51,7 +51,7 @@ def test_what_is_near_happens(name):
     """
     system, law, t1, y0, chunks = MOTIONS[name]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
-    engine, room = traced(problem.engine(), False), room_for(problem, pilot)._replace(slots=40, edges=120)
+    engine, room = traced(problem.engine(), False), room_for(problem, pilot._replace(most=39))._replace(edges=120)
     path, mu = problem.paths(), problem.parameters[0].value
 
     def record(values, first):

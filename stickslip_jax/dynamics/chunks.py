@@ -21,7 +21,7 @@ from .own import is_own
 class Chunks(NamedTuple):
     """`lanes.summarise`, `lanes.open_lanes` and `lanes.record`, compiled."""
 
-    summarise: Callable[..., lanes.LaneResults]
+    summarise: Callable[..., Any]
     open: Callable[..., tuple[Any, ...]]
     record: Callable[..., tuple[tuple[Any, ...], lanes.Records, lanes.Blocks]]
 

@@ -85,8 +85,8 @@ class Engine(eqx.Module):
         """Which lanes have come to the end of their sample, for whatever reason."""
 
     @abc.abstractmethod
-    def results(self, state: Any) -> LaneResults:
-        """The totals of all lanes."""
+    def results(self, state: Any) -> Any:
+        """The totals of all lanes: `LaneResults`, or what else the engine is for."""
 
 
 class Job(NamedTuple):
@@ -102,8 +102,9 @@ class Job(NamedTuple):
     used_rows: AnyInteger
 
 
-def summarise(job: Job, *, lanes: int, rows: int, dtype) -> LaneResults:
-    """Simulate the whole job and keep totals; arrays (rows, lanes). `job.used_rows` may be anything up to `rows`.
+def summarise(job: Job, *, lanes: int, rows: int, dtype) -> Any:
+    """Simulate the whole job and keep its engine's results; arrays (rows, lanes). `job.used_rows` may be anything up to
+    `rows`.
 
     Forward-mode differentiable; the loop has no fixed length, so reverse mode needs `simulate` under ``vmap``.
     """
@@ -157,7 +158,7 @@ def record(
     return packed(following), room, told
 
 
-def _following(job: Job, row: IntArray, state: Any, dtype) -> tuple[Lanes, BoolArray, LaneResults]:
+def _following(job: Job, row: IntArray, state: Any, dtype) -> tuple[Lanes, BoolArray, Any]:
     """After a block: lanes whose sample has ended start their next; which these are, and the results of all."""
     ended = job.engine.ended(state) & (row < job.used_rows)
     fresh = _start_row(job, row + ended, dtype)
@@ -173,7 +174,7 @@ def _with(kept: Array, new: Array, at: Array) -> Array:
     return lax.dynamic_update_slice_in_dim(kept, new[None], at, 0)
 
 
-def _note(results: LaneResults, row: IntArray, ended: BoolArray, new: LaneResults) -> LaneResults:
+def _note(results: Any, row: IntArray, ended: BoolArray, new: Any) -> Any:
     """`results` (rows, lanes) with those of the lanes that `ended` put into their rows.
 
     Lanes keep abreast, so only a few rows are touched: far fewer than there are.

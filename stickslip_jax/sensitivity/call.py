@@ -14,9 +14,8 @@ from .estimate import Gradient, Sensitivities, Sensitivity, gradient_of_ratio
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
 from .first_look import COUNTED_WINDOWS, PAIRED_WINDOWS, RECORDED_WINDOWS, problem_of, reach_of, require_precision
-from .problem import Pilot, Problem, room_for
+from .problem import Pilot, Problem
 from .runs import Tally
-from .statistic import OfTotals
 
 _METHODS = ("corrected", "finite-difference")
 
@@ -32,8 +31,8 @@ def sensitivity(
     key: Array | None = None,
     y0: Any = None,
     elasticity: Any = False,
-    method: str = "corrected",
-    step: float = 0.01,
+    method: str | None = None,
+    step: float | None = None,
     reach: float | None = None,
     exact: Any = EXACT,
     threads: int | None = None,
@@ -52,12 +51,14 @@ def sensitivity(
       `exact` is the method; something must be random. The answer does not depend on `threads`, nor, but for the order
       of summation, on `chunk`.
     - `elasticity`: whether to give ``d log statistic / d log parameter``.
-    - `method`: "corrected", or "finite-difference": central differences with common random numbers, of `step` times the
-      parameter's size; biased by order ``step^2``.
+    - `method`: "corrected", or "finite-difference": central differences with common random numbers, by three runs. By
+      default what has the smaller error in the same time, which the result's `method` tells: corrected for statistics
+      of totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of no
+      length do not change (`stick_fraction`); else differences. The other one is a check that shares nothing with it.
+    - `step`: of the differences, as a share of the parameter's size; by default as `reach`. Biased by order ``step^2``.
     - `reach`: how far the corrected method looks for sticks about to be born or lost, as a relative change of the
       parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks / 10^6)^(-1/5)``,
-      at most 0.05; half of it unless the base velocity is piecewise constant, without damping and force. The bias is of
-      order ``reach^2``.
+      at most 0.05. The bias is of order ``reach^2``.
 
     How the event part is found. Near misses count as much as short sticks: both tell how dense trajectories are where a
     stick (or a slip between two) is born. What Poisson switching decides for statistics of totals (base as above) is
@@ -73,28 +74,36 @@ def sensitivity(
     ValueError for arguments outside these bounds, and in single precision for motion that has no closed form.
     """
     _check_options(elasticity, method, step, reach)
+    if method is None and (step is not None or reach is not None):
+        method = "corrected" if step is None else "finite-difference"
     problem, pilot = problem_of(
         statistic, system, law, wrt, t1, samples, key, y0, exact=exact, threads=threads, chunk=chunk
     )
-    if method == "finite-difference":
-        results = _by_differences(problem, pilot, elasticity, step)
+    if (method or _cheaper(problem)) == "finite-difference":
+        results = _by_differences(problem, pilot, elasticity, reach_of(problem, pilot) if step is None else float(step))
     else:
-        results = _corrected(problem, pilot, elasticity, reach)
+        results = _corrected(problem.in_closed_form(), pilot, elasticity, reach)
     return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
+
+
+def _cheaper(problem: Problem) -> str:
+    """The method with the smaller error in the same time (measured: docs/sensitivity.md)."""
+    keeps_totals = problem.is_counted and not problem.has_sudden_switches
+    return "corrected" if keeps_totals and (problem.by_intervals or problem.is_blind_to_events) else "finite-difference"
 
 
 def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
     require_precision(problem)
-    widest, room = reach_of(problem, pilot) if reach is None else float(reach), room_for(problem, pilot)
+    widest = reach_of(problem, pilot) if reach is None else float(reach)
     if problem.has_sudden_switches:
         reaches = widest * np.array(PAIRED_WINDOWS)
-        tally, columns = differenced(problem, room, reaches, with_pathwise=True)
+        tally, columns = differenced(problem, pilot, reaches, with_pathwise=True)
     elif problem.is_counted:
-        reaches = widest * np.array(COUNTED_WINDOWS)
-        tally, columns = counted(problem, pilot, reaches)
+        reaches = widest * np.array([1.0] if problem.is_blind_to_events else COUNTED_WINDOWS)
+        tally, columns = counted(problem, pilot, np.zeros(0) if problem.is_blind_to_events else reaches)
     else:
         reaches = widest * np.array(RECORDED_WINDOWS)
-        tally, columns = recorded(problem, room, reaches)
+        tally, columns = recorded(problem, pilot, reaches)
     grazing = warn_if_grazing(problem)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
@@ -105,8 +114,7 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
         results[parameter.name] = _result(
             problem, parameter, got, elasticity, "corrected", tally, near, float(reaches[chosen])
         )
-    is_blind = isinstance(problem.statistic, OfTotals) and problem.statistic.is_blind_to_events
-    if is_blind and not problem.has_sudden_switches:
+    if problem.is_blind_to_events and not problem.has_sudden_switches:
         return results
     warn_at_special_speeds(problem, grazing)
     _warn_of_windows(tally, columns, results, grazing)
@@ -140,7 +148,7 @@ def _warn_of_windows(
 
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float) -> dict[str, Sensitivity]:
-    tally, columns = differenced(problem, room_for(problem, pilot), np.array([step]), with_pathwise=False)
+    tally, columns = differenced(problem, pilot, np.array([step]), with_pathwise=False)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
         got = gradient_of_ratio(
@@ -186,8 +194,15 @@ def _result(
 def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:
     if not isinstance(elasticity, bool):
         raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
-    if method not in _METHODS:
+    if method is not None and method not in _METHODS:
         raise ValueError(f"Argument method must be one of {_METHODS}, but {_checks.show(method)} was given.")
-    _checks.positive("step", step)
-    if reach is not None:
-        _checks.positive("reach", reach)
+    for name, value, of in (("step", step, "finite-difference"), ("reach", reach, "corrected")):
+        if value is not None:
+            _checks.positive(name, value)
+            if method not in (None, of):
+                raise ValueError(f"Argument {name} must be left out with method={method!r}, but {value} was given.")
+    if step is not None and reach is not None:
+        raise ValueError(
+            f"Argument step must be left out with reach, but step={step} and reach={reach} were given; step is for "
+            "method='finite-difference', reach for method='corrected'."
+        )

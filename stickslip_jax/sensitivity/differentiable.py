@@ -120,7 +120,7 @@ def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
         if varied is not None:
             here = with_numbers(here, by, varied)
         job = Job(here, problem.words, np.uint32(0), np.int32(rows))
-        counted: Any = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
+        counted = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
         sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
         totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]

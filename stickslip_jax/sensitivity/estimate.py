@@ -50,7 +50,8 @@ class Sensitivity:
     def __str__(self) -> str:
         what = "d log / d log" if self.is_elasticity else "d / d"
         number = format_with_error(self.derivative, self.standard_error)
-        return f"{what} {self.parameter} of {self.statistic}: {number}"
+        how = f" (central differences of {self.reach:.2g})" if self.method == "finite-difference" else ""
+        return f"{what} {self.parameter} of {self.statistic}: {number}{how}"
 
 
 class Sensitivities(Mapping[str, Sensitivity]):

@@ -10,9 +10,10 @@ from ..base_motion.laws import PoissonSwitching
 from ..dynamics.chunks import chunks_of
 from ..dynamics.lanes import Engine, Job
 from ..dynamics.own import is_own
+from ..dynamics.switched_lanes import SwitchedEngine
 from .counting import IntervalCounting, Likelihood
 from .parameters import Parameter, Path, check_numbers, with_numbers
-from .problem import Pilot, Problem, lanes_and_rows, sequence_lanes
+from .problem import Pilot, Problem, lanes_and_rows, room_for, sequence_lanes
 from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
 from .sequences import Room
 from .statistic import OfTotals
@@ -48,7 +49,7 @@ def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | No
 
 
 def counted(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
-    """All parameters by counting lanes, with windows of all `reaches`."""
+    """All parameters by counting lanes, with windows of all `reaches`; without any, one that sees no event."""
     engine = counting_engine(problem, pilot, reaches)
     paths, number = list(counting_paths(problem)), len(problem.parameters)
     pathwise = list(range(number))
@@ -59,14 +60,16 @@ def counted(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally,
             pathwise[index] = len(paths)
             paths.append(RATE)
     tally = _run_counting(problem, engine, tuple(paths))
-    return tally, _columns(number, len(reaches), len(paths), pathwise)
+    return tally, _columns(number, max(1, len(reaches)), len(paths), pathwise)
 
 
 def counting_engine(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> IntervalCounting | TurnCounting:
     """The engine that counts; without `reaches`, for pathwise derivatives only."""
     reaches = np.asarray(reaches, problem.dtype)
     if not problem.by_intervals:
-        return TurnCounting(problem.engine(), reaches, problem.fixed_start)
+        turns = problem.engine()
+        assert isinstance(turns, SwitchedEngine)
+        return TurnCounting(turns, reaches, problem.fixed_start)
     likelihood = None
     if type(problem.law) is PoissonSwitching:
         likelihood = Likelihood(problem.law.rate, pilot.stick_time, pilot.sticks)
@@ -111,10 +114,10 @@ def _counter(
         )  # fmt: skip
         totals = np.stack([_flat(leaf, number) for leaf in totals], axis=-1)
         time, births = _flat(d_time, number) / units, [_flat(leaf, number) / units for leaf in d_births]
-        slopes = [np.stack([time, born], axis=-1) @ weights[:, :2].T for born in births]
         # The number of sticks of one trajectory does not change.
         pathwise = time[..., None] * weights[:, 0]
-        slopes = np.stack(slopes, axis=2) if slopes else np.zeros((*pathwise.shape[:2], 0, 2))
+        slopes = [np.stack([time, born], axis=-1) @ weights[:, :2].T for born in births] or [pathwise]
+        slopes = np.stack(slopes, axis=2)
         near = np.stack([_flat(leaf, number) for leaf in near], axis=-1) if near else np.zeros(slopes.shape[:3])
         for index, path in enumerate(paths):
             if path[0] == "likelihood":  # takes no window: it rests on all sticks
@@ -125,10 +128,10 @@ def _counter(
     return per_task, record
 
 
-def recorded(problem: Problem, room: Room, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
+def recorded(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
     """All parameters by recorded sequences, with windows of all `reaches`."""
     parameters, units = len(problem.parameters), units_of(problem.engine(), problem.paths())[:, None, None]
-    record = _recorder(problem, room, reaches)
+    record = _recorder(problem, room_for(problem, pilot), reaches)
 
     def simulate(first: int, number: int) -> Rows:
         features, slopes, status = record(first)
@@ -159,7 +162,7 @@ def _recorder(problem: Problem, room: Room, reaches: np.ndarray) -> Callable[[in
 
 
 def differenced(
-    problem: Problem, room: Room, steps: np.ndarray, with_pathwise: bool
+    problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool
 ) -> tuple[Tally, tuple[Columns, ...]]:
     """All parameters by central differences of every trajectory, of the given steps (shares of the parameter's size).
 
@@ -167,7 +170,7 @@ def differenced(
     """
     engine, paths = problem.engine(), problem.paths()
     units = units_of(engine, paths)
-    values, per_task, pathwise_of = _by_totals(problem) if problem.is_counted else _by_sequences(problem, room)
+    values, per_task, pathwise_of = _by_totals(problem, pilot) if problem.is_counted else _by_sequences(problem, pilot)
     pairs = [
         (step * unit, *_ends(engine, path, parameter, step * unit))
         for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
@@ -196,11 +199,12 @@ def differenced(
 _Values = tuple[Callable[[Engine, int, int], Any], int, Callable[[int, int], np.ndarray]]
 
 
-def _by_totals(problem: Problem) -> _Values:
+def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
     """What `differenced` calls, by lanes that keep totals."""
     assert isinstance(problem.statistic, OfTotals)
     lanes, rows, per_task = lanes_and_rows(problem)
     weights = problem.statistic.weights(problem.t1)
+    _, pathwise_of = _counter(problem, counting_engine(problem, pilot, np.zeros(0)), counting_paths(problem))
 
     def values(engine: Engine, first: int, number: int) -> Any:
         job = Job(engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)))
@@ -209,16 +213,15 @@ def _by_totals(problem: Problem) -> _Values:
         return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
 
     def pathwise(first: int, number: int) -> np.ndarray:
-        counting = TurnCounting(problem.engine(), np.zeros(0), problem.fixed_start)
-        return _counter(problem, counting, counting_paths(problem))[1](first, number)[2]
+        return pathwise_of(first, number)[2]
 
     return values, per_task, pathwise
 
 
-def _by_sequences(problem: Problem, room: Room) -> _Values:
+def _by_sequences(problem: Problem, pilot: Pilot) -> _Values:
     """The same by recorded sequences."""
     lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
-    room = room._replace(edges=0)
+    room = room_for(problem, pilot)._replace(edges=0)
     record = _recorder(problem, room, np.zeros(0))
 
     def values(engine: Engine, first: int, number: int) -> Any:
@@ -240,7 +243,7 @@ def _by_sequences(problem: Problem, room: Room) -> _Values:
 
 def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> list[Engine]:
     """The engine with the parameter lower and higher. Raises ValueError where one of them is not allowed."""
-    ends = [with_numbers(engine, (path,), (parameter.value + sign * length,)) for sign in (-1, 1)]
+    ends = [with_numbers(engine, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
     try:
         for end in ends:
             check_numbers(end)

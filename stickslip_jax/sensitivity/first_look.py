@@ -44,7 +44,8 @@ def problem_of(
         raise ValueError(f"Argument exact must be Exact(...), but {_checks.show(exact)} was given.")
     check_system(system)
     y0 = _checked_start(system, law, y0)
-    pilot = _pilot(system, law, t1, y0, samples, key, exact, threads)
+    keep = "totals" if statistic.is_of_totals else "sticks"
+    pilot = _pilot(system, law, t1, y0, samples, key, exact, keep, threads)
     parameters = parameters_of({"system": system, "law": law, "y0": y0}, wrt)
     words, dtype = words_for(law, key), jnp.result_type(float)
     problem = Problem(statistic, system, law, float(t1), y0, exact, words, parameters, samples, threads, size, dtype)
@@ -66,22 +67,21 @@ def reach_of(problem: Problem, pilot: Pilot) -> float:
 
     Windows shrink with the fifth root of the number of sticks, as the best ones of a bias of second order do.
     """
-    reach = _REACH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2
-    return min(reach if problem.by_intervals or problem.has_sudden_switches else reach / 2, _LARGEST_REACH)
+    return min(_REACH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_REACH)
 
 
 def _pilot(
-    system: Any, law: Any, t1: float, y0: tuple[Any, ...], samples: int, key: Any, exact: Exact, threads: int
+    system: Any, law: Any, t1: float, y0: tuple[Any, ...], samples: int, key: Any, exact: Exact, keep: str, threads: int
 ) -> Pilot:
     """A first look, which also checks the arguments."""
     number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
     many = simulate_ensemble(
-        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, keep="sticks", threads=threads, progress=False
+        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, keep=keep, threads=threads, progress=False
     )
     if many.moments.number < 2:
         raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
     stick_time, sticks = (float(mean) for mean in many.moments.mean[:2])
-    return Pilot(stick_time, sticks, int(many.require_sticks().count.max()))
+    return Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
 
 
 def _checked_start(system: Any, law: Any, y0: Any) -> tuple[Any, ...]:

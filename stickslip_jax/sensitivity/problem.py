@@ -9,6 +9,7 @@ from ..base_motion.laws import BangBangLaw
 from ..base_motion.random import Uniform
 from ..dynamics.interval_lanes import IntervalEngine
 from ..dynamics.lanes import BLOCK, Engine
+from ..dynamics.method import EXACT
 from ..dynamics.switched_lanes import SwitchedEngine
 from ..dynamics.switched_run import turns_for
 from ..set_up import checked_step, interval_engine_applies
@@ -16,15 +17,17 @@ from ..systems.mass_spring import MassSpring
 from ..systems.switched_system import SwitchedSystem
 from .parameters import Parameter, Path
 from .sequences import Room
-from .statistic import StickStatistic
+from .statistic import OfTotals, StickStatistic
 
 
 class Pilot(NamedTuple):
-    """What a first look at the motion tells: means of total stick time (s) and number of sticks, the largest number."""
+    """What a first look at the motion tells: means of total stick time (s) and number of sticks; the largest number,
+    where single sticks matter.
+    """
 
     stick_time: float
     sticks: float
-    most: int
+    most: int | None
 
 
 class Problem(NamedTuple):
@@ -53,6 +56,14 @@ class Problem(NamedTuple):
         """Whether the closed forms over whole base intervals hold."""
         return interval_engine_applies(self.system, self.law, self.exact)
 
+    def in_closed_form(self) -> "Problem":
+        """The same problem without a solver, where none is needed.
+
+        Closed forms know which arcs cannot graze: those after a stick that a reversal of the base cut short.
+        """
+        closed = self._replace(exact=EXACT)
+        return closed if closed.by_intervals else self
+
     @property
     def has_sudden_switches(self) -> bool:
         """Whether friction can hold more than slipping meets.
@@ -68,6 +79,11 @@ class Problem(NamedTuple):
     def is_counted(self) -> bool:
         """Whether nothing need be recorded."""
         return self.statistic.is_of_totals
+
+    @property
+    def is_blind_to_events(self) -> bool:
+        """Whether sticks of no length change nothing: then there is no event part, unless switches are sudden."""
+        return isinstance(self.statistic, OfTotals) and self.statistic.is_blind_to_events
 
     def engine(self) -> Engine:
         """What simulates it, the fastest."""
@@ -98,6 +114,7 @@ class Problem(NamedTuple):
 
 def room_for(problem: Problem, pilot: Pilot) -> Room:
     """Enough for nearly every realisation; of others there is more when they come."""
+    assert pilot.most is not None
     if problem.by_intervals:
         intervals = problem.law.checked_capacity(problem.t1)
     else:

@@ -118,7 +118,7 @@ def _count(
 
     def run(values):
         job = Job(with_numbers(engine, paths, values), words, first, used_rows)
-        counted: Any = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
+        counted = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
 
     (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)

@@ -117,8 +117,9 @@ class TracedTurns(eqx.Module):
             following = crossed_at(streams, t1, moment)
             return (moved, following), Trace(stick, moment, may_be_near(model, streams, t1, step, moment))
 
-        def turn(lanes, _):
-            return jax.vmap(turn_one)(*lanes, smooth)
+        def turn(now, _):
+            lanes, crossed = now
+            return jax.vmap(turn_one)(lanes, crossed, smooth)
 
         (lanes, crossed), trace = lax.scan(turn, (state.turns.lane, state.crossed), None, length=BLOCK)
         return _Followed(state.turns._replace(lane=lanes), crossed), trace

@@ -90,8 +90,11 @@ class TurnCounting(Engine):
         def add(flux, stick):
             is_random = (state.certain == 0) | (stick.ending == Ending.BASE_SWITCHED)
             may_vanish = (stick.ending >= 0) & (stick.start == 0) & (stick.ending != Ending.HORIZON) & is_random
-            found = [[kernel(stick.end - stick.start, reach, may_vanish) for reach in reaches] for kernel in (ending, hits)]
-            return jax.tree.map(jnp.add, flux, Flux(*map(tuple, found))), None
+            duration = stick.end - stick.start
+            births, near = (
+                tuple(kernel(duration, reach, may_vanish) for reach in reaches) for kernel in (ending, hits)
+            )
+            return jax.tree.map(jnp.add, flux, Flux(births, near)), None
 
         return lax.scan(add, state.flux, sticks)[0]
 

@@ -97,9 +97,7 @@ def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
 
 
 @sharing
-def may_be_near(
-    model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment
-) -> BoolArray:
+def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> BoolArray:
     """Whether the turn has edges to look for."""
     return _turn(model, streams, t1, step, lax.stop_gradient(moment)).may_be_near
 
@@ -113,9 +111,11 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
     start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
     places = _places(model, *lax.stop_gradient((pieces, start)), fixed, turn, step)
     looks = _at(model, pieces, start, places.tau)
-    (here, across), (then, then_across) = (
-        [jax.tree.map(lambda leaf, number=number: leaf[number], found) for number in (0, 1)] for found in (places, looks)
-    )
+
+    def of(flow: int) -> Any:
+        return jax.tree.map(lambda leaf: leaf[flow], (places, looks))
+
+    (here, then), (across, then_across) = of(0), of(1)
     grazing, nearest = _grazing(model, pieces, moment, turn, here, then)
     would, is_late = _late(model, pieces, fixed, turn, here, then)
     left, is_undone = turn.stop - jnp.where(turn.has_event, moment.end, would), _is_undone(model, streams, fixed, turn)
@@ -185,9 +185,7 @@ def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign:
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
 
 
-def _places(
-    model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, turn: _Turn, step: FloatArray
-) -> _Place:
+def _places(model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, turn: _Turn, step: FloatArray) -> _Place:
     """The places (2,) that tell how near something was, on both flows.
 
     On that of the turn: where the guard (see `_measure`) turns up, in the turn or beyond the event that ended it; of a
@@ -229,7 +227,8 @@ def _places(
         found = before.found & after.found & (length > 0)
         return _Place(jnp.where(found, before.tau + _between(before, after), before.tau), found, rate)
 
-    return jax.vmap(look)(*start, jnp.array([False, True]))
+    t0, y0, sign = start
+    return jax.vmap(look)(t0, y0, sign, jnp.array([False, True]))
 
 
 class _Side(NamedTuple):
@@ -269,7 +268,8 @@ def _at(model: SwitchedModel, pieces: Pieces, start: Any, tau: FloatArray) -> _L
         (t, y), _ = lax.scan(go_on, (t0, y0), None, length=steps)
         return _Look(t, y, *model.guard(model.inputs(t, pieces), jnp.zeros_like(t), y, sign))
 
-    return jax.vmap(look)(*start, lax.stop_gradient(tau))
+    t0, y0, sign = start
+    return jax.vmap(look)(t0, y0, sign, lax.stop_gradient(tau))
 
 
 def _grazing(
@@ -315,9 +315,7 @@ def _is_undone(model: SwitchedModel, streams: Streams, fixed: Moment, turn: _Tur
     return jnp.where(fixed.sign == 0, ~jumped & (rate > 0), jumped | ~model.can_stick(inputs, y))
 
 
-def _crossing(
-    model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, across: _Place, then: _Look
-) -> Number:
+def _crossing(model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, across: _Place, then: _Look) -> Number:
     """How far friction is from being unable to hold an arrival near the far edge of what it can.
 
     Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and soon
