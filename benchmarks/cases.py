@@ -165,27 +165,40 @@ def _regularized(samples: int, settings: dict[str, Any] | None, sizes: Sizes) ->
     return run
 
 
-def _sensitivity(options: dict[str, Any] | None, sizes: Sizes) -> Run:
-    """d(pooled mean stick duration)/d mu of the default study, or (None) the value alone."""
+def _sensitivity(motion: str | None, options: dict[str, Any] | None, sizes: Sizes) -> Run:
+    """Of the default study d(pooled mean stick duration)/d mu; of an ensemble in time steps d(mean number)/d mu; or
+    (no `options`) the value alone.
+    """
+    moved, law, y0 = (system(), LAW, START) if motion is None else ENSEMBLES[motion](sizes)
+    statistic = ss.mean_stick_duration if motion is None else ss.mean_stick_count
+    t1, samples = (T1, sizes.sensitivity) if motion is None else (sizes.stepped_t1, sizes.sensitivity_compiled)
 
     def run(number: int) -> Work:
-        study = {"t1": T1, "samples": sizes.sensitivity, "key": jax.random.key(number), "y0": START}
+        study = {"t1": t1, "samples": samples, "key": jax.random.key(number), "y0": y0}
         if options is None:
-            ss.simulate_ensemble(system(), LAW, progress=False, keep="totals", **study)
+            ss.simulate_ensemble(moved, law, progress=False, keep="totals", **study)
             return Work()
-        found = ss.sensitivity(ss.mean_stick_duration, system(), LAW, wrt="mu", **options, **study)
+        found = ss.sensitivity(statistic, moved, law, wrt="mu", **options, **study)
         assert isinstance(found, ss.Sensitivity)
         return Work(1.0, found.standard_error / abs(found.derivative))
 
     return run
 
 
-SENSITIVITY: dict[str, dict[str, Any] | None] = {
-    "value alone": None,
-    "corrected derivative": {},
-    "finite difference, step 1 %": {"method": "finite-difference", "step": 0.01},
-    "finite difference, step 0.2 %": {"method": "finite-difference", "step": 0.002},
+VALUE = "value alone"
+_DIFFERENCES, _CORRECTED = {"method": "finite-difference"}, {"method": "corrected"}
+SENSITIVITY: dict[str, tuple[str | None, dict[str, Any] | None]] = {
+    VALUE: (None, None),
+    "corrected derivative": (None, _CORRECTED),
+    "finite difference, step 1 %": (None, _DIFFERENCES | {"step": 0.01}),
+    "finite difference, step 0.2 %": (None, _DIFFERENCES | {"step": 0.002}),
 }
+for _motion in ("harmonic base of random phase", "damped, Poisson switching"):
+    SENSITIVITY |= {
+        f"{_motion}: {VALUE}": (_motion, None),
+        f"{_motion}: corrected derivative": (_motion, _CORRECTED | {"reach": 0.01}),
+        f"{_motion}: finite difference, step 1 %": (_motion, _DIFFERENCES | {"step": 0.01}),
+    }
 
 
 def _all() -> dict[str, Callable[[Sizes], Run]]:
@@ -200,8 +213,8 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
     for name, function in COMPOSED.items():
         found[f"vmapped: {name}"] = partial(_composed, function)
     found["vmapped: harmonic base"] = _composed_harmonic
-    for name, options in SENSITIVITY.items():
-        found[f"sensitivity: {name}"] = partial(_sensitivity, options)
+    for name, what in SENSITIVITY.items():
+        found[f"sensitivity: {name}"] = partial(_sensitivity, *what)
     found["exact"] = partial(_regularized, 40_000, None)
     for kind, entries in REGULARIZED.items():
         for label, samples, settings in entries:

@@ -1,12 +1,11 @@
-"""Time and error of the corrected derivative, beside the plain value and finite differences; the default study."""
+"""Time and error of the corrected derivative, beside the plain value and finite differences."""
 
 from typing import Any
 
-from ..cases import SENSITIVITY
+from ..cases import SENSITIVITY, VALUE
 from ..rounds import Rounds
 from ..workers import Bench
 
-VALUE = "value alone"
 MOST = 5  # rounds
 
 
@@ -18,7 +17,12 @@ def measure(bench: Bench) -> list[dict[str, Any]]:
     rows = []
     for program in programs:
         seconds, error = rounds.seconds(program.label), rounds.error(program.label)
-        row = {"label": program.label, "seconds": seconds, "times_value": rounds.ratio(program.label, VALUE)}
+        motion, colon, _ = program.label.rpartition(": ")
+        row = {
+            "label": program.label,
+            "seconds": seconds,
+            "times_value": rounds.ratio(program.label, f"{motion}{colon}{VALUE}"),
+        }
         if error is not None:
             row |= {"relative_error": error, "cost": seconds * (error / 0.01) ** 2}
         rows.append(row)
