@@ -73,6 +73,31 @@ def test_longest_step_allowed(kind):
         assert_agrees(case, step=case.shortest_time / 10.0001)
 
 
+def agrees_or_tells(kind: str, seed: int) -> bool:
+    """Whether a random set-up, in steps of any length that is allowed, agrees; if not, the package must tell."""
+    case = random_case(kind, seed)
+    how = demanded(kind, case)
+    if kind not in SOLVED:
+        how["step"] = case.shortest_time / np.random.default_rng(seed).uniform(10.0001, 40)
+    tolerance = how.pop("tolerance")
+    run, followed = case.reference(), case.follow(**how)
+    tells = int(followed.simulation.doubts) > 0 or int(followed.simulation.status) != ss.Status.FINISHED
+    try:
+        agrees = max(errors_against(run, case, followed)) < tolerance
+    except AssertionError:
+        agrees = False
+    assert agrees or tells, (kind, seed)
+    return agrees
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_search(kind):
+    """Nothing differs from the reference without being told, and hardly anything differs."""
+    agreeing = [agrees_or_tells(kind, seed) for seed in range(1000, 1060)]
+    assert np.mean(agreeing) > 0.95
+
+
 class Sweep(NamedTuple):
     """``offset + size sin(start t + growth t^2)``, up to the instant `last`."""
 

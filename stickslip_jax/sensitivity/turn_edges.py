@@ -89,8 +89,7 @@ class _Look(NamedTuple):
 def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
     """`Moment.crossed` for the turn after `moment`."""
     ends = [(law.jumps, feed.piece.end) for law, feed in zip(streams.all, moment.feeds, strict=True)]
-    stop = jnp.min(jnp.stack([t1, *(end for _, end in ends)]))
-    crosses = (moment.sign != 0) & (moment.sign_end == -moment.sign) & (moment.end < stop)
+    crosses = (moment.sign != 0) & (moment.sign_end == -moment.sign) & (moment.end < _stop(t1, moment))
     jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(moment.end >= end for jumps, end in ends if jumps)]))
     goes_on = (moment.sign_end == moment.sign) & ~jumped
     return jnp.where(crosses, moment.end, jnp.where(goes_on, moment.crossed, -1))
@@ -118,11 +117,12 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
     (here, then), (across, then_across) = of(0), of(1)
     grazing, nearest = _grazing(model, pieces, moment, turn, here, then)
     would, is_late = _late(model, pieces, fixed, turn, here, then)
-    left, is_undone = turn.stop - jnp.where(turn.has_event, moment.end, would), _is_undone(model, streams, fixed, turn)
+    happens, is_undone = jnp.where(turn.has_event, moment.end, would), _is_undone(model, streams, fixed, turn)
     at_horizon = turn.stop >= t1
     # No stick begins after t1; a slip after t1 parts none.
-    horizon = Number(t1 + (left - turn.stop), (turn.has_event | (is_late & at_horizon)) & ~sticking)
-    race = Number(left, (turn.has_event | is_late) & is_undone & ~at_horizon)
+    horizon = Number(t1 - happens, (turn.has_event | (is_late & at_horizon)) & ~sticking)
+    # Times at which pieces end move with the parameters, unlike `turn`.
+    race = Number(_stop(t1, moment) - happens, (turn.has_event | is_late) & is_undone & ~at_horizon)
     time = jnp.where(turn.has_event | turn.crosses, fixed.end, jnp.where(is_late, turn.stop, nearest))
     return Edges(
         time=lax.stop_gradient(time),
@@ -138,7 +138,7 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
 def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> _Turn:
     sticking = moment.sign == 0
     tau = moment.end - moment.t
-    stop = jnp.min(jnp.stack([t1, *(feed.piece.end for feed in moment.feeds)]), axis=0)
+    stop = _stop(t1, moment)
     inputs = model.inputs(moment.t, streams.pieces(moment.feeds))
 
     def measured(tau, y):
@@ -157,6 +157,10 @@ def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArr
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     falls = taken & (moment.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step * d[1])
     return _Turn(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
+
+
+def _stop(t1: FloatArray, moment: Moment) -> FloatArray:
+    return jnp.min(jnp.stack([t1, *(feed.piece.end for feed in moment.feeds)]), axis=0)
 
 
 def _after_crossing(moment: Moment) -> BoolArray:
