@@ -81,6 +81,38 @@ def test_what_is_near_happens(name):
     assert right >= 0.9 * seen, (right, seen)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("wrt", ["mu", "amplitude", "angular_frequency"])
+def test_numbers_move_as_their_derivatives_say(wrt):
+    """All numbers of a harmonic base's edges against central differences of themselves. A few samples meet one edge
+    more at one end of the difference, which moves all later ones to other slots.
+    """
+    system, law, t1, y0, _ = MOTIONS["harmonic"]
+    problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
+    engine, room = traced(problem.engine(), False), room_for(problem, pilot._replace(most=39))._replace(edges=120)
+    path, value = problem.paths(), problem.parameters[0].value
+
+    def numbers(values):
+        varied = with_numbers(engine, (("engine", *path[0]),), values)
+        recorded = sequences.record_sequences(
+            varied, problem.words, jnp.uint32(0), lanes=LANES, room=room, dtype=problem.dtype
+        )
+        near = recorded.near
+        decides = jnp.stack([number.decides for number in near.both_sides])
+        return jnp.stack([number.value for number in near.both_sides]), (decides, near.time)
+
+    _, slopes, (decides, _) = jax.jit(lambda: derivatives_of(numbers, engine.engine, path, problem.dtype))()
+    (low, (_, before)), (high, (_, after)) = (
+        jax.jit(numbers)(jnp.array([value * (1 + sign * 1e-6)])) for sign in (-1, 1)
+    )
+    differences = (np.asarray(high) - np.asarray(low)) / 2e-6
+    for kind in range(len(differences)):
+        same = np.asarray(decides[kind]) & (np.abs(before - after) < 1e-3)
+        right = np.abs(differences[kind] - slopes[0][kind]) <= 1e-2 * (np.abs(slopes[0][kind]) + 1e-3)
+        assert np.sum(same & ~right) <= 0.12 * np.sum(same), kind
+    assert np.sum(decides) > 500
+
+
 def sequence(*sticks):
     """Sticks (start, end), and three spare slots."""
     start, end = (np.array([stick[i] for stick in sticks] + [0.0] * 3) for i in (0, 1))

@@ -146,7 +146,7 @@ def test_corrected_at_twelve_points():
 
 @pytest.mark.slow
 def test_harmonic_within_two_per_cent():
-    """Both methods at their default windows, with standard errors of half a per cent, against differences of 0.3 %."""
+    """Both methods at their default windows, against differences of 0.3 % of four million samples."""
     options = {"wrt": "mu", "t1": 20.0, "y0": anywhere()}
 
     def found(samples, key, **more):
@@ -158,5 +158,5 @@ def test_harmonic_within_two_per_cent():
     for method in ("corrected", "finite-difference"):
         one = found(1 << 20, 1, method=method)
         error = math.hypot(one.standard_error, exact.standard_error)
-        assert error < 0.01 * exact.derivative
+        assert error < 0.015 * exact.derivative
         assert abs(one.derivative - exact.derivative) < 0.02 * exact.derivative + 2 * error, method

@@ -10,6 +10,7 @@ What is looked for is found without derivatives (`_places`); the derivatives com
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -98,17 +99,18 @@ def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
 @sharing
 def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> BoolArray:
     """Whether the turn has edges to look for."""
-    return _turn(model, streams, t1, step, lax.stop_gradient(moment)).may_be_near
+    return _turn(*_fixed((model, streams, t1, step, moment))).may_be_near
 
 
 @sharing
 def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> Edges:
     """The edges of one turn that may have some."""
-    fixed, pieces = lax.stop_gradient(moment), streams.pieces(moment.feeds)
-    turn, sticking = _turn(model, streams, t1, step, fixed), fixed.sign == 0
+    still, calm, fixed = _fixed((model, streams, moment))
+    turn, sticking = _turn(still, calm, lax.stop_gradient(t1), lax.stop_gradient(step), fixed), moment.sign == 0
+    pieces = streams.pieces(moment.feeds)
     # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
     start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
-    places = _places(model, *lax.stop_gradient((pieces, start)), fixed, turn, step)
+    places = _places(still, calm.pieces(fixed.feeds), _fixed(start), fixed, turn, lax.stop_gradient(step))
     looks = _at(model, pieces, start, places.tau)
 
     def of(flow: int) -> Any:
@@ -117,7 +119,7 @@ def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step
     (here, then), (across, then_across) = of(0), of(1)
     grazing, nearest = _grazing(model, pieces, moment, turn, here, then)
     would, is_late = _late(model, pieces, fixed, turn, here, then)
-    happens, is_undone = jnp.where(turn.has_event, moment.end, would), _is_undone(model, streams, fixed, turn)
+    happens, is_undone = jnp.where(turn.has_event, moment.end, would), _is_undone(still, calm, fixed, turn)
     at_horizon = turn.stop >= t1
     # No stick begins after t1; a slip after t1 parts none.
     horizon = Number(t1 - happens, (turn.has_event | (is_late & at_horizon)) & ~sticking)
@@ -157,6 +159,11 @@ def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArr
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     falls = taken & (moment.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step * d[1])
     return _Turn(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
+
+
+def _fixed(tree: Any) -> Any:
+    """`tree`, its numbers without derivatives."""
+    return jax.tree.map(lambda leaf: lax.stop_gradient(leaf) if eqx.is_array_like(leaf) else leaf, tree)
 
 
 def _stop(t1: FloatArray, moment: Moment) -> FloatArray:
