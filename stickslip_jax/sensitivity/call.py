@@ -60,13 +60,9 @@ def sensitivity(
       parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks / 10^6)^(-1/5)``,
       at most 0.05. The bias is of order ``reach^2``.
 
-    How the event part is found. Near misses count as much as short sticks: both tell how dense trajectories are where a
-    stick (or a slip between two) is born. What Poisson switching decides for statistics of totals (base as above) is
-    integrated out, and the derivative by its rate comes from the likelihood. Where a stick can hold more than a slip
-    meets (`mu_static`), one that is caught moves differently ever after; there the event part comes from pairs of
-    trajectories with the parameter changed up and down by `reach`, and the same random numbers. Windows come in several
-    widths; the widest is taken whose answer is within 2 standard errors of those of the narrower ones, and each half of
-    the samples chooses for the other.
+    How the event part is found: docs/sensitivity.md. Where a stick can hold more than a slip meets (`mu_static`), one
+    that is caught moves differently ever after; there it comes from pairs of trajectories with the parameter changed up
+    and down by `reach`, and the same random numbers.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory
