@@ -180,7 +180,8 @@ def _sensitivity(motion: str | None, options: dict[str, Any] | None, sizes: Size
             return Work()
         found = ss.sensitivity(statistic, moved, law, wrt="mu", **options, **study)
         assert isinstance(found, ss.Sensitivity)
-        return Work(1.0, found.standard_error / abs(found.derivative))
+        # Of a few samples it may be that nothing moves.
+        return Work(1.0, found.standard_error / abs(found.derivative) if found.derivative else float("inf"))
 
     return run
 
