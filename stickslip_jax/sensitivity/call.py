@@ -10,7 +10,7 @@ from .. import _checks
 from .._types import Array
 from ..dynamics.method import EXACT
 from . import windows
-from .estimate import Gradient, Sensitivities, Sensitivity, gradient_of_ratio
+from .estimate import Gradient, Sensitivities, Sensitivity
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
 from .first_look import COUNTED_WINDOWS, PAIRED_WINDOWS, RECORDED_WINDOWS, problem_of, reach_of, require_precision
@@ -51,11 +51,12 @@ def sensitivity(
       `exact` is the method; something must be random. The answer does not depend on `threads`, nor, but for the order
       of summation, on `chunk`.
     - `elasticity`: whether to give ``d log statistic / d log parameter``.
-    - `method`: "corrected", or "finite-difference": central differences with common random numbers, by three runs. By
-      default what has the smaller error in the same time, which the result's `method` tells: corrected for statistics
-      of totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of no
-      length do not change (`stick_fraction`); else differences. The other one is a check that shares nothing with it.
-    - `step`: of the differences, as a share of the parameter's size; by default as `reach`. Biased by order ``step^2``.
+    - `method`: "corrected", or "finite-difference": central differences with common random numbers. By default what has
+      the smaller error in the same time, which the result's `method` tells: corrected for statistics of totals on bases
+      of piecewise-constant velocity, without damping and force, and for those that sticks of no length do not change
+      (`stick_fraction`); else differences. The other one is a check that shares nothing with it.
+    - `step`: of the differences, as a share of the parameter's size; by default as `reach`, or a quarter of that, where
+      the two disagree. Biased by order ``step^2``.
     - `reach`: how far the corrected method looks for sticks about to be born or lost, as a relative change of the
       parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks / 10^6)^(-1/5)``,
       at most 0.05. The bias is of order ``reach^2``.
@@ -76,7 +77,7 @@ def sensitivity(
         statistic, system, law, wrt, t1, samples, key, y0, exact=exact, threads=threads, chunk=chunk
     )
     if (method or _cheaper(problem)) == "finite-difference":
-        results = _by_differences(problem, pilot, elasticity, reach_of(problem, pilot) if step is None else float(step))
+        results = _by_differences(problem, pilot, elasticity, step)
     else:
         results = _corrected(problem.in_closed_form(), pilot, elasticity, reach)
     return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
@@ -89,7 +90,8 @@ def _cheaper(problem: Problem) -> str:
 
 
 def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
-    require_precision(problem)
+    if not problem.is_blind_to_events:
+        require_precision(problem)
     widest = reach_of(problem, pilot) if reach is None else float(reach)
     if problem.has_sudden_switches:
         reaches = widest * np.array(PAIRED_WINDOWS)
@@ -113,14 +115,25 @@ def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | 
     if problem.is_blind_to_events and not problem.has_sudden_switches:
         return results
     warn_at_special_speeds(problem, grazing)
-    _warn_of_windows(tally, columns, results, grazing)
+    _warn_of_torn(tally, columns, results, grazing)
+    _warn_of_few(results)
     return results
 
 
-def _warn_of_windows(
+def _warn_of_few(results: dict[str, Sensitivity]) -> None:
+    few = min(result.sticks_in_window for result in results.values())
+    if few < windows.FEW:
+        warnings.warn(
+            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _warn_of_torn(
     tally: Tally, columns: tuple[Columns, ...], results: dict[str, Sensitivity], told: tuple[str, ...]
 ) -> None:
-    """RuntimeWarning where windows disagree (but for parameters `told` of already), or hold few sticks."""
+    """RuntimeWarning where windows disagree, but for parameters `told` of already."""
     torn = [
         name
         for name, where, near in zip(results, columns, tally.near, strict=True)
@@ -134,26 +147,20 @@ def _warn_of_windows(
             RuntimeWarning,
             stacklevel=4,
         )
-    few = min(result.sticks_in_window for result in results.values())
-    if few < windows.FEW:
-        warnings.warn(
-            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
-            RuntimeWarning,
-            stacklevel=4,
-        )
 
 
-def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float) -> dict[str, Sensitivity]:
-    tally, columns = differenced(problem, pilot, np.array([step]), with_pathwise=False)
+def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
+    """With the `step` that the caller chose, or one of two, which must agree."""
+    steps = np.array([step]) if step is not None else reach_of(problem, pilot) * np.array(PAIRED_WINDOWS)
+    tally, columns = differenced(problem, pilot, steps, with_pathwise=False)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
-        got = gradient_of_ratio(
-            tally.moments, where.derivative[0], where.pathwise, parameter.value if elasticity else None
-        )
-        near, got = int(tally.near[index, 0]), got._replace(pathwise=math.nan)
+        got, chosen = windows.estimate(tally, where, tally.near[index], parameter.value if elasticity else None)
+        near, got = int(tally.near[index, chosen]), got._replace(pathwise=math.nan)
         results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "finite-difference", tally, near, float(step)
+            problem, parameter, got, elasticity, "finite-difference", tally, near, float(steps[chosen])
         )
+    _warn_of_torn(tally, columns, results, ())
     return results
 
 

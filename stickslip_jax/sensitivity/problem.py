@@ -5,8 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Array
+from ..base_motion.ground import GroundMotion
 from ..base_motion.laws import BangBangLaw
-from ..base_motion.random import Uniform
+from ..base_motion.random import RandomPhase, Uniform
+from ..base_motion.smooth import Signal
 from ..dynamics.interval_lanes import IntervalEngine
 from ..dynamics.lanes import BLOCK, Engine
 from ..dynamics.method import EXACT
@@ -109,6 +111,10 @@ class Problem(NamedTuple):
             return ("drive", "smooth", *path[2:])
         if path[1] == "jumps":
             return ("drive", "base", -1, *path[2:])
+        if isinstance(self.law, GroundMotion):
+            return ("drive", "ground", 0, *path[1:])
+        if not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
+            return ("drive", "smooth", "motion", *path[1:])
         return ("drive", "smooth", *path[1:])
 
 
