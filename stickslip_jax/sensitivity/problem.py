@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Array
+from ..base_motion.drive import WithJumps
 from ..base_motion.ground import GroundMotion
 from ..base_motion.laws import BangBangLaw
 from ..base_motion.random import RandomPhase, Uniform
@@ -104,18 +105,16 @@ class Problem(NamedTuple):
     def _path(self, path: Path) -> Path:
         if path[0] != "law" or self.by_intervals:
             return path
+        where, rest = ("drive", "smooth"), path[1:]
         if isinstance(self.law, BangBangLaw):
-            return ("drive", "base", 0, *path[1:])
-        # A smooth law is the drive's smooth part; of one with jumps, the parts follow each other.
-        if path[1] == "motion":
-            return ("drive", "smooth", *path[2:])
-        if path[1] == "jumps":
-            return ("drive", "base", -1, *path[2:])
-        if isinstance(self.law, GroundMotion):
-            return ("drive", "ground", 0, *path[1:])
-        if not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
-            return ("drive", "smooth", "motion", *path[1:])
-        return ("drive", "smooth", *path[1:])
+            where = ("drive", "base", 0)
+        elif isinstance(self.law, GroundMotion):
+            where = ("drive", "ground", 0)
+        elif isinstance(self.law, WithJumps):  # of its two the smooth one is the drive's, and the jumps come last
+            where, rest = (where if path[1] == "motion" else ("drive", "base", -1)), path[2:]
+        elif not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
+            where = (*where, "motion")
+        return (*where, *rest)
 
 
 def room_for(problem: Problem, pilot: Pilot) -> Room:
