@@ -71,16 +71,21 @@ def sensitivity(
     ValueError for arguments outside these bounds, and in single precision for motion that has no closed form.
     """
     _check_options(elasticity, method, step, reach)
-    if method is None and (step is not None or reach is not None):
-        method = "corrected" if step is None else "finite-difference"
     problem, pilot = problem_of(
         statistic, system, law, wrt, t1, samples, key, y0, exact=exact, threads=threads, chunk=chunk
     )
-    if (method or _cheaper(problem)) == "finite-difference":
+    if (method or _asked_for(step, reach) or _cheaper(problem)) == "finite-difference":
         results = _by_differences(problem, pilot, elasticity, step)
     else:
         results = _corrected(problem.in_closed_form(), pilot, elasticity, reach)
     return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
+
+
+def _asked_for(step: float | None, reach: float | None) -> str | None:
+    """The method that has the option given."""
+    if step is not None:
+        return "finite-difference"
+    return None if reach is None else "corrected"
 
 
 def _cheaper(problem: Problem) -> str:
