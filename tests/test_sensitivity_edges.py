@@ -4,12 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import stickslip_jax as ss
 from stickslip_jax.numerics.moments import Moments
-from stickslip_jax.numerics.roots import lowest_between, steepest_fall
+from stickslip_jax.numerics.roots import steepest_fall
 from stickslip_jax.sensitivity import sequences, windows
 from stickslip_jax.sensitivity.estimate import gradient_of_ratio
 from stickslip_jax.sensitivity.estimators import Columns
@@ -149,24 +147,6 @@ def test_slip_of_no_length():
     np.testing.assert_allclose(sequences._jump_of_slip(parts, two, jnp.array(2.0), jnp.array(True)), joined)
     for time, exists in ((3.0, False), (7.0, True), (3.0, True)):
         np.testing.assert_array_equal(sequences._jump_of_slip(parts, two, jnp.array(time), jnp.array(exists)), 0)
-
-
-@given(
-    left=st.floats(0.05, 3.0), right=st.floats(0.05, 3.0), bend=st.floats(0.1, 5.0), third=st.floats(-0.9, 0.9)
-)  # fmt: skip
-def test_lowest_point_of_a_cubic(left, right, bend, third):
-    """Known here: ``bend u^2 / 2 + e u^3 / 6`` is lowest at 0, as far as its other extremum is outside."""
-    e = third * bend / max(left, right)
-
-    def cubic(u):
-        return bend * u * u / 2 + e * u**3 / 6, bend * u + e * u * u / 2
-
-    length = left + right
-    (s0, d0), (s1, d1) = cubic(-left), cubic(right)
-    u, second = lowest_between(*(jnp.asarray(number) for number in (s0, d0 * length, s1, d1 * length)))
-    assert u == pytest.approx(left / length, abs=1e-9)
-    assert second == pytest.approx(bend * length**2, rel=1e-9)
-    assert steepest_fall(*(jnp.asarray(number) for number in (s0, d0 * length, s1, d1 * length))) == 0
 
 
 def test_fall_inside_a_step():

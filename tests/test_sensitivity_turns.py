@@ -3,7 +3,9 @@
 import math
 
 import diffrax
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -71,6 +73,57 @@ def test_fraction_on_a_harmonic_base():
     )  # fmt: skip
     assert exact.event == 0
     assert abs(z_score(exact, differences)) < 4
+
+
+class Swing(eqx.Module):
+    """A user's base motion with a number of its own."""
+
+    amplitude: float
+    shortest_period = 2 * math.pi / 1.3
+
+    def velocity(self, t):
+        return self.amplitude * jnp.sin(1.3 * t)
+
+    def acceleration(self, t):
+        return 1.3 * self.amplitude * jnp.cos(1.3 * t)
+
+
+@pytest.mark.parametrize(
+    ("law", "name", "t1"),
+    [
+        (ss.KanaiTajimi(rms=2.0, interval=0.02), "rms", 2.0),
+        (Swing(1.0), "amplitude", 10.0),
+        (ss.WithJumps(Swing(0.5), ss.PoissonSwitching(0.3, 1.0)), "amplitude", 10.0),
+    ],
+    ids=["ground motion", "own", "own with jumps"],
+)
+def test_parameter_of_any_motion(law, name, t1):
+    """A parameter of the excitation is found wherever it is: the stick fraction, against differences."""
+    options = {"wrt": name, "t1": t1, "samples": 1_024, "y0": anywhere()}
+    exact = ss.sensitivity(ss.stick_fraction, oscillator(), law, key=jax.random.key(1), **options)
+    differences = ss.sensitivity(ss.stick_fraction, oscillator(), law, key=jax.random.key(2), step=0.005, **options)
+    assert exact.method == "corrected"
+    assert abs(exact.derivative) > 4 * exact.standard_error
+    assert abs(z_score(exact, differences)) < 4
+
+
+def test_a_slope_that_depends_on_the_step_is_reported():
+    """All trajectories settle on one orbit, which has no stick below mu = 1.1267 and two a period above (bisected)."""
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.1267))
+    options = {"wrt": "mu", "t1": 50.0, "samples": 512, "key": jax.random.key(1), "y0": anywhere()}
+    with pytest.warns(RuntimeWarning, match="No two windows agree on the derivative with respect to mu"):
+        found = ss.sensitivity(ss.mean_stick_count, system, ss.Harmonic(1.0, 1.3), **options)
+    assert found.method == "finite-difference"
+
+
+def test_fraction_in_single_precision():
+    """The default is what single precision can do; the same samples in double precision agree."""
+    options = {"wrt": "mu", "t1": 10.0, "samples": 1_024, "key": jax.random.key(1), "y0": anywhere()}
+    double = ss.sensitivity(ss.stick_fraction, oscillator(), harmonic(), step=0.01, **options)
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
+        single = ss.sensitivity(ss.stick_fraction, oscillator(), harmonic(), **options)
+    assert single.method == "finite-difference"
+    assert abs(single.derivative - double.derivative) < double.standard_error
 
 
 @pytest.mark.slow

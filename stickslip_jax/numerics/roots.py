@@ -67,17 +67,6 @@ def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, n
     return Outlook(falls, turns, jnp.where(turns, least, u), lowest, dips & (least < 0.98))
 
 
-def lowest_between(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where on [0, 1] the cubic with these values and slopes at 0 and 1 is lowest, and its second derivative there.
-
-    The slope is negative at 0 and positive at 1, so that there is one lowest point inside.
-    """
-    c, e = 3 * (s1 - s0) - 2 * d0 - d1, 2 * (s0 - s1) + d0 + d1
-    root = jnp.sqrt(jnp.maximum(c * c - 3 * d0 * e, 0))
-    u = jnp.where(c < 0, _divide(root - c, 3 * e), _divide(-d0, c + root))
-    return jnp.clip(u, 0, 1), 2 * root
-
-
 def steepest_fall(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
     """Where on [0, 1) the cubic with these values and slopes falls, before it rises again: at 0, or where it bends the
     other way; 1 where it does not.

@@ -90,13 +90,14 @@ def _asked_for(step: float | None, reach: float | None) -> str | None:
 
 def _cheaper(problem: Problem) -> str:
     """The method with the smaller error in the same time (measured: docs/sensitivity.md)."""
-    keeps_totals = problem.is_counted and not problem.has_sudden_switches
-    return "corrected" if keeps_totals and (problem.by_intervals or problem.is_blind_to_events) else "finite-difference"
+    if not problem.is_counted or problem.has_sudden_switches:
+        return "finite-difference"
+    of_turns = problem.is_blind_to_events and problem.dtype.itemsize == 8  # else `require_precision` refuses
+    return "corrected" if problem.by_intervals or of_turns else "finite-difference"
 
 
 def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
-    if not problem.is_blind_to_events:
-        require_precision(problem)
+    require_precision(problem)
     widest = reach_of(problem, pilot) if reach is None else float(reach)
     if problem.has_sudden_switches:
         reaches = widest * np.array(PAIRED_WINDOWS)

@@ -53,12 +53,13 @@ def problem_of(
 
 
 def require_precision(problem: Problem) -> None:
-    """Raises ValueError where float32 cannot tell a near miss."""
+    """Raises ValueError where float32 knows neither a near miss nor the derivative of a slip that begins slowly."""
     if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
         raise ValueError(
             "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
-            "velocity, in single precision: round-off hides how nearly an arc of any other motion missed. Call "
-            "jax.config.update('jax_enable_x64', True) first, or use method='finite-difference'."
+            "velocity, in single precision: round-off hides how nearly an arc of any other motion missed, and how "
+            "slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
+            "method='finite-difference'."
         )
 
 
