@@ -23,7 +23,7 @@ versions:
 	$(PYTHON) tools/versions.py
 
 check-slow: $(READY)
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow -n auto --dist worksteal
 
 lint: $(READY)
 	$(BIN)/ruff check .

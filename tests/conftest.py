@@ -2,6 +2,7 @@
 
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import jax
 import jaxtyping
@@ -36,3 +37,12 @@ def annotations_unchecked():
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(autouse=True)
+def _compiled_code_is_let_go(request):
+    """Compiled code takes memory maps. Linux allows a process 65,530; XLA aborts where there are no more."""
+    yield
+    maps = Path("/proc/self/maps")
+    if request.node.get_closest_marker("slow") and maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
+        jax.clear_caches()
