@@ -8,7 +8,6 @@ import numpy as np
 
 from . import _checks
 from ._status import Ending
-from .statistics.source import position_of
 
 _WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
@@ -25,7 +24,7 @@ def write_sticks(ensemble: Any, path: Any) -> Path:
         import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         raise ImportError("Tables of sticks need pandas: pip install 'stickslip_jax[tables]'.") from None
-    unit = position_of(ensemble.system)[1]
+    unit = ensemble.system.stick_position.unit
     table = pd.DataFrame(
         {
             "sample": sticks.sample,

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Any
 
 from ._status import Ending, Status
 from .dynamics.method import Regularized
-from .statistics.source import position_of
 
 if TYPE_CHECKING:
     import xarray
@@ -20,6 +19,7 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
         raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
     sticks, totals = ensemble.require_sticks(), ensemble.totals
     assert totals is not None
+    position = ensemble.system.stick_position
 
     def along(dimension, values, long_name, unit="1", **attributes):
         return (dimension, values, {"long_name": long_name, "units": unit, **attributes})
@@ -29,7 +29,7 @@ def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
             "sample": along("sample", range(len(sticks.count)), "number of the sample"),
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
-            "stick_position": along("stick", sticks.position, *position_of(ensemble.system)),
+            "stick_position": along("stick", sticks.position, position.name, position.unit),
             "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
             "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
             "slip_count": along("sample", totals.slips, "number of slips"),

@@ -16,33 +16,22 @@ import numpy as np
 from . import _checks
 from ._fast_cpu import cores
 from ._types import Array
-from .base_motion.drive import drive_of, is_random, words_for
-from .base_motion.laws import BangBangLaw
+from .base_motion.drive import is_random, words_for
 from .base_motion.random import Uniform
 from .dynamics.chunks import chunks_of, solve_chunk
-from .dynamics.interval_lanes import IntervalEngine
 from .dynamics.lanes import BLOCK, Engine, Job, LaneResults
 from .dynamics.method import EXACT, Exact, Regularized
-from .dynamics.models import check_drive
 from .dynamics.regularized_lanes import AdaptiveBatch, FixedEngine
-from .dynamics.regularized_settings import as_arrays, fixed_steps, settled
+from .dynamics.regularized_settings import as_arrays
 from .dynamics.regularized_solve import table_sizes
-from .dynamics.switched_lanes import SwitchedEngine
-from .dynamics.switched_run import turns_for
+from .engine_choice import lanes_for
 from .ensemble_parts import Gathering, Part, prepare
 from .ensemble_result import Ensemble
 from .numerics.packing import Layout, packed
-from .set_up import (
-    check_length,
-    check_method,
-    check_system,
-    checked_step,
-    interval_engine_applies,
-    state_of,
-    working_dtype,
-)
+from .set_up import check_method, state_of, working_dtype
 from .statistics.tally import MOST_ORDERS, Numbering
 from .stick_stream import StickGatherer
+from .systems.system import require_system
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
@@ -148,7 +137,7 @@ class _Run(NamedTuple):
                 "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
                 "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."
             )
-        check_system(system)
+        require_system(system)
         check_method(method)
         _checks.positive("t1", t1, "s")
         _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
@@ -156,11 +145,9 @@ class _Run(NamedTuple):
             raise ValueError(f"Argument keep must be 'totals', 'statistics' or 'sticks', but {keep!r} was given.")
         y0 = state_of(system, y0, may_be_random=True)
         dtype = working_dtype(stacklevel=4)
-        if isinstance(method, Regularized):
-            engine = _regularized(system, law, t1, y0, method, dtype)
-            method = engine.method
-        else:
-            engine = _engine(system, law, t1, y0, method)
+        engine = lanes_for(system, law, method, t1, y0, dtype)
+        if isinstance(engine, (FixedEngine, AdaptiveBatch)):
+            method = engine.method  # with every option filled in
         random = is_random(law) or any(isinstance(value, Uniform) for value in y0)
         if random and key is None:
             raise ValueError(
@@ -177,36 +164,6 @@ class _Run(NamedTuple):
 def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
     _checks.truth("count_initial_rest", count_initial_rest)
     return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
-
-
-def _engine(system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Exact) -> Engine:
-    """The engine that can simulate this, the fastest."""
-    if isinstance(law, BangBangLaw):
-        law.checked_capacity(t1)
-    if interval_engine_applies(system, law, method):
-        return IntervalEngine(system, law, t1, y0)
-    drive, step = checked_step(system, law, method, t1, "law")
-    check_length(system, law, t1)
-    # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
-    most = method.max_steps or 20 * turns_for(system, drive, t1, step)
-    return SwitchedEngine(system, drive, method.solver, t1, y0, step, np.int32(min(most, 2**31 - 1)))
-
-
-def _regularized(
-    system: Any, law: Any, t1: float, y0: tuple[Any, ...], method: Regularized, dtype
-) -> FixedEngine | AdaptiveBatch:
-    """What simulates this by regularised dynamics."""
-    if isinstance(law, BangBangLaw):
-        law.checked_capacity(t1)
-    drive = drive_of(law, "law")
-    check_drive(system, drive, method)
-    check_length(system, law, t1)
-    method = settled(system, drive, method, dtype)
-    if method.step is None:
-        return AdaptiveBatch(system, drive, method, t1, y0)
-    # Twice what is expected, for samples of a random law with many jumps; a step that is too long is refused here.
-    expected = 2 * fixed_steps(system, drive, method, t1)
-    return FixedEngine(system, drive, method, t1, y0, np.int32(min(method.max_steps or expected, 2**31 - 1)))
 
 
 class _Plan(NamedTuple):

@@ -19,6 +19,7 @@ from .simulate import simulate
 from .systems.friction import Coulomb
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart
+from .systems.system import System
 
 BELT_SPEED = 1.0
 """Modulus of the belt velocity, m/s (conference paper, section 3)."""
@@ -27,7 +28,7 @@ BELT_SPEED = 1.0
 class SetUp(NamedTuple):
     """What to hand to `simulate` or `simulate_ensemble`; `t1` in s, `y0` in m and m/s (rad, rad/s and A)."""
 
-    system: MassSpring | MotorCart
+    system: System
     law: Any
     t1: float
     y0: tuple[Any, ...]

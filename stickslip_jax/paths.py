@@ -25,13 +25,13 @@ from .dynamics.interval_engine import (
     status_of,
 )
 from .dynamics.method import Exact
-from .dynamics.switched_model import State
 from .dynamics.switched_run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
 from .dynamics.time_scales import room_to_give
 from .events import Sticks, sticks_in_order
 from .numerics.known import NotKnown, largest
 from .set_up import checked_step
 from .systems.mass_spring import MassSpring
+from .systems.switched_model import State
 
 _MOST_KEPT = 2**25  # turns of the loop whose states are kept: about 3 GB
 _MOST_DOUBLINGS = 6  # of the turns of the loop, before a trajectory is given up

@@ -12,7 +12,6 @@ from .base_motion.pieces import open_feed
 from .base_motion.voltage import SourceVoltage
 from .dynamics.blocks import few_sizes, scan_in_blocks
 from .dynamics.method import Regularized
-from .dynamics.models import check_drive, streams_of
 from .dynamics.regularized_engine import Passage, advance_fixed, nothing_seen, start_fixed
 from .dynamics.regularized_lanes import criterion_of, field_of
 from .dynamics.regularized_settings import as_arrays, fixed_steps, settled
@@ -25,12 +24,12 @@ from .dynamics.regularized_solve import (
     watch_one,
 )
 from .dynamics.stick_watch import Watch, hermite
-from .dynamics.switched_engine import has_ended, status_of_lane
-from .dynamics.switched_model import State
+from .dynamics.switched_engine import Streams, has_ended, status_of_lane
 from .dynamics.time_scales import room_to_give, step_for
 from .events import sticks_in_order
 from .numerics.known import NotKnown
 from .paths import Path, Run
+from .systems.switched_model import State
 
 _NO_WORDS = np.zeros(2, np.uint32)  # a realisation draws nothing
 
@@ -95,7 +94,7 @@ def follow_regularized(
 ) -> tuple[Regularized, Run]:
     """One trajectory, and the method with every option filled in."""
     drive = drive_of(base)
-    check_drive(system, drive, method)
+    system.check_drive(drive)
     given, method = method, settled(system, drive, method, dtype)
     if given.step is not None:
         step_for(system, drive, given)  # refuses one that is too long
@@ -121,7 +120,7 @@ def _fixed_steps(system: Any, drive: Drive, method: Regularized, t1: Scalar) -> 
 def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
     system, drive, method, t1, y0 = setting
     dtype = t1.dtype
-    field, streams, criterion = field_of(system, drive.signal, method), streams_of(system, drive), criterion_of(method)
+    field, streams, criterion = field_of(system, drive.signal, method), Streams.of(system, drive), criterion_of(method)
     feeds = tuple(open_feed(law, _NO_WORDS, dtype) for law in streams.all)
     start = start_fixed(field, streams, criterion, feeds, y0, dtype)
 

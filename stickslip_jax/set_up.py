@@ -1,4 +1,4 @@
-"""What `simulate` and `simulate_ensemble` ask of their arguments, and which engine they choose."""
+"""What `simulate` and `simulate_ensemble` ask of their arguments."""
 
 import warnings
 from typing import Any
@@ -14,29 +14,9 @@ from .base_motion.piecewise import VelocitySteps
 from .base_motion.random import Uniform
 from .base_motion.smooth import UserMotion
 from .dynamics.method import Exact, Regularized
-from .dynamics.models import check_drive
 from .dynamics.time_scales import step_for
 from .numerics.known import plain
-from .systems.friction import Coulomb
-from .systems.mass_spring import MassSpring
-from .systems.motor_cart import MotorCart
-from .systems.switched_system import SwitchedSystem, check_fields, check_motion
-
-_STATES = {
-    MassSpring: ("position in m", "velocity in m/s"),
-    MotorCart: ("angle in rad", "angular velocity in rad/s", "current in A"),
-}
-
-
-def check_system(system: Any) -> None:
-    """Check that `system` is one that can be simulated. Raises ValueError otherwise."""
-    if isinstance(system, SwitchedSystem):
-        check_fields(system)
-    elif not isinstance(system, tuple(_STATES)):
-        raise ValueError(
-            "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "
-            f"{_checks.show(system)} was given."
-        )
+from .systems.system import System
 
 
 def check_method(method: Any) -> None:
@@ -47,12 +27,9 @@ def check_method(method: Any) -> None:
         )
 
 
-def state_of(system: Any, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
+def state_of(system: System, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
     """The initial state of `system`, checked; zeros if it is None."""
-    if isinstance(system, SwitchedSystem):
-        meaning = system.state_names
-    else:
-        meaning = next(names for kind, names in _STATES.items() if isinstance(system, kind))
+    meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
     numbers = y0 = (0.0,) * len(meaning) if y0 is None else y0
     if isinstance(y0, (tuple, list)) and any(isinstance(value, Uniform) for value in y0):
         if not may_be_random:
@@ -62,12 +39,11 @@ def state_of(system: Any, y0: Any, *, may_be_random: bool = False) -> tuple[Any,
             )
         numbers = tuple(value.low if isinstance(value, Uniform) else value for value in y0)
     numbers = _checks.state("y0", numbers, meaning)
-    if isinstance(system, SwitchedSystem):
-        check_motion(system, numbers)
+    system.check_state(numbers)
     return tuple(y0)
 
 
-def one_realisation(system: Any, base: Any, t1: Scalar) -> Any:
+def one_realisation(system: System, base: Any, t1: Scalar) -> Any:
     """`base` as a motion without randomness that covers ``[0, t1]``."""
     if isinstance(base, VelocitySteps) and base.durations.ndim != 1:
         raise ValueError(
@@ -86,11 +62,11 @@ def one_realisation(system: Any, base: Any, t1: Scalar) -> Any:
     return base.sample(None, t1) if isinstance(base, BangBangLaw) else base
 
 
-def check_length(system: Any, base: Any, t1: Scalar) -> None:
+def check_length(system: System, base: Any, t1: Scalar) -> None:
     """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
     if _checks.is_traced(t1):
         return
-    for name, motion in (("base", base), ("force", getattr(system, "force", None))):
+    for name, motion in (("base", base), *(("force", load) for load in system.loads)):
         longest = longest_time(motion)
         if longest < float(t1) * (1 - 1e-12):
             raise ValueError(
@@ -99,25 +75,11 @@ def check_length(system: Any, base: Any, t1: Scalar) -> None:
             )
 
 
-def interval_engine_applies(system: Any, base: Any, method: Exact | Regularized) -> bool:
-    """Whether the closed forms over whole base intervals hold: decided by what the arguments are, not their numbers."""
-    return (
-        isinstance(method, Exact)
-        and isinstance(system, MassSpring)
-        and isinstance(base, (VelocitySteps, BangBangLaw))
-        and isinstance(system.friction, Coulomb)
-        and system.friction.mu_static is None
-        and system.damping is None
-        and system.force is None
-        and method.step is None
-        and method.solver is None
-    )
-
-
-def checked_step(system: Any, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Drive, Scalar]:
+def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Drive, Scalar]:
     """The drive that `base` (an argument called `name`) is, and the time step (s), at most `t1`."""
     drive = drive_of(base, name)
-    check_drive(system, drive, method)
+    system.check_drive(drive)
+    system.check_solver(method.solver)
     step, horizon = step_for(system, drive, method), plain(t1)
     return drive, step if _checks.is_traced(step) or _checks.is_traced(horizon) else min(float(step), float(horizon))
 

@@ -14,13 +14,11 @@ from ._status import Status
 from ._types import AnyArray, FloatArray, Scalar
 from .dynamics.interval_engine import Totals
 from .dynamics.method import EXACT, Exact, Regularized
+from .engine_choice import engine_for
 from .events import Slips, Sticks, slips_between
-from .paths import Path, follow_intervals, follow_steps
-from .regularized_paths import follow_regularized
-from .set_up import check_method, check_system, interval_engine_applies, one_realisation, state_of, working_dtype
-from .systems.mass_spring import MassSpring
-from .systems.motor_cart import MotorCart
-from .systems.switched_system import SwitchedSystem
+from .paths import Path
+from .set_up import check_method, one_realisation, state_of, working_dtype
+from .systems.system import System, require_system
 
 
 class Simulation(eqx.Module):
@@ -41,7 +39,7 @@ class Simulation(eqx.Module):
     - `system`, `base`, `t1`, `method`: what was simulated, and how; a `Regularized` method has its options filled in.
     """
 
-    system: MassSpring | MotorCart | SwitchedSystem
+    system: System
     base: Any
     t1: Scalar
     method: Exact | Regularized
@@ -113,7 +111,7 @@ class Simulation(eqx.Module):
 
 
 def simulate(
-    system: MassSpring | MotorCart | SwitchedSystem,
+    system: System,
     base: Any,
     *,
     t1: Scalar,
@@ -134,18 +132,13 @@ def simulate(
     Returns a `Simulation`; look at its `status`. There are slots for all sticks that can happen. Raises ValueError for
     arguments outside these bounds, and for a step too long for the shortest time scale.
     """
-    check_system(system)
+    require_system(system)
     check_method(method)
     _checks.positive("t1", t1, "s")
     y0 = state_of(system, y0)
     base = one_realisation(system, base, t1)
     dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(base) if eqx.is_inexact_array(leaf)))
-    if isinstance(method, Regularized):
-        method, run = follow_regularized(system, base, method, t1, y0, dtype)
-    elif interval_engine_applies(system, base, method):
-        run: Any = follow_intervals(system, base, t1, y0, dtype)
-    else:
-        run = follow_steps(system, base, method, t1, y0, dtype)
+    method, run = engine_for(system, base, method, t1).follow(y0, dtype)
     return Simulation(system, base, t1, method, *run)
 
 

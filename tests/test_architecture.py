@@ -30,6 +30,7 @@ ROWS = (
     "set_up",
     "paths",
     "regularized_paths",
+    "engine_choice",
     "simulate",
     "statistics",
     "_xarray",

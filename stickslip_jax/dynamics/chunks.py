@@ -14,8 +14,8 @@ import equinox as eqx
 import jax
 
 from ..numerics.compiling import CompiledNatively
+from ..systems.own import is_own
 from . import lanes, regularized_lanes
-from .own import is_own
 
 
 class Chunks(NamedTuple):

@@ -15,27 +15,26 @@ from jax import lax
 
 from .._types import FloatArray
 from ..systems.friction import FrictionLaw
-from .contacts import Contact
+from ..systems.switched_model import State, SwitchedModel
 from .switch import Switch
-from .switched_model import State
 
 _GAMMA = 1 - 1 / math.sqrt(2)
 _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
-def implicit_step(contact: Contact, switch: Switch, inputs: object, y: State, h: FloatArray) -> State:
+def implicit_step(model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray) -> State:
     """The state after the time `h`."""
-    grip = switch.grip(contact.friction, contact.speed(inputs, jnp.zeros_like(h), y))
-    start = contact.rates(inputs, jnp.zeros_like(h), y, grip)
+    grip = switch.grip(model.friction, model.relative_velocity(inputs, jnp.zeros_like(h), y))
+    start = model.rates_under(inputs, jnp.zeros_like(h), y, grip)
     expected = _moved(y, _GAMMA * h, start)
-    _, first = _stage(contact, switch, inputs, _GAMMA * h, y, expected, _GAMMA * h)
+    _, first = _stage(model, switch, inputs, _GAMMA * h, y, expected, _GAMMA * h)
     base, expected = _moved(y, (1 - _GAMMA) * h, first), _moved(y, h, first)
-    end, _ = _stage(contact, switch, inputs, h, base, expected, _GAMMA * h)
+    end, _ = _stage(model, switch, inputs, h, base, expected, _GAMMA * h)
     return end
 
 
 def _stage(
-    contact: Contact,
+    model: SwitchedModel,
     switch: Switch,
     inputs: object,
     tau: FloatArray,
@@ -46,10 +45,12 @@ def _stage(
     """Solve ``Y = base + weight f(tau, Y)``, linearised at `expected` but for friction: Y and f(tau, Y)."""
 
     def free(state):
-        return contact.rates(inputs, tau, state, jnp.zeros_like(tau))
+        return model.rates_under(inputs, tau, state, jnp.zeros_like(tau))
 
     rates = free(expected)
-    push = tuple(a - b for a, b in zip(contact.rates(inputs, tau, expected, jnp.ones_like(tau)), rates, strict=True))
+    push = tuple(
+        a - b for a, b in zip(model.rates_under(inputs, tau, expected, jnp.ones_like(tau)), rates, strict=True)
+    )
     jacobian = jax.jacfwd(free)(expected)
     size = len(base)
     matrix = [[(i == j) - weight * jacobian[i][j] for j in range(size)] for i in range(size)]
@@ -57,9 +58,9 @@ def _stage(
     without, by_grip = _solve(matrix, [list(missing), [weight * value for value in push]])
 
     speed, per_grip = jax.jvp(
-        lambda state: contact.speed(inputs, tau, state), (_moved(expected, 1.0, without),), (by_grip,)
+        lambda state: model.relative_velocity(inputs, tau, state), (_moved(expected, 1.0, without),), (by_grip,)
     )
-    grip = _balance(switch, contact.friction, speed, -per_grip)
+    grip = _balance(switch, model.friction, speed, -per_grip)
     change = tuple(a + grip * b for a, b in zip(without, by_grip, strict=True))
     _, turned = jax.jvp(free, (expected,), (change,))
     end_rates = tuple(r + t + grip * p for r, t, p in zip(rates, turned, push, strict=True))

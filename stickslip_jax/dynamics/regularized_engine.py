@@ -12,34 +12,33 @@ import jax.numpy as jnp
 from .._types import FloatArray, IntArray
 from ..base_motion.pieces import Feed
 from ..numerics.sharing import sharing
-from .contacts import Contact
+from ..systems.switched_model import State, SwitchedModel
 from .implicit_step import implicit_step
 from .interval_engine import StickRecord
 from .stick_watch import Criterion, Step, Watch, start_watch, watch_step
 from .switch import Switch
 from .switched_engine import Streams, is_spent, next_feeds, no_stick
-from .switched_model import State
 
 
 class Field(NamedTuple):
-    """A contact whose friction acts by a smooth switch."""
+    """A system under its drive, whose friction acts by a smooth switch."""
 
-    contact: Contact
+    model: SwitchedModel
     switch: Switch
 
     def rates(self, inputs: object, tau: FloatArray, y: State) -> State:
         """The time derivative of the state."""
-        speed = self.contact.speed(inputs, tau, y)
-        return self.contact.rates(inputs, tau, y, self.switch.grip(self.contact.friction, speed))
+        speed = self.model.relative_velocity(inputs, tau, y)
+        return self.model.rates_under(inputs, tau, y, self.switch.grip(self.model.friction, speed))
 
     def need(self, inputs: object, tau: FloatArray, y: State) -> FloatArray:
         """The friction that holding the relative velocity needs, as a share of the largest; infinite without any."""
         zero = jnp.zeros_like(tau)
         free, per_grip = (
-            self.contact.speed_rate(inputs, tau, y, self.contact.rates(inputs, tau, y, grip))
+            self.model.relative_acceleration(inputs, tau, y, self.model.rates_under(inputs, tau, y, grip))
             for grip in (zero, zero + 1)
         )
-        held = jnp.abs(per_grip - free) * self.contact.friction.static
+        held = jnp.abs(per_grip - free) * self.model.friction.static
         return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
 
     def seen(
@@ -48,8 +47,14 @@ class Field(NamedTuple):
         """The step from `t` for the time `h` as a watch sees it, and the rates at its ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(inputs, zero, before), self.rates(inputs, h, after)
-        first = self.contact.speed(inputs, zero, before), self.contact.speed_rate(inputs, zero, before, rates)
-        last = self.contact.speed(inputs, h, after), self.contact.speed_rate(inputs, h, after, end_rates)
+        first = (
+            self.model.relative_velocity(inputs, zero, before),
+            self.model.relative_acceleration(inputs, zero, before, rates),
+        )
+        last = (
+            self.model.relative_velocity(inputs, h, after),
+            self.model.relative_acceleration(inputs, h, after, end_rates),
+        )
         needs = self.need(inputs, zero, before), self.need(inputs, h, after)
         return Step(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
 
@@ -85,7 +90,7 @@ def start_fixed(
     """The beginning of a trajectory."""
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
-    speed = field.contact.speed(field.contact.inputs(zero, streams.pieces(feeds)), zero, y)
+    speed = field.model.relative_velocity(field.model.inputs(zero, streams.pieces(feeds)), zero, y)
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_watch(criterion, speed, y[0]), feeds)
 
 
@@ -100,7 +105,7 @@ def advance_fixed(
     lane: FixedLane,
 ) -> tuple[FixedLane, StickRecord, Passage]:
     """One turn of the loop: the lane after it, the stick that ended in it, if any, and the step."""
-    inputs = field.contact.inputs(lane.t, streams.pieces(lane.feeds))
+    inputs = field.model.inputs(lane.t, streams.pieces(lane.feeds))
     live = (lane.t < t1) & ~is_spent(lane) & (lane.turns < most_steps)
     stop = t1
     for feed in lane.feeds:
@@ -109,12 +114,12 @@ def advance_fixed(
     # Not a last step of a few units in the last place.
     to_stop = step * (1 + 1e-6) >= left
     h = jnp.where(to_stop, left, step)
-    y = implicit_step(field.contact, field.switch, inputs, lane.y, h)
+    y = implicit_step(field.model, field.switch, inputs, lane.y, h)
     seen, rates, end_rates = field.seen(inputs, lane.t, h, lane.y, y)
 
     t = jnp.where(to_stop, stop, lane.t + h)
     feeds, jumped = next_feeds(streams, lane.feeds, t, t < t1)
-    after = field.contact.speed(field.contact.inputs(t, streams.pieces(feeds)), jnp.zeros_like(t), y)
+    after = field.model.relative_velocity(field.model.inputs(t, streams.pieces(feeds)), jnp.zeros_like(t), y)
     watch, record = watch_step(criterion, lane.watch, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
     moved = FixedLane(t, y, lane.turns + 1, watch, feeds)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)

@@ -13,16 +13,14 @@ from ..base_motion.random import realised_state
 from ..base_motion.smooth import Signal
 from ..numerics.random_bits import random_words
 from .blocks import scan_in_blocks
-from .contacts import contact_of
 from .interval_engine import StickRecord, count_slips
 from .lanes import BLOCK, Engine, LaneResults, Records
 from .method import Regularized
-from .models import streams_of
 from .regularized_engine import Field, FixedLane, advance_fixed, start_fixed
 from .regularized_solve import Solver, Tables, solve_adaptive, start_watching, watch_one
 from .stick_watch import Criterion, Watch
 from .switch import Switch
-from .switched_engine import has_ended, no_stick, status_of_lane
+from .switched_engine import Streams, has_ended, no_stick, status_of_lane
 
 
 class _Lanes(NamedTuple):
@@ -48,13 +46,13 @@ class FixedEngine(Engine):
     def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
         smooth = _realised(self.drive, words, dtype)
         y0 = realised_state(self.y0, words, dtype)
-        streams, own = streams_of(self.system, self.drive), self.drive.words_of_pieces(words)
+        streams, own = Streams.of(self.system, self.drive), self.drive.words_of_pieces(words)
         feeds = tuple(open_feed(law, own, dtype) for law in streams.all)
         field = field_of(self.system, smooth, self.method)
         return _Lanes(start_fixed(field, streams, criterion_of(self.method), feeds, y0, dtype), smooth)
 
     def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        streams, criterion = streams_of(self.system, self.drive), criterion_of(self.method)
+        streams, criterion = Streams.of(self.system, self.drive), criterion_of(self.method)
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.method.step, dtype)
         most = jnp.asarray(self.most_steps, jnp.int32)
 
@@ -144,7 +142,7 @@ def solve_batch(
 
 def field_of(system: Any, smooth: Signal | None, method: Regularized) -> Field:
     """The regularised field of `system` under a realised smooth drive."""
-    return Field(contact_of(system, smooth), Switch(method.width, method.shape))
+    return Field(system.model(smooth, None), Switch(method.width, method.shape))
 
 
 def criterion_of(method: Regularized) -> Criterion:

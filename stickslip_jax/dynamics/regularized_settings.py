@@ -11,11 +11,8 @@ import numpy as np
 from .. import _checks
 from .._types import Array, Scalar
 from ..base_motion.drive import Drive
-from ..base_motion.random import RandomPhase
-from ..base_motion.voltage import SourceVoltage
 from ..numerics.known import largest, smallest
-from ..systems.mass_spring import MassSpring
-from ..systems.motor_cart import MotorCart
+from ..systems.system import System
 from .method import Regularized
 from .regularized_solve import table_sizes
 from .switch import Switch
@@ -24,13 +21,13 @@ from .time_scales import step_for
 _MOST_ADAPTIVE_STEPS = 16384
 
 
-def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularized:
+def settled(system: System, drive: Drive, method: Regularized, dtype) -> Regularized:
     """`method` with every option filled in, its numbers as arrays of `dtype`.
 
     Raises ValueError where an option is needed because the system's scales are not known.
     """
     width = jnp.asarray(method.width, dtype)
-    speed, deceleration = scales_of_contact(system)
+    speed, deceleration = system.contact_scales
     for name, known in {"threshold": speed, "minimum_duration": deceleration}.items():
         if getattr(method, name) is None and known is None:
             raise ValueError(
@@ -67,7 +64,7 @@ def settled(system: Any, drive: Drive, method: Regularized, dtype) -> Regularize
     )
 
 
-def fixed_steps(system: Any, drive: Drive, method: Regularized, t1: Scalar) -> int:
+def fixed_steps(system: System, drive: Drive, method: Regularized, t1: Scalar) -> int:
     """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each piece.
 
     Raises NotKnown where a number that it depends on is not known yet, ValueError for a step that is too long for the
@@ -77,35 +74,9 @@ def fixed_steps(system: Any, drive: Drive, method: Regularized, t1: Scalar) -> i
     return math.ceil(horizon / shortest) + sum(table_sizes(system, drive, horizon)) + 1
 
 
-def scales_of_contact(system: Any) -> tuple[Any, Any]:
-    """A velocity (m/s) and a deceleration (m/s^2) that are typical of the system's sticks and slips; None if not known.
-
-    The deceleration is that by the largest friction alone. The velocity is what the spring makes of it (motor: what
-    friction takes from its speed).
-    """
-    if isinstance(system, MassSpring):
-        held = system.friction.static * system.normal_force
-        return held / jnp.sqrt(jnp.asarray(system.mass * system.stiffness, float)), held / system.mass
-    if isinstance(system, MotorCart):
-        torque, arm = system.largest_friction_torque, system.eccentricity
-        return arm * torque * system.resistance / system.motor_constant**2, arm * torque / system.motor_inertia
-    speed, time = system.speed_scale, system.shortest_time
-    return speed, None if speed is None or time is None else speed / time
-
-
-def _state_scales(system: Any, drive: Drive, dtype) -> Array:
+def _state_scales(system: System, drive: Drive, dtype) -> Array:
     """The typical size of each state, by which errors are judged where the state itself is small."""
-    if isinstance(system, MassSpring):
-        speed, _ = scales_of_contact(system)
-        scales = (speed / system.angular_frequency, speed)
-    elif isinstance(system, MotorCart):
-        voltage = drive.smooth.signal if isinstance(drive.smooth, RandomPhase) else drive.smooth
-        assert isinstance(voltage, SourceVoltage)
-        most = abs(voltage.mean) + abs(voltage.amplitude)
-        scales = (1.0, most / system.motor_constant, most / system.resistance)
-    else:
-        scales = (1.0,) * len(system.state_names)
-    values = jnp.stack([jnp.asarray(scale, dtype) for scale in scales])
+    values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(drive)])
     return jnp.where(values > 0, values, 1)
 
 

@@ -11,12 +11,12 @@ from .._status import Status
 from .._types import Array, FloatArray, IntArray
 from ..base_motion.drive import Drive
 from ..base_motion.table import PieceTable
+from ..systems.switched_model import Pieces
 from .interval_engine import StickRecord
 from .method import Regularized
-from .models import streams_of
 from .regularized_engine import Field, Passage
 from .stick_watch import Criterion, Watch, start_watch, watch_step
-from .switched_model import Pieces
+from .switched_engine import Streams
 
 
 class Tables(eqx.Module):
@@ -29,7 +29,7 @@ class Tables(eqx.Module):
     @classmethod
     def of(cls, system: Any, drive: Drive, words: Any, sizes: tuple[int, ...], dtype) -> "Tables":
         """The pieces that `words` choose, so many of each part (`table_sizes`)."""
-        streams, own = streams_of(system, drive), drive.words_of_pieces(words)
+        streams, own = Streams.of(system, drive), drive.words_of_pieces(words)
         tables = [PieceTable.of(law, own, size, dtype) for law, size in zip(streams.all, sizes, strict=True)]
         second, third = len(streams.base), len(streams.base) + len(streams.ground)
         return cls(tuple(tables[:second]), tuple(tables[second:third]), tuple(tables[third:]))
@@ -59,7 +59,7 @@ class Tables(eqx.Module):
 
 def table_sizes(system: Any, drive: Drive, t1: Any) -> tuple[int, ...]:
     """How many pieces of each part nearly every realisation needs until `t1`, which is no tracer."""
-    return tuple(law.pieces(t1) for law in streams_of(system, drive).all)
+    return tuple(law.pieces(t1) for law in Streams.of(system, drive).all)
 
 
 class Solver(NamedTuple):
@@ -101,7 +101,7 @@ def solve_adaptive(
     zero = jnp.zeros((), dtype)
 
     def rates(t, y, _):
-        inputs = field.contact.inputs(t, tables.at(t))
+        inputs = field.model.inputs(t, tables.at(t))
         return jnp.stack(field.rates(inputs, zero, tuple(y)))
 
     controller: Any = diffrax.PIDController(rtol=how.rtol, atol=how.atol)
@@ -127,7 +127,7 @@ def start_watching(field: Field, tables: Tables, criterion: Criterion, y: Array)
     """The watch at the beginning."""
     zero = jnp.zeros((), y.dtype)
     return start_watch(
-        criterion, field.contact.speed(field.contact.inputs(zero, tables.at(zero)), zero, tuple(y)), y[0]
+        criterion, field.model.relative_velocity(field.model.inputs(zero, tables.at(zero)), zero, tuple(y)), y[0]
     )
 
 
@@ -149,11 +149,11 @@ def watch_one(
     now, after = solution.t[following], tuple(solution.y[following])
     h = now - t
     pieces, next_pieces = tables.at(t + h / 2), tables.at(now)
-    seen, rates, end_rates = field.seen(field.contact.inputs(t, pieces), t, h, y, after)
+    seen, rates, end_rates = field.seen(field.model.inputs(t, pieces), t, h, y, after)
     jumped = jnp.zeros((), bool)
     for table, old, new in zip(tables.base, pieces.base, next_pieces.base, strict=True):
         jumped = jumped | ((old.begin != new.begin) & table.jumps)
-    speed = field.contact.speed(field.contact.inputs(now, next_pieces), jnp.zeros_like(now), after)
+    speed = field.model.relative_velocity(field.model.inputs(now, next_pieces), jnp.zeros_like(now), after)
     moved, record = watch_step(
         criterion, watch, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
     )

@@ -28,11 +28,13 @@ from jax import lax
 
 from .._status import Ending, Status
 from .._types import BoolArray, FloatArray, IntArray
+from ..base_motion.drive import Drive
 from ..base_motion.pieces import Feed, PieceLaw, next_feed
 from ..numerics.roots import look_ahead
 from ..numerics.sharing import sharing
+from ..systems.switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from ..systems.system import System
 from .interval_engine import StickRecord, Totals, start_totals
-from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
 _DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
@@ -70,6 +72,11 @@ class Streams(eqx.Module):
     base: tuple[PieceLaw, ...]
     ground: tuple[PieceLaw, ...]
     force: tuple[PieceLaw, ...]
+
+    @classmethod
+    def of(cls, system: System, drive: Drive) -> "Streams":
+        """The parts of drive and force that come in pieces."""
+        return cls(drive.base, drive.ground, system.loads)
 
     @property
     def all(self) -> tuple[PieceLaw, ...]:

@@ -12,8 +12,7 @@ from ..base_motion.random import realised_state
 from ..base_motion.smooth import Signal
 from .interval_engine import count_slips
 from .lanes import BLOCK, Engine, LaneResults, Records
-from .models import model_of, streams_of
-from .switched_engine import Lane, advance, has_ended, status_of_lane
+from .switched_engine import Lane, Streams, advance, has_ended, status_of_lane
 from .switched_run import lane_at_start
 
 
@@ -45,11 +44,11 @@ class SwitchedEngine(Engine):
         return _Lanes(lane, jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth))
 
     def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        streams = streams_of(self.system, self.drive)
+        streams = Streams.of(self.system, self.drive)
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step, dtype)
 
         def step_one(lane, smooth):
-            lane, stick = advance(model_of(self.system, smooth, self.solver), streams, t1, step, lane)
+            lane, stick = advance(self.system.model(smooth, self.solver), streams, t1, step, lane)
             return lane, (jnp.stack(stick[:3]), stick.ending)
 
         def turn(carry, _):

@@ -12,11 +12,10 @@ from ..base_motion.drive import Drive
 from ..base_motion.pieces import open_feed
 from ..base_motion.voltage import SourceVoltage
 from ..numerics.known import largest, smallest
+from ..systems.switched_model import Pieces, State
 from .blocks import few_sizes, scan_in_blocks
 from .interval_engine import StickRecord
-from .models import model_of, streams_of
-from .switched_engine import Lane, advance, has_ended, no_stick, start_lane, status_of_lane
-from .switched_model import Pieces, State
+from .switched_engine import Lane, Streams, advance, has_ended, no_stick, start_lane, status_of_lane
 
 MOST_TURNS = 2**30  # they are counted in 32 bits
 
@@ -42,8 +41,8 @@ class Trajectory(eqx.Module):
 def lane_at_start(system: Any, drive: Drive, words: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any) -> Lane:
     """The beginning of the trajectory that `words` choose."""
     dtype = step.dtype
-    streams = streams_of(system, drive)
-    model = model_of(system, drive.realised(words, dtype), solver)
+    streams = Streams.of(system, drive)
+    model = system.model(drive.realised(words, dtype), solver)
     own = drive.words_of_pieces(words)
     feeds = tuple(open_feed(law, own, dtype) for law in streams.all)
     return start_lane(model, streams, feeds, y0, step)
@@ -54,7 +53,7 @@ def run_trajectory(
 ) -> Trajectory:
     """Follow one realisation for up to `turns` turns of the loop; where it ends earlier, the loop idles."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
-    streams, model = streams_of(system, drive), model_of(system, drive.signal, solver)
+    streams, model = Streams.of(system, drive), system.model(drive.signal, solver)
     start = lane_at_start(system, drive, jnp.zeros(2, jnp.uint32), y0, step, solver)
     most = jnp.asarray(turns, jnp.int32)
 
@@ -74,7 +73,7 @@ def run_trajectory(
 
 def state_at(system: Any, drive: Drive, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the turn that holds it."""
-    model = model_of(system, drive.signal, solver)
+    model = system.model(drive.signal, solver)
     # Among turns that begin together (tries of the same step), the last: it is the one that was taken.
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     t, y, sign, pieces = jax.tree.map(lambda values: values[index], beginnings)
@@ -103,7 +102,7 @@ def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
     counted in 32 bits.
     """
     horizon, shortest = largest(t1), smallest(step)
-    pieces = sum(law.pieces(horizon) for law in streams_of(system, drive).all)
+    pieces = sum(law.pieces(horizon) for law in Streams.of(system, drive).all)
     turns = 1.5 * (horizon / shortest) + 2 * pieces + 96
     if turns > MOST_TURNS:
         raise ValueError(

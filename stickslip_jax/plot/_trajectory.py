@@ -11,8 +11,6 @@ from .._status import Status
 from ..base_motion.laws import BangBangLaw
 from ..base_motion.piecewise import VelocitySteps
 from ..simulate import Simulation
-from ..systems.mass_spring import MassSpring
-from ..systems.switched_system import SwitchedSystem
 from ._band import stick_band
 
 _POINTS_PER_TURN = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
@@ -24,9 +22,8 @@ _FEWEST_SLOTS = 8192
 class Piece(NamedTuple):
     """The trajectory between two neighbouring events: all slip or all stick, the base velocity without a jump.
 
-    Arrays (points,): `times` in s; `state`: position (m) and velocity (m/s), of a `MotorCart` angle (rad), angular
-    velocity (rad/s) and current (A); `base_velocity` in m/s; `lowest` and `highest` position (m) or current (A) that
-    friction can hold. Where one of them jumps, a time stands twice.
+    Arrays (points,): `times` in s; `state` in the units of the system's coordinates; `base_velocity` in m/s; `lowest`
+    and `highest` value that friction can hold (`System.stick_band`). Where one of them jumps, a time stands twice.
     """
 
     times: np.ndarray
@@ -47,11 +44,6 @@ def check_simulation(one: Any) -> None:
         raise ValueError(
             f"Argument one must hold one trajectory, but a batch of shape {np.shape(one.status)} was given; "
             "take one out with jax.tree.map(lambda values: values[i], batch)."
-        )
-    if isinstance(one.system, SwitchedSystem):
-        raise ValueError(
-            f"Argument one must be of a MassSpring or a MotorCart, but one of a {type(one.system).__name__} was given; "
-            "draw the states that one.evaluate(times) returns."
         )
     if one.status != Status.FINISHED:
         raise ValueError(
@@ -77,8 +69,8 @@ def check_window(one: Simulation, window: Any) -> tuple[float, float]:
 
 
 def has_steady_base(one: Simulation) -> bool:
-    """Whether a mass and spring ran on a base whose velocity is constant between jumps."""
-    return isinstance(one.system, MassSpring) and isinstance(one.base, (VelocitySteps, BangBangLaw))
+    """Whether a mass ran on a base whose velocity is constant between jumps."""
+    return one.system.rides_base and isinstance(one.base, (VelocitySteps, BangBangLaw))
 
 
 def pieces_of(one: Simulation, window: tuple[float, float]) -> list[Piece]:
@@ -143,8 +135,8 @@ def _knots(one: Simulation, window: tuple[float, float], events: np.ndarray) -> 
 def _numbers(one: Simulation, lengths: np.ndarray, sticks: np.ndarray) -> np.ndarray:
     """Into how many parts to cut the time between neighbouring knots, which lasts `lengths` (s)."""
     numbers = np.full(len(lengths), _POINTS_PER_KNOT)
-    if isinstance(one.system, MassSpring):
-        turns = float(one.system.angular_frequency) * lengths.astype(float) / (2 * np.pi)
+    if one.system.natural_frequency is not None:
+        turns = float(one.system.natural_frequency) * lengths.astype(float) / (2 * np.pi)
         numbers = np.maximum(numbers, np.ceil(np.minimum(_POINTS_PER_TURN * turns, _MOST_POINTS)).astype(int))
     if has_steady_base(one):
         numbers = np.where(sticks, 1, numbers)  # a straight line

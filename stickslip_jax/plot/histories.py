@@ -7,11 +7,11 @@ from matplotlib.axes import Axes
 
 from ..base_motion.ground import GroundMotion
 from ..simulate import Simulation
-from ..systems.friction import Coulomb
-from ..systems.mass_spring import MassSpring
-from ..systems.motor_cart import MotorCart
+from ..systems.system import Coordinate
 from . import _style
-from ._trajectory import Piece, check_simulation, check_window, has_steady_base, joined, pieces_of, values_of
+from ._trajectory import Piece, check_simulation, check_window, joined, pieces_of, values_of
+
+_LONG = 12  # letters of a name that leave no room for a symbol in the same line
 
 
 def time_history(
@@ -23,8 +23,9 @@ def time_history(
     """Draw the state against time; sticks are thick and coloured.
 
     - `one`: a finished result of `simulate`, one trajectory. Of a mass and spring the position, and the velocity of
-      mass and base are drawn; of a `MotorCart` its angle, angular velocity and current.
-    - `ax`: two axes (of a `MotorCart` three); by default those of a new figure, one below the other.
+      mass and base are drawn; of a `MotorCart` its angle, angular velocity and current; of a system of your own each
+      number of its state.
+    - `ax`: as many axes as there are numbers in the state; by default those of a new figure, one below the other.
     - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
 
     The shaded band holds the positions at which the mass can stick: ``|x| <= mu n / k`` on a base of constant
@@ -36,32 +37,28 @@ def time_history(
     """
     check_simulation(one)
     window = check_window(one, window)
-    system = one.system
-    cart = isinstance(system, MotorCart)
-    if cart:
-        axes = _style.axes_below_or_new(ax, ("angle", "angular velocity", "current"), (6.4, 6.2))
-        labels = (r"angle $\alpha$ (rad)", "angular velocity\n" r"$\dot\alpha$ (rad/s)", "current $c$ (A)")
-    else:
-        axes = _style.axes_below_or_new(ax, ("position", "velocity"), (6.4, 4.6))
-        whose = "\nrelative to ground" if isinstance(one.base, GroundMotion) else ""
-        labels = (f"position $x$ (m){whose}", f"velocity (m/s){whose}")
+    coordinates = one.system.coordinates
+    whose = "\nrelative to ground" if isinstance(one.base, GroundMotion) else ""
+    height = 4.6 if len(coordinates) == 2 else 2.0 * len(coordinates) + 0.2
+    axes = _style.axes_below_or_new(ax, tuple(coordinate.name for coordinate in coordinates), (6.4, height))
     pieces = pieces_of(one, window)
-
-    if isinstance(system, MassSpring) and has_steady_base(one) and system.damping is None and system.force is None:
-        _draw_constant_band(axes[0], system)
-    else:
-        _draw_band(axes, pieces, number=2 if cart else 0)
-    if not cart:
+    _draw_band(axes, one, pieces)
+    if one.system.rides_base:
         _draw_base(axes[1], pieces, "ground" if isinstance(one.base, GroundMotion) else "base")
     for number, panel in enumerate(axes):
-        _draw_state(panel, pieces, number, "motor" if cart else "mass")
-    for panel, label in zip(axes, labels, strict=True):
-        panel.set_ylabel(label)
+        _draw_state(panel, pieces, number, one.system.body)
+        panel.set_ylabel(_label(coordinates[number], one.system.rides_base and number == 1) + whose)
         panel.set_xlim(window)
         if panel.xaxis.get_tick_params().get("labelbottom", True):
             panel.set_xlabel("time $t$ (s)")
     _style.legend_above(*axes, columns=4)
     return axes
+
+
+def _label(coordinate: Coordinate, holds_base: bool) -> str:
+    """The name of an axis, in two lines if it is long; without the symbol where the base's velocity is drawn too."""
+    label = coordinate._replace(symbol="" if holds_base else coordinate.symbol).label
+    return label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
 
 
 def _draw_state(panel: Axes, pieces: list[Piece], number: int, name: str) -> None:
@@ -83,24 +80,20 @@ def _draw_base(panel: Axes, pieces: list[Piece], name: str) -> None:
     panel.plot(times, velocities, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label=name)
 
 
-def _draw_constant_band(panel: Axes, system: MassSpring) -> None:
-    """The positions at which the mass can stick, the same at all times."""
-    half_width, friction = float(system.stick_half_width), system.friction
-    mu = r"\mu" if isinstance(friction, Coulomb) and friction.mu_static is None else r"\mu_\mathrm{s}"
-    label = rf"stick possible, $|x| \leq {mu} n/k$"
-    panel.axhspan(-half_width, half_width, color=_style.BAND, alpha=0.3, lw=0, label=label)
-
-
-def _draw_band(axes: tuple[Axes, ...], pieces: list[Piece], number: int) -> None:
-    """The values of part `number` of the state at which a stick is possible, as they change in time."""
+def _draw_band(axes: tuple[Axes, ...], one: Simulation, pieces: list[Piece]) -> None:
+    """The values at which a stick is possible, as they change in time, if they do."""
+    number = one.system.band_coordinate
     times, lowest, highest, state = (
         np.concatenate([values_of(piece, key) for piece in pieces]) for key in ("times", "lowest", "highest", number)
     )
     if not np.all(np.isfinite(lowest)):
         return
-    panel = axes[number]
+    panel, look = axes[number], {"color": _style.BAND, "alpha": 0.3, "lw": 0}
+    if one.system.band_symbols and np.ptp(lowest) == np.ptp(highest) == lowest[0] + highest[0] == 0:
+        panel.axhspan(lowest[0], highest[0], label=rf"stick possible, ${one.system.band_symbols}$", **look)
+        return
     limits = panel.dataLim.frozen()
-    panel.fill_between(times, lowest, highest, color=_style.BAND, alpha=0.3, lw=0, label="stick possible")
+    panel.fill_between(times, lowest, highest, label="stick possible", **look)
     # A band that goes far beyond the state is not shown to its ends.
     panel.dataLim.set(limits)
     width = np.max(highest - lowest)

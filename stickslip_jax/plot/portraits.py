@@ -3,14 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
 from ..base_motion.ground import GroundMotion
 from ..simulate import Simulation
-from ..systems.mass_spring import MassSpring
-from ..systems.motor_cart import MotorCart
+from ..systems.system import Coordinate
 from . import _style
 from ._trajectory import Piece, check_simulation, check_window, has_steady_base, joined, pieces_of
 
@@ -56,6 +54,7 @@ def phase_portrait(
     black where it moves backward (pale blue where it rests); elsewhere it is gray. Crosses mark the two centres of the
     slip arcs, ``x = +- mu n / k`` at rest, where there are any: with a constant friction coefficient, no force, and no
     ground motion. Of a `MotorCart`, the angular velocity is drawn against the angle modulo 2 pi; its sticks are points.
+    Of a system of your own, the second number of the state is drawn against the first.
 
     - `one`: a finished result of `simulate`, one trajectory.
     - `ax`: where to draw; by default the axes of a new figure.
@@ -67,7 +66,8 @@ def phase_portrait(
     """
     check_simulation(one)
     window = check_window(one, window)
-    choices = (_POSITION,) if isinstance(one.system, MotorCart) else (_POSITION, _SCALED)
+    first, second = one.system.coordinates[:2]
+    choices = (_POSITION,) if first.period or one.system.natural_frequency is None else (_POSITION, _SCALED)
     if abscissa not in choices:
         names = " or ".join(map(repr, choices))
         raise ValueError(
@@ -75,17 +75,18 @@ def phase_portrait(
         )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
     pieces = pieces_of(one, window)
-    if isinstance(one.system, MotorCart):
-        _draw_motor(ax, pieces)
-    elif isinstance(one.system, MassSpring):
-        _draw_mass(ax, one, one.system, pieces, abscissa)
+    if first.period:
+        _draw_turning(ax, pieces, first, second)
+    else:
+        _draw_plane(ax, one, pieces, abscissa)
     _style.legend_above(ax, columns=2)
     return ax
 
 
-def _draw_mass(ax: Axes, one: Simulation, system: MassSpring, pieces: list[Piece], abscissa: str) -> None:
-    """Velocity against position, the latter times omega if `abscissa` says so."""
-    scale = float(system.angular_frequency) if abscissa == _SCALED else 1.0
+def _draw_plane(ax: Axes, one: Simulation, pieces: list[Piece], abscissa: str) -> None:
+    """The second coordinate against the first, the latter times omega if `abscissa` says so."""
+    first, second = one.system.coordinates[:2]
+    scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
     for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
         chosen = [piece for piece in pieces if belongs(piece)]
         if chosen:
@@ -93,33 +94,28 @@ def _draw_mass(ax: Axes, one: Simulation, system: MassSpring, pieces: list[Piece
             starts = ends + 1 - [len(piece.times) for piece in chosen]
             marked = np.union1d(starts, ends).tolist()
             ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
-    if system.friction.constant and system.force is None and not isinstance(one.base, GroundMotion):
-        centre = float(system.friction.kinetic(jnp.zeros(())) * system.normal_force / system.stiffness)
+    centre = one.system.slip_centre
+    if centre is not None and not isinstance(one.base, GroundMotion):
         look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
-        ax.plot(scale * centre * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
+        ax.plot(scale * float(centre) * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
     whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
-    ax.set_xlabel(
-        f"position{whose} times frequency $\\omega x$ (m/s)" if abscissa == _SCALED else f"position $x${whose} (m)"
-    )
-    ax.set_ylabel(f"velocity $\\dot x${whose} (m/s)")
+    scaled = f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)"
+    ax.set_xlabel(scaled if abscissa == _SCALED else first.labelled(whose))
+    ax.set_ylabel(second.labelled(whose))
     if abscissa == _SCALED:
         ax.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_motor(ax: Axes, pieces: list[Piece]) -> None:
-    """Angular velocity against the angle modulo 2 pi."""
-    slips = [piece for piece in pieces if not piece.sticks]
-    sticks = [piece for piece in pieces if piece.sticks]
-    if slips:
-        label, _, look = _ALIKE[0]
-        ax.plot(*_wrapped(joined(slips, 0), joined(slips, 1)), label=label, **look)
-    if sticks:
-        angles, speeds = np.transpose([[values[0] for values in piece.state[:2]] for piece in sticks])
-        look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
-        ax.plot(np.mod(angles, _TURN), speeds, label="stick", **look)
+def _draw_turning(ax: Axes, pieces: list[Piece], first: Coordinate, second: Coordinate) -> None:
+    """The second coordinate against the first modulo its period; a stick in which neither changes is a point."""
+    for (label, belongs, look), size in zip(_ALIKE, (0, 5), strict=True):
+        chosen = [piece for piece in pieces if belongs(piece)]
+        if chosen:
+            marks = {"marker": "o", "ms": size, "mew": 0, "clip_on": False} if size else {}
+            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1)), label=label, **(look | marks))
     turn = _style.angle_axis(ax, _TURN)
-    ax.set_xlabel(rf"angle $\alpha$ modulo {turn} (rad)")
-    ax.set_ylabel(r"angular velocity $\dot\alpha$ (rad/s)")
+    ax.set_xlabel(first.name + rf" ${first.symbol}$ modulo {turn} ({first.unit})")
+    ax.set_ylabel(second.label)
 
 
 def _wrapped(angle: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

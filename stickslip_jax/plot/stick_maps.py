@@ -10,12 +10,9 @@ from .. import _checks
 from ..base_motion.random import RandomPhase
 from ..base_motion.voltage import SourceVoltage
 from ..ensemble_result import Ensemble
-from ..set_up import check_system
 from ..simulate import Simulation
 from ..statistics.first_sticks import FirstSticks
-from ..systems.mass_spring import MassSpring
-from ..systems.motor_cart import MotorCart, stick_duration_bound
-from ..systems.switched_system import SwitchedSystem
+from ..systems.system import System, require_system
 from . import _style
 from ._sticks import complete_sticks, edges_of_bins
 
@@ -27,7 +24,7 @@ def stick_map(
     result: Ensemble | FirstSticks | Simulation,
     ax: Axes | None = None,
     *,
-    system: MassSpring | MotorCart | None = None,
+    system: System | None = None,
     bound: SourceVoltage | RandomPhase | None = None,
     period: float | None = None,
 ) -> Axes:
@@ -64,7 +61,7 @@ def stick_joint_histogram(
     result: Ensemble | FirstSticks | Simulation,
     ax: Axes | None = None,
     *,
-    system: MassSpring | MotorCart | None = None,
+    system: System | None = None,
     bound: SourceVoltage | RandomPhase | None = None,
     period: float | None = None,
     bins: Any = 40,
@@ -101,7 +98,7 @@ def stick_joint_histogram(
         ax.plot([], [], ls="none", marker="s", color=mesh.cmap(0.5), label=label)
         figure = ax.get_figure(root=True)
         assert figure is not None
-        figure.colorbar(mesh, ax=ax, label=f"probability density (1/({'m' if shown.period is None else 'rad'} s))")
+        figure.colorbar(mesh, ax=ax, label=f"probability density (1/({shown.system.coordinates[0].unit} s))")
     _finish(ax, shown)
     return ax
 
@@ -121,23 +118,23 @@ def _shown(result: Any, system: Any, bound: Any, period: Any) -> _Shown:
     """The complete sticks, and what else to draw, checked."""
     sticks = complete_sticks(result)
     system = _checked_system(system, None if isinstance(result, FirstSticks) else result.system)
-    motor = isinstance(system, MotorCart)
+    turn = system.coordinates[0].period
     voltage = bound.signal if isinstance(bound, RandomPhase) else bound
-    if voltage is not None and not (motor and isinstance(voltage, SourceVoltage)):
-        raise ValueError(
-            "Argument bound must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), and be given for a MotorCart "
-            f"only, but {_checks.show(bound)} was given for a {type(system).__name__}."
-        )
-    if voltage is not None and np.ndim(system.mu) > 0:
+    if voltage is not None and np.ndim(getattr(system, "mu", 0.0)) > 0:
         raise ValueError(
             "Argument system must be given with the bound, which is that of one MotorCart, but a batch of shape "
             f"{np.shape(system.mu)} was simulated."
         )
+    if voltage is not None and not (turn and system.longest_stick(voltage, np.zeros(1)) is not None):
+        raise ValueError(
+            "Argument bound must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), and be given for a MotorCart "
+            f"only, but {_checks.show(bound)} was given for a {type(system).__name__}."
+        )
     if period is None:
-        period = 2 * np.pi if motor else None
+        period = turn
     else:
         _checks.numeric("period", period)
-        if not motor or not np.any(np.isclose(period, (np.pi, 2 * np.pi), rtol=1e-6)):
+        if not turn or not np.any(np.isclose(period, (turn / 2, turn), rtol=1e-6)):
             raise ValueError(
                 "Argument period must be pi or 2 pi (in rad), and be given for a MotorCart only, but "
                 f"{_checks.show(period)} was given for a {type(system).__name__}."
@@ -146,7 +143,7 @@ def _shown(result: Any, system: Any, bound: Any, period: Any) -> _Shown:
     return _Shown(sticks.duration, position, sticks.label, system, voltage, period)
 
 
-def _checked_system(system: Any, known: Any) -> MassSpring | MotorCart:
+def _checked_system(system: Any, known: Any) -> System:
     """`system`, or what the result is `known` to be of."""
     if system is None and known is None:
         raise ValueError(
@@ -155,12 +152,7 @@ def _checked_system(system: Any, known: Any) -> MassSpring | MotorCart:
         )
     if system is None:
         system = known
-    check_system(system)
-    if isinstance(system, SwitchedSystem):
-        raise ValueError(
-            f"Argument result must be of a MassSpring or a MotorCart, but one of a {type(system).__name__} was given; "
-            "stick_durations draws those of any system."
-        )
+    require_system(system)
     if known is not None and type(known) is not type(system):
         raise ValueError(
             f"Argument system must be the {type(known).__name__} that was simulated, but {_checks.show(system)} was "
@@ -175,14 +167,13 @@ def _edges(bins: Any, shown: _Shown) -> list[np.ndarray]:
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
         raise ValueError(f"Argument bins must be a whole number, or two of them or of edges, but {bins!r} was given.")
     if shown.period is not None:
-        span, unit = (0.0, shown.period), "rad"
+        span = (0.0, shown.period)
     else:
-        unit = "m"
         low, high = (shown.position.min(), shown.position.max()) if len(shown.position) else (0.0, 0.0)
         span = (low, high) if low < high else (low - 0.5, low + 0.5)
     longest = shown.duration.max(initial=0) or 1.0
     return [
-        edges_of_bins("bins[0]", pair[0], span, unit),
+        edges_of_bins("bins[0]", pair[0], span, shown.system.coordinates[0].unit),
         edges_of_bins("bins[1]", pair[1], (0.0, longest), "s"),
     ]
 
@@ -193,11 +184,12 @@ def _finish(ax: Axes, shown: _Shown) -> None:
         _draw_bound(ax, shown)
     if len(shown.duration) == 0:
         ax.text(0.5, 0.5, shown.label, ha="center", va="center", transform=ax.transAxes)
+    first = shown.system.coordinates[0]
     if shown.period is None:
-        ax.set_xlabel("position $x$ where the stick begins (m)")
+        ax.set_xlabel(first.labelled(" where the stick begins"))
     else:
         turn = _style.angle_axis(ax, shown.period)
-        ax.set_xlabel(rf"angle $\alpha$ of the stick, modulo {turn} (rad)")
+        ax.set_xlabel(first.labelled(f" of the stick, modulo {turn}"))
     ax.set_ylabel("stick duration (s)")
     ax.set_ylim(bottom=0)
     if ax.get_legend_handles_labels()[1]:
@@ -207,7 +199,7 @@ def _finish(ax: Axes, shown: _Shown) -> None:
 def _draw_bound(ax: Axes, shown: _Shown) -> None:
     """The longest duration at each angle; shaded where a stick can last for ever."""
     angles = np.linspace(0, shown.period, _BOUND_POINTS)
-    longest = np.asarray(stick_duration_bound(shown.system, shown.bound, angles), float)
+    longest = np.asarray(shown.system.longest_stick(shown.bound, angles), float)
     endless = np.isinf(longest)
     drawn = np.where(endless, np.nan, longest)
     ax.plot(angles, drawn, color=_style.MASS, lw=1.5, label="longest possible, closed form")

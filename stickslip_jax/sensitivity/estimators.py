@@ -9,8 +9,8 @@ from .._status import Status
 from ..base_motion.laws import PoissonSwitching
 from ..dynamics.chunks import chunks_of
 from ..dynamics.lanes import Engine, Job
-from ..dynamics.own import is_own
 from ..dynamics.switched_lanes import SwitchedEngine
+from ..systems.own import is_own
 from .counting import IntervalCounting, Likelihood
 from .parameters import Parameter, Path, check_numbers, with_numbers
 from .problem import Pilot, Problem, lanes_and_rows, room_for, sequence_lanes

@@ -10,7 +10,8 @@ from ..base_motion.drive import is_random, words_for
 from ..base_motion.random import Uniform
 from ..dynamics.method import EXACT, Exact
 from ..ensemble import simulate_ensemble
-from ..set_up import check_system, state_of
+from ..set_up import state_of
+from ..systems.system import require_system
 from .parameters import parameters_of
 from .problem import Pilot, Problem
 from .statistic import statistic_of
@@ -42,7 +43,7 @@ def problem_of(
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
     if not isinstance(exact, Exact):
         raise ValueError(f"Argument exact must be Exact(...), but {_checks.show(exact)} was given.")
-    check_system(system)
+    require_system(system)
     y0 = _checked_start(system, law, y0)
     keep = "totals" if statistic.is_of_totals else "sticks"
     pilot = _pilot(system, law, t1, y0, samples, key, exact, keep, threads)

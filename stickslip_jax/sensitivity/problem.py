@@ -2,22 +2,17 @@
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from .._types import Array
 from ..base_motion.drive import WithJumps
 from ..base_motion.ground import GroundMotion
 from ..base_motion.laws import BangBangLaw
 from ..base_motion.random import RandomPhase, Uniform
 from ..base_motion.smooth import Signal
-from ..dynamics.interval_lanes import IntervalEngine
 from ..dynamics.lanes import BLOCK, Engine
 from ..dynamics.method import EXACT
-from ..dynamics.switched_lanes import SwitchedEngine
 from ..dynamics.switched_run import turns_for
-from ..set_up import checked_step, interval_engine_applies
-from ..systems.mass_spring import MassSpring
-from ..systems.switched_system import SwitchedSystem
+from ..engine_choice import ByIntervals, engine_for
+from ..set_up import checked_step
 from .parameters import Parameter, Path
 from .sequences import Room
 from .statistic import OfTotals, StickStatistic
@@ -57,7 +52,7 @@ class Problem(NamedTuple):
     @property
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
-        return interval_engine_applies(self.system, self.law, self.exact)
+        return isinstance(engine_for(self.system, self.law, self.exact, self.t1), ByIntervals)
 
     def in_closed_form(self) -> "Problem":
         """The same problem without a solver, where none is needed.
@@ -74,9 +69,7 @@ class Problem(NamedTuple):
         A mass that just touches the base velocity is then caught for a while or not at all: all that follows differs,
         the state included, and there is no stick of no length.
         """
-        if isinstance(self.system, SwitchedSystem):
-            return float(self.system.static_ratio) > 1
-        return isinstance(self.system, MassSpring) and self.system.friction.holds_more
+        return self.system.holds_more
 
     @property
     def is_counted(self) -> bool:
@@ -90,13 +83,9 @@ class Problem(NamedTuple):
 
     def engine(self) -> Engine:
         """What simulates it, the fastest."""
-        if self.by_intervals:
-            return IntervalEngine(self.system, self.law, self.t1, self.y0)
-        drive, step = checked_step(self.system, self.law, self.exact, self.t1, "law")
-        most = self.exact.max_steps or 20 * turns_for(self.system, drive, self.t1, step)
-        return SwitchedEngine(
-            self.system, drive, self.exact.solver, self.t1, self.y0, step, np.int32(min(most, 2**31 - 1))
-        )
+        engine = engine_for(self.system, self.law, self.exact, self.t1).lanes(self.y0, self.dtype)
+        assert isinstance(engine, Engine)
+        return engine
 
     def paths(self) -> tuple[Path, ...]:
         """Where the parameters are in the engine."""

@@ -13,8 +13,7 @@ from ..base_motion.random import RandomPhase, realised_state
 from ..dynamics.interval_engine import StickRecord, scales_of, start_motion, start_totals, status_of
 from ..dynamics.interval_lanes import IntervalEngine, draw_block
 from ..dynamics.lanes import BLOCK
-from ..dynamics.models import model_of, streams_of
-from ..dynamics.switched_engine import advance
+from ..dynamics.switched_engine import Streams, advance
 from ..dynamics.switched_lanes import SwitchedEngine
 from .edges import Edges, IntervalLane, cross_with_edges
 from .turn_edges import Moment, crossed_at, edges_of_moment, may_be_near
@@ -94,7 +93,7 @@ class TracedTurns(eqx.Module):
     def begin(self, words: tuple[Array, Array], dtype) -> Any:
         """One lane at t = 0, and until when nothing in it is random, s."""
         state = self.engine.begin(words, dtype)
-        laws = streams_of(self.engine.system, self.engine.drive).all
+        laws = Streams.of(self.engine.system, self.engine.drive).all
         ends = [feed.piece.end for law, feed in zip(laws, state.lane.feeds, strict=True) if law.is_random]
         certain = self.fixed_start and ends and not isinstance(self.engine.drive.smooth, RandomPhase)
         followed = _Followed(state, -jnp.ones((), dtype))
@@ -103,13 +102,13 @@ class TracedTurns(eqx.Module):
     def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
         """Take all lanes a block further."""
         engine = self.engine
-        streams = streams_of(engine.system, engine.drive)
+        streams = Streams.of(engine.system, engine.drive)
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
         smooth = state.turns.smooth
 
         def turn_one(lane, crossed, smooth):
-            model = model_of(engine.system, smooth, engine.solver)
+            model = engine.system.model(smooth, engine.solver)
             moved, stick = advance(model, streams, t1, step, lane)
             if not with_edges:
                 return (moved, crossed), Trace(stick, None, None)
@@ -131,11 +130,11 @@ class TracedTurns(eqx.Module):
     def edges_of(self, moments: Moment, smooth: Any) -> Edges:
         """The edges of moments (moments,), each under its own smooth drive."""
         engine, dtype = self.engine, moments.t.dtype
-        streams = streams_of(engine.system, engine.drive)
+        streams = Streams.of(engine.system, engine.drive)
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
         def edges_of(moment, smooth):
-            return edges_of_moment(model_of(engine.system, smooth, engine.solver), streams, t1, step, moment)
+            return edges_of_moment(engine.system.model(smooth, engine.solver), streams, t1, step, moment)
 
         return jax.vmap(edges_of)(moments, smooth)
 

@@ -19,9 +19,9 @@ from jax import lax
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import Feed
 from ..dynamics.switched_engine import Lane, Streams, next_feeds
-from ..dynamics.switched_model import Pieces, State, SwitchedModel
 from ..numerics.roots import steepest_fall
 from ..numerics.sharing import sharing
+from ..systems.switched_model import Pieces, State, SwitchedModel
 from .edges import Edges, Number
 
 _NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a lowest value nearer to 0 is 0 by construction

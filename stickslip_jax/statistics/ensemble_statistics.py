@@ -17,7 +17,7 @@ from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labelled import dataset_of_statistics
-from .source import FEATURES, position_of, require_ensemble
+from .source import FEATURES, require_ensemble
 from .stick_sums import PAIRS, QUANTITIES
 from .tally import SAMPLE_QUANTITIES, Numbering, StickTally
 
@@ -40,7 +40,7 @@ def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     """
     ensemble = require_ensemble(ensemble)
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
-    position = position_of(ensemble.system)[1]
+    position = ensemble.system.stick_position.unit
     return EnsembleStatistics(
         ensemble.tally, sticks, ensemble.retained.features, ensemble.t1, position, ensemble.numbering
     )

@@ -3,8 +3,6 @@
 from typing import Any
 
 from .. import _checks
-from ..systems.motor_cart import MotorCart
-from ..systems.switched_system import SwitchedSystem
 
 FEATURES = ("stick_time", "stick_count", "slip_count")
 """What an ensemble's `moments` hold of each finished sample."""
@@ -27,13 +25,3 @@ def require_statistic(statistic: Any) -> None:
             "Argument statistic must be a function such as stick_fraction or mean_stick_duration, but "
             f"{_checks.show(statistic)} was given."
         )
-
-
-def position_of(system: Any) -> tuple[str, str]:
-    """What the position of a stick is, and its unit."""
-    if isinstance(system, MotorCart):
-        return "motor angle during the stick", "rad"
-    if isinstance(system, SwitchedSystem):
-        name, _, unit = system.state_names[0].rpartition(" in ")
-        return f"{name or unit} when the stick starts", unit if name else "1"
-    return "position of the mass when the stick starts", "m"

@@ -1,7 +1,7 @@
 """What a study is made of: the sections of a TOML file, as pydantic models."""
 
 import math
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import diffrax
 from pydantic import Field, field_validator, model_validator
@@ -25,7 +25,12 @@ _OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
 
 
 class RunConfig(Section):
-    """Section ``[run]``: how much is simulated, and how. The systems add where it starts from."""
+    """Section ``[run]``: how much is simulated, and how. The systems add where it starts from.
+
+    `maps_first_sticks`: whether the duration of the first sticks is drawn against their position.
+    """
+
+    maps_first_sticks: ClassVar[bool] = False
 
     t1: float = Field(default=200.0, gt=0, description="duration of each sample, s")
     samples: int = Field(default=10_000, ge=1, le=2**31, description="number of samples")
@@ -89,6 +94,7 @@ class MassSpringRunConfig(RunConfig):
 class MotorCartRunConfig(RunConfig):
     """Section ``[run]`` of a `MotorCart`; the defaults are the paper's."""
 
+    maps_first_sticks: ClassVar[bool] = True
     t1: float = Field(default=2.0, gt=0, description="duration of each sample, s")
     initial_angle: Start = Field(default=UniformConfig(low=0.0, high=2 * math.pi), description=f"rad, {_OR_RANDOM}")
     initial_angular_velocity: Start = Field(default=0.0, description="rad/s, likewise")
@@ -129,8 +135,8 @@ class StudyConfig(Section):
     def _usual_base(cls, table: Any, info: Any) -> Any:
         if not isinstance(table, dict) or "law" in table:
             return table
-        motor = isinstance(info.data.get("system"), MotorCartConfig)
-        return {"law": "SourceVoltage" if motor else "PoissonSwitching", **table}
+        by_voltage = getattr(info.data.get("system"), "driven_by_voltage", False)
+        return {"law": "SourceVoltage" if by_voltage else "PoissonSwitching", **table}
 
     @field_validator("run", mode="before")
     @classmethod
@@ -145,12 +151,12 @@ class StudyConfig(Section):
     @model_validator(mode="after")
     def _base_drives_the_system(self) -> "StudyConfig":
         law, model = toml_value(tag_of(type(self.base))), tag_of(type(self.system))
-        motor, voltage = isinstance(self.system, MotorCartConfig), isinstance(self.base, SourceVoltageConfig)
-        if motor and not voltage:
+        voltage = isinstance(self.base, SourceVoltageConfig)
+        if self.system.driven_by_voltage and not voltage:
             raise ValueError(
                 f'law in [base] must be "SourceVoltage", because model in [system] is {model}, but {law} was given.'
             )
-        if voltage and not motor:
+        if voltage and not self.system.driven_by_voltage:
             raise ValueError(
                 f"law in [base] must be a motion of the base, because model in [system] is {model}, but {law} was "
                 "given, which drives a MotorCart."
@@ -159,8 +165,8 @@ class StudyConfig(Section):
 
     def to_toml(self) -> str:
         """The complete study as a TOML file, with units as comments; reading it gives the same study."""
-        motor = isinstance(self.system, MotorCartConfig)
-        laws = [law for law, kind in kinds_in(BaseConfig).items() if (kind is SourceVoltageConfig) == motor]
+        by_voltage = self.system.driven_by_voltage
+        laws = [law for law, kind in kinds_in(BaseConfig).items() if (kind is SourceVoltageConfig) == by_voltage]
         kinds = {"system": kinds_in(SystemConfig), "base": laws}
         blocks = [toml_blocks(getattr(self, name), name, kinds.get(name, ())) for name in type(self).model_fields]
         return "\n\n".join(block for part in blocks for block in part) + "\n"

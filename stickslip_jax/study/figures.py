@@ -12,7 +12,6 @@ from ..base_motion.voltage import SourceVoltage
 from ..ensemble_result import Ensemble
 from ..simulate import Simulation, simulate
 from ..statistics.first_sticks import FirstSticks
-from ..systems.motor_cart import MotorCart
 from .config import StudyConfig
 from .folder import DURATION_AND_POSITION, PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
 
@@ -79,7 +78,7 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
 
 def _time_shown(system: Any, law: Any) -> float:
     """How long a time a figure can show, s."""
-    if isinstance(system, MotorCart):
-        voltage = law.signal if isinstance(law, RandomPhase) else law
-        return _VOLTAGE_PERIODS_SHOWN * float(voltage.shortest_period)
-    return _PERIODS_SHOWN * 2 * math.pi / float(system.angular_frequency)
+    if system.natural_frequency is None:
+        signal = law.signal if isinstance(law, RandomPhase) else law
+        return _VOLTAGE_PERIODS_SHOWN * float(signal.shortest_period)
+    return _PERIODS_SHOWN * 2 * math.pi / float(system.natural_frequency)

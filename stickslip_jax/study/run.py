@@ -21,7 +21,7 @@ from ..statistics.estimates import (
     stick_fraction,
 )
 from ..statistics.first_sticks import FirstSticks, first_stick
-from .config import MotorCartRunConfig, RunConfig, StudyConfig
+from .config import RunConfig, StudyConfig
 from .errors import StudyError
 from .figures import draw_figures
 from .folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
@@ -115,7 +115,7 @@ def _built(section: Any, name: str) -> Any:
 
 
 def _first_sticks(config: StudyConfig, ensemble: Ensemble) -> FirstSticks | None:
-    if ensemble.flat_sticks is None or not isinstance(config.run, MotorCartRunConfig):
+    if ensemble.flat_sticks is None or not config.run.maps_first_sticks:
         return None
     return first_stick(ensemble, count_initial_rest=config.run.count_initial_rest)
 

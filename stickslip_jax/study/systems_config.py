@@ -3,7 +3,7 @@
 One class for each, told apart by its tag (``model``, ``law``): to offer another, add its class here and to the union.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -108,6 +108,7 @@ ForceConfig = Annotated[HarmonicForceConfig | SumOfHarmonicsForceConfig | Record
 class MassSpringConfig(Section):
     """Section ``[system]`` with the model `MassSpring`: a mass on a spring."""
 
+    driven_by_voltage: ClassVar[bool] = False
     model: Literal["MassSpring"] = "MassSpring"
     mass: float = Field(default=1.0, gt=0, description="kg")
     stiffness: float = Field(default=4.0, gt=0, description="N/m")
@@ -147,6 +148,7 @@ _TABLE_1: Any = MotorCart()
 class MotorCartConfig(Section):
     """Section ``[system]`` with the model `MotorCart`: a cart driven by a motor; the defaults are the paper's."""
 
+    driven_by_voltage: ClassVar[bool] = True
     model: Literal["MotorCart"]
     mu: float = Field(default=_TABLE_1.mu, ge=0, description="friction coefficient of cart and rail")
     cart_mass: float = Field(default=_TABLE_1.cart_mass, gt=0, description="kg")

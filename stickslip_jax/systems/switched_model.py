@@ -1,4 +1,8 @@
-"""What the switched engine needs to know of a system: how it moves, and what tells when its mode is over."""
+"""One system and what drives it, as the engines follow it: how it slips and sticks, and when each is over.
+
+Exact dynamics needs the slips, the sticks and the guards; regularised dynamics the rates under any friction and the
+relative velocity.
+"""
 
 import abc
 from typing import Any, ClassVar, NamedTuple
@@ -7,6 +11,7 @@ import equinox as eqx
 
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import Piece
+from .friction import FrictionLaw
 
 State = tuple[FloatArray, ...]
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
@@ -18,6 +23,13 @@ class Pieces(NamedTuple):
     base: tuple[Piece, ...]
     ground: tuple[Piece, ...]
     force: tuple[Piece, ...]
+
+
+class Base(NamedTuple):
+    """The base at one instant: velocity in m/s (or rad/s) and acceleration; zeros for a base at rest."""
+
+    velocity: FloatArray
+    acceleration: FloatArray
 
 
 class SwitchedModel(eqx.Module):
@@ -91,3 +103,20 @@ class SwitchedModel(eqx.Module):
         Transients may call for shorter ones at first, and a stick may allow longer ones.
         """
         return step
+
+    @property
+    @abc.abstractmethod
+    def friction(self) -> FrictionLaw:
+        """The friction law of the contact."""
+
+    @abc.abstractmethod
+    def rates_under(self, inputs: Any, tau: FloatArray, y: State, grip: FloatArray) -> State:
+        """The time derivative of the state under the signed friction coefficient `grip`; affine in it."""
+
+    @abc.abstractmethod
+    def relative_velocity(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
+        """The relative velocity, m/s."""
+
+    @abc.abstractmethod
+    def relative_acceleration(self, inputs: Any, tau: FloatArray, y: State, rates: State) -> FloatArray:
+        """Its time derivative, where the state changes with `rates`."""
