@@ -50,6 +50,7 @@ from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, Vel
 from .systems.mass_spring import MassSpring
 from .systems.motor_cart import MotorCart, stick_duration_bound
 from .systems.switched_system import SwitchedSystem
+from .systems.system import Coordinate, System
 
 __version__ = "0.1.0"
 
@@ -83,6 +84,7 @@ __all__ = [
     "ConditionalMeans",
     "Constant",
     "Convergence",
+    "Coordinate",
     "Coulomb",
     "Distribution",
     "Ending",
@@ -127,6 +129,7 @@ __all__ = [
     "Stribeck",
     "SumOfHarmonics",
     "SwitchedSystem",
+    "System",
     "Uniform",
     "VelocitySteps",
     "VelocityWeakening",

@@ -107,14 +107,19 @@ def _draw_plane(ax: Axes, one: Simulation, pieces: list[Piece], abscissa: str) -
 
 
 def _draw_turning(ax: Axes, pieces: list[Piece], first: Coordinate, second: Coordinate) -> None:
-    """The second coordinate against the first modulo its period; a stick in which neither changes is a point."""
-    for (label, belongs, look), size in zip(_ALIKE, (0, 5), strict=True):
-        chosen = [piece for piece in pieces if belongs(piece)]
+    """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
+    still = [piece for piece in pieces if piece.sticks and np.ptp(piece.state[:2], axis=1).max() == 0]
+    points = set(map(id, still))
+    for label, belongs, look in _ALIKE:
+        chosen = [piece for piece in pieces if belongs(piece) and id(piece) not in points]
         if chosen:
-            marks = {"marker": "o", "ms": size, "mew": 0, "clip_on": False} if size else {}
-            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1)), label=label, **(look | marks))
+            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1)), label=label, **look)
+    if still:
+        angles, speeds = np.transpose([[values[0] for values in piece.state[:2]] for piece in still])
+        look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
+        ax.plot(np.mod(angles, _TURN), speeds, label="stick", **look)
     turn = _style.angle_axis(ax, _TURN)
-    ax.set_xlabel(first.name + rf" ${first.symbol}$ modulo {turn} ({first.unit})")
+    ax.set_xlabel(first.labelled(f" modulo {turn}"))
     ax.set_ylabel(second.label)
 
 

@@ -1,0 +1,163 @@
+"""A new system in one file: simulated, in ensembles, differentiated, drawn and stored like those of the package."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import stickslip_jax as ss
+from stickslip_jax import plot
+
+mpl.use("Agg")
+
+
+class DuffingBelt(ss.SwitchedSystem):
+    """A mass on a hardening spring, ``mass x'' + stiffness x + cubic x^3 = -friction``, dragged by a belt."""
+
+    mass: float = 1.0  # kg
+    stiffness: float = 1.0  # N/m
+    cubic: float = 2.0  # N/m^3
+    normal_force: float = 1.0  # N
+    mu: float = 0.5
+    mu_static: float = 0.9
+
+    @property
+    def state_names(self):
+        return "position in m", "velocity in m/s"
+
+    def rates(self, t, y, base, friction):
+        pull = self.stiffness * y[0] + self.cubic * y[0] ** 3
+        return y[1], (-pull - friction * self.mu * self.normal_force) / self.mass
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+    @property
+    def static_ratio(self):
+        return self.mu_static / self.mu
+
+    @property
+    def shortest_time(self):
+        return 2 * math.pi * (self.mass / (self.stiffness + 6 * self.cubic)) ** 0.5
+
+    @property
+    def speed_scale(self):
+        return self.mu * self.normal_force / self.mass * self.shortest_time
+
+    @property
+    def coordinates(self):
+        return ss.Coordinate("position", "m", "x"), ss.Coordinate("velocity", "m/s", r"\dot x")
+
+    @property
+    def body(self):
+        return "mass"
+
+    @property
+    def edge(self):
+        """Where friction can just hold it, m: the real root of ``cubic x^3 + stiffness x = mu_static normal_force``."""
+        roots = np.roots([self.cubic, 0.0, self.stiffness, -self.mu_static * self.normal_force])
+        return float(roots[np.abs(roots.imag) < 1e-9].real[0])
+
+    def stick_band(self, times, state, velocity, acceleration, ground):
+        return jnp.full_like(times, -self.edge), jnp.full_like(times, self.edge)
+
+
+SYSTEM, SPEED = DuffingBelt(), 0.2
+RANDOM_STARTS = (ss.Uniform(-0.5, 0.5), ss.Uniform(-0.5, 0.5))
+
+
+@pytest.fixture(scope="module")
+def one():
+    return ss.simulate(SYSTEM, ss.Constant(SPEED), t1=20.0)
+
+
+@pytest.fixture(scope="module")
+def many():
+    law = ss.PoissonSwitching(SPEED, 0.3)
+    return ss.simulate_ensemble(
+        SYSTEM, law, t1=20.0, samples=200, key=jax.random.key(0), y0=RANDOM_STARTS, keep="sticks"
+    )
+
+
+def test_sticks_of_the_limit_cycle(one):
+    """A stick ends where the spring pulls with mu_static n; it began where the slip's energy has the same value:
+    ``stiffness x^2 / 2 + cubic x^4 / 4 - mu n x`` (the mass is behind the belt).
+    """
+    s, edge = SYSTEM, SYSTEM.edge
+    energy = np.polynomial.Polynomial([0.0, -s.mu * s.normal_force, s.stiffness / 2, 0.0, s.cubic / 4])
+    roots = (energy - energy(edge)).roots()
+    begin = min(root.real for root in roots if abs(root.imag) < 1e-9)
+    later = np.flatnonzero(np.asarray(one.sticks.mask))[1:-1]
+    assert len(later) >= 3
+    np.testing.assert_allclose(one.sticks.position[later], begin, atol=1e-9)
+    np.testing.assert_allclose(one.sticks.duration[later], (edge - begin) / SPEED, atol=1e-8)
+    np.testing.assert_allclose(one.evaluate(one.sticks.end[later])[0], edge, atol=1e-9)
+
+
+def test_regularised_agrees(one):
+    smooth = ss.simulate(SYSTEM, ss.Constant(SPEED), t1=20.0, method=ss.Regularized(1e-5))
+    assert smooth.sticks.count == one.sticks.count
+    assert float(smooth.stick_fraction) == pytest.approx(float(one.stick_fraction), abs=1e-3)
+
+
+def test_ensemble_is_the_simulations(many):
+    base, y0 = many.realisation(7)
+    alone = ss.simulate(SYSTEM, base, t1=20.0, y0=y0)
+    kept = np.asarray(many.sticks.start[7])[np.asarray(many.sticks.mask[7])]
+    np.testing.assert_array_equal(kept, np.asarray(alone.sticks.start)[np.asarray(alone.sticks.mask)])
+    assert many.statistics.count.mean > 1
+
+
+def test_derivatives(many):
+    """Along one trajectory against its closed form, of the ensemble's mean against differences with another key."""
+
+    def release(mu_static):
+        system = DuffingBelt(mu_static=mu_static)
+        sticks = ss.simulate(system, ss.Constant(SPEED), t1=5.0, y0=(0.0, SPEED), method=ss.Exact(max_steps=512)).sticks
+        return sticks.end[0]
+
+    # The first stick begins at x = 0 and ends at the edge: d edge / d mu_static = n / (stiffness + 3 cubic edge^2).
+    s = SYSTEM
+    slope = s.normal_force / (s.stiffness + 3 * s.cubic * s.edge**2) / SPEED
+    assert jax.jacfwd(release)(0.9) == pytest.approx(slope, rel=1e-8)
+    assert jax.grad(release)(0.9) == pytest.approx(slope, rel=1e-8)
+
+    options = {"wrt": "mu", "t1": 20.0, "samples": 2_000, "y0": RANDOM_STARTS}
+    equal = DuffingBelt(mu_static=0.5)
+    law = ss.PoissonSwitching(SPEED, 0.3)
+    exact = ss.sensitivity(ss.stick_fraction, equal, law, key=jax.random.key(1), **options)
+    differences = ss.sensitivity(ss.stick_fraction, equal, law, key=jax.random.key(2), step=0.005, **options)
+    assert exact.method == "corrected"
+    z = (exact.derivative - differences.derivative) / math.hypot(exact.standard_error, differences.standard_error)
+    assert abs(z) < 4
+
+
+def test_figures(one, many):
+    """Drawn and labelled like the package's own."""
+    upper, lower = plot.time_history(one)
+    assert [panel.get_ylabel() for panel in (upper, lower)] == ["position $x$ (m)", r"velocity $\dot x$ (m/s)"]
+    assert {line.get_label() for line in upper.lines} == {"mass", "mass, stick"}
+    (band,) = upper.collections
+    assert np.abs(band.get_paths()[0].vertices[:, 1]).max() == pytest.approx(SYSTEM.edge)
+    portrait = plot.phase_portrait(one)
+    assert (portrait.get_xlabel(), portrait.get_ylabel()) == ("position $x$ (m)", r"velocity $\dot x$ (m/s)")
+    (stick,) = [line for line in portrait.lines if line.get_label() == "stick"]
+    drawn = stick.get_ydata()
+    np.testing.assert_allclose(drawn[np.isfinite(drawn)], SPEED, atol=1e-9)
+    shown = plot.stick_map(many)
+    assert shown.get_xlabel() == "position $x$ where the stick begins (m)"
+    with pytest.raises(ValueError, match=r"abscissa must be 'position' for a DuffingBelt"):
+        plot.phase_portrait(one, abscissa="position_times_omega")
+    with pytest.raises(ValueError, match=r"period must be pi or 2 pi .* for a DuffingBelt"):
+        plot.stick_map(many, period=math.pi)
+
+
+def test_stored(many, tmp_path):
+    stored = many.to_xarray()
+    assert stored["stick_position"].attrs == {"long_name": "position when the stick starts", "units": "m"}
+    many.write_sticks(tmp_path / "sticks.csv")
+    header = (tmp_path / "sticks.csv").read_text().splitlines()[0]
+    assert "position" in header
