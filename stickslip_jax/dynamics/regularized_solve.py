@@ -53,8 +53,9 @@ class Tables(eqx.Module):
 
     @property
     def times(self) -> Array | None:
-        """When pieces end and others begin, s; None where nothing comes in pieces."""
-        return jnp.concatenate([table.pieces.begin[1:] for table in self.all]) if self.all else None
+        """When pieces end and others begin, s; None where that never happens."""
+        times = [table.pieces.begin[1:] for table in self.all]
+        return jnp.concatenate(times) if sum(map(len, times)) else None
 
 
 def table_sizes(system: Any, drive: Drive, t1: Any) -> tuple[int, ...]:
