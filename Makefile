@@ -8,9 +8,11 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= results/study
 ROUNDS ?= 15
 ONLY ?=
+# Own processes, a trajectory and its derivatives, ensembles, statistics, sensitivities.
+FAST := $(foreach name,fresh_process derivatives streaming statistics_edges sensitivity_edges,tests/test_$(name).py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test check-slow lint format bench bench-smoke versions clean
+.PHONY: study test test-fast check-slow lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -18,9 +20,13 @@ study: $(READY)
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
+# What one runs while working: under a minute on two cores once the compilation cache is warm.
+test-fast: $(READY)
+	$(BIN)/python -m pytest -n auto --dist worksteal tests/test_architecture.py $(FAST)
+
 # The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest.
 versions:
-	$(PYTHON) tools/versions.py
+	$(PYTHON) tools/versions.py --tests $(FAST)
 
 check-slow: $(READY)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal

@@ -8,10 +8,8 @@ from .dynamics.method import Regularized
 if TYPE_CHECKING:
     import xarray
 
-    from .ensemble_result import Ensemble
 
-
-def dataset_of(ensemble: "Ensemble") -> "xarray.Dataset":
+def dataset_of(ensemble: Any) -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for

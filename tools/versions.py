@@ -1,4 +1,4 @@
-"""Run the fast part of the tests on other versions of what the package needs: ``python tools/versions.py WHICH ...``.
+"""Run some tests on other versions of what the package needs: ``python tools/versions.py WHICH ... --tests FILE ...``.
 
 `lowest`: those that pyproject.toml names as lower bounds. `pinned`: those of constraints.txt.
 `newest`: whatever pip finds for the newest Python on this machine. Each in an environment of its own in a temporary
@@ -19,14 +19,6 @@ ROOT = Path(__file__).parents[1]
 EXTRAS = ("study", "tables")
 TOOLS = ("pytest", "hypothesis", "beartype", "mpmath")
 """What the tests below need besides; at any version."""
-FAST = (
-    "tests/test_fresh_process.py",
-    "tests/test_derivatives.py",
-    "tests/test_streaming.py",
-    "tests/test_statistics_edges.py",
-    "tests/test_sensitivity_edges.py",
-)
-"""Own processes, a trajectory and its derivatives, ensembles, statistics, sensitivities: three minutes on one core."""
 SHOWN = ("jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox", "jaxtyping", "matplotlib")
 
 
@@ -93,7 +85,7 @@ def main() -> int:
     options.add_argument("which", nargs="*", default=[], help="lowest, pinned, newest; by default all of them")
     options.add_argument("--python", default=sys.executable, help="for the lowest and the pinned versions")
     options.add_argument("--newest-python", default="", help="for the newest versions; by default the newest found")
-    options.add_argument("--tests", nargs="+", default=FAST, help="files of tests instead of the fast part")
+    options.add_argument("--tests", nargs="+", required=True, help="files of tests")
     chosen = options.parse_args()
     unknown = set(chosen.which) - {"lowest", "pinned", "newest"}
     if unknown:
