@@ -73,9 +73,9 @@ class SwitchedSystem(System):
 
     Fields hold numbers and arrays, or signals such as `Harmonic` for a force, ``self.force.value(t)``: what JAX can
     differentiate with respect to. Anything else, such as a name or a function, is declared
-    ``field: str = equinox.field(static=True)``. `position` of a stick is the first number of the state. Figures name the
-    axes by `state_names`; `coordinates` with symbols, `body`, `natural_frequency`, `stick_band` and others of `System` may
-    be given for what else figures show.
+    ``field: str = equinox.field(static=True)``. `position` of a stick is the first number of the state. Figures name
+    their axes by `state_names`; `coordinates` (with symbols), `body`, `natural_frequency`, `stick_band` and others of
+    `System` may be given for what else figures show.
 
     `simulate` and `simulate_ensemble` raise ValueError where an instance breaks these rules, as far as can be seen in
     the initial state with the base at rest. A base velocity of any kind drives the system, not a ground acceleration.
