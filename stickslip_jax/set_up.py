@@ -66,7 +66,7 @@ def check_length(system: System, base: Any, t1: Scalar) -> None:
     """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
     if _checks.is_traced(t1):
         return
-    for name, motion in (("base", base), *(("force", load) for load in system.loads)):
+    for name, motion in (("base", base), *(("force", load) for load in system.recorded_loads)):
         longest = longest_time(motion)
         if longest < float(t1) * (1 - 1e-12):
             raise ValueError(

@@ -52,7 +52,7 @@ class DuffingBelt(ss.SwitchedSystem):
         return ss.Coordinate("position", "m", "x"), ss.Coordinate("velocity", "m/s", r"\dot x")
 
     @property
-    def body(self):
+    def body_name(self):
         return "mass"
 
     @property

@@ -235,17 +235,6 @@ def test_sticks_are_what_evaluate_shows(fixed):
 
 
 @pytest.mark.parametrize("fixed", [False, True])
-def test_a_belt_of_constant_speed(fixed):
-    """A base that never jumps: the exact motion, but for an error of the order of the width."""
-    system, belt, times = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5)), ss.Constant(0.2), np.linspace(0, 6, 61)
-    exact = ss.simulate(system, belt, t1=6.0, y0=(1.2, 0.0))
-    smooth = ss.simulate(system, belt, t1=6.0, y0=(1.2, 0.0), method=ss.Regularized(1e-4, step=2e-3 if fixed else None))
-    assert smooth.status == ss.Status.FINISHED
-    assert smooth.sticks.count == exact.sticks.count == 1
-    np.testing.assert_allclose(smooth.evaluate(times)[0], exact.evaluate(times)[0], atol=1e-3)
-
-
-@pytest.mark.parametrize("fixed", [False, True])
 def test_a_pass_is_no_stick_and_a_short_base_is_reported(fixed):
     pace = 0.02 if fixed else 1e-8
     still = {"push": 0.0, "durations": (9.0,), "speeds": (0.0,), "y0": (2.0, 0.0)}

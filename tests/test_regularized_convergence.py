@@ -103,3 +103,14 @@ def test_sticks_are_found(name, errors):
     # Fewer sticks are missed the narrower the switch is.
     missed = np.array([one.missed for one in errors])
     assert np.all(np.diff(missed[1:]) <= 0)
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_belt_of_constant_speed(fixed):
+    """A base that never jumps: the exact motion, but for an error of the order of the width."""
+    system, belt, times = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5)), ss.Constant(0.2), np.linspace(0, 6, 61)
+    exact = ss.simulate(system, belt, t1=6.0, y0=(1.2, 0.0))
+    smooth = ss.simulate(system, belt, t1=6.0, y0=(1.2, 0.0), method=ss.Regularized(1e-4, step=2e-3 if fixed else None))
+    assert smooth.status == ss.Status.FINISHED
+    assert smooth.sticks.count == exact.sticks.count == 1
+    np.testing.assert_allclose(smooth.evaluate(times)[0], exact.evaluate(times)[0], atol=1e-3)

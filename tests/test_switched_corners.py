@@ -154,3 +154,42 @@ def test_steep_rates_of_a_users_system_are_followed_or_told():
         pairs = zip(one.final_state, fine.final_state, strict=True)
         assert max(abs(float(a) - float(b)) for a, b in pairs) < 1e-8
     assert follow(1e-12).status == ss.Status.OUT_OF_STEPS
+
+
+class Hung(ss.SwitchedSystem):
+    """A mass that hangs at rest on a spring; another one, loosely coupled to it, rubs on a base."""
+
+    coupling: float = 1e-3
+
+    @property
+    def state_names(self):
+        return "position 1 in m", "velocity 1 in m/s", "position 2 in m", "velocity 2 in m/s"
+
+    def rates(self, t, y, base, friction):
+        x1, v1, x2, v2 = y
+        pull = self.coupling * (x2 - x1)
+        return v1, 9.81 - 9.0 * x1 + pull, v2, -x2 - pull - 0.3 * friction
+
+    def relative_velocity(self, t, y, base):
+        return y[3] - base.velocity
+
+    @property
+    def shortest_time(self):
+        return 2 * math.pi / 3
+
+
+def test_round_off_does_not_shorten_steps():
+    """What is zero but for round-off has no relative error: a mass at rest under forces in balance, beside one that
+    sticks for ever; a damped slip that has come to rest on a fast belt, friction in balance with the spring.
+    """
+    k = np.array([[9.0 + 1e-3, -1e-3], [-1e-3, 1.0 + 1e-3]])
+    start = 9.81 / k[0, 0]  # in balance while the other one stays at 0
+    one = ss.simulate(Hung(), ss.Constant(0.0), t1=100.0, y0=(start, 0.0, 0.0, 0.0))
+    assert (one.status, one.sticks.count, one.stick_fraction) == (ss.Status.FINISHED, 1, 1)
+    assert float(one.final_state[0]) == pytest.approx(start, abs=1e-12)
+
+    friction = ss.FrictionCurve(lambda v: 0.3 + 0.2 * jnp.exp(-((v / 0.3) ** 2)))
+    system = ss.MassSpring(1.0, 1.0, 1.0, friction, damping=1.0)
+    one = ss.simulate(system, ss.Constant(5.0), t1=200.0, y0=(1.0, 0.0))
+    assert (one.status, one.sticks.count) == (ss.Status.FINISHED, 0)
+    np.testing.assert_allclose(one.final_state, [0.3, 0.0], atol=1e-12)

@@ -42,6 +42,12 @@ class Oscillator(ss.SwitchedSystem):
         return 2 * math.pi * (self.mass / self.stiffness) ** 0.5
 
 
+class Shadowing(Oscillator):
+    """A field with the name of what the package calls."""
+
+    switched_model: float = 1.0
+
+
 class Carrier(ss.SwitchedSystem):
     """A sprung mass that carries another, which slides on it; the base drags the first through a damper."""
 
@@ -273,6 +279,7 @@ def bent(self, t, y, base, friction):
         (Oscillator(), {"y0": (0.0, 0.0, 0.0)}, r"y0 must be two numbers \(position in m, velocity in m/s\), but"),
         (Oscillator(static_ratio=0.5), {}, r"static_ratio must be at least 1, but 0.5 was given"),
         (Oscillator(mu=lambda r: r), {}, r"mu of a Oscillator must be a number or an array, but .*static=True"),
+        (Shadowing(), {}, r"switched_model of a Shadowing must have another name"),
         (Oscillator, {}, r"system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but"),
     ],
 )  # fmt: skip

@@ -142,7 +142,7 @@ def solve_batch(
 
 def field_of(system: Any, smooth: Signal | None, method: Regularized) -> Field:
     """The regularised field of `system` under a realised smooth drive."""
-    return Field(system.model(smooth, None), Switch(method.width, method.shape))
+    return Field(system.switched_model(smooth, None), Switch(method.width, method.shape))
 
 
 def criterion_of(method: Regularized) -> Criterion:

@@ -76,7 +76,7 @@ class Streams(eqx.Module):
     @classmethod
     def of(cls, system: System, drive: Drive) -> "Streams":
         """The parts of drive and force that come in pieces."""
-        return cls(drive.base, drive.ground, system.loads)
+        return cls(drive.base, drive.ground, system.recorded_loads)
 
     @property
     def all(self) -> tuple[PieceLaw, ...]:

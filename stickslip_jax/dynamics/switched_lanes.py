@@ -48,7 +48,7 @@ class SwitchedEngine(Engine):
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step, dtype)
 
         def step_one(lane, smooth):
-            lane, stick = advance(self.system.model(smooth, self.solver), streams, t1, step, lane)
+            lane, stick = advance(self.system.switched_model(smooth, self.solver), streams, t1, step, lane)
             return lane, (jnp.stack(stick[:3]), stick.ending)
 
         def turn(carry, _):

@@ -42,7 +42,7 @@ def lane_at_start(system: Any, drive: Drive, words: Any, y0: tuple[Any, ...], st
     """The beginning of the trajectory that `words` choose."""
     dtype = step.dtype
     streams = Streams.of(system, drive)
-    model = system.model(drive.realised(words, dtype), solver)
+    model = system.switched_model(drive.realised(words, dtype), solver)
     own = drive.words_of_pieces(words)
     feeds = tuple(open_feed(law, own, dtype) for law in streams.all)
     return start_lane(model, streams, feeds, y0, step)
@@ -53,7 +53,7 @@ def run_trajectory(
 ) -> Trajectory:
     """Follow one realisation for up to `turns` turns of the loop; where it ends earlier, the loop idles."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
-    streams, model = Streams.of(system, drive), system.model(drive.signal, solver)
+    streams, model = Streams.of(system, drive), system.switched_model(drive.signal, solver)
     start = lane_at_start(system, drive, jnp.zeros(2, jnp.uint32), y0, step, solver)
     most = jnp.asarray(turns, jnp.int32)
 
@@ -73,7 +73,7 @@ def run_trajectory(
 
 def state_at(system: Any, drive: Drive, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the turn that holds it."""
-    model = system.model(drive.signal, solver)
+    model = system.switched_model(drive.signal, solver)
     # Among turns that begin together (tries of the same step), the last: it is the one that was taken.
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     t, y, sign, pieces = jax.tree.map(lambda values: values[index], beginnings)

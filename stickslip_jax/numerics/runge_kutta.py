@@ -23,11 +23,10 @@ State = tuple[FloatArray, ...]
 @eqx.filter_custom_jvp
 def runge_kutta_step(
     field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any
-) -> tuple[State, FloatArray]:
+) -> tuple[State, State]:
     """The state after the time `h` under ``y' = field(tau, y)``, starting at tau = 0, and the step's error.
 
-    The error is the solver's own estimate, of the state's component in which it is largest beside that component and
-    its way in the step; no derivative passes through it. 0 for a solver without an estimate.
+    The error is the solver's own estimate; no derivative passes through it. 0 for a solver without an estimate.
 
     `field` must be a pytree that holds everything it depends on, an ``equinox.Module`` say; `solver` a
     ``diffrax.AbstractERK``.
@@ -37,7 +36,7 @@ def runge_kutta_step(
     for c, row in zip(np.asarray(tableau.c), tableau.a_lower, strict=True):
         slopes.append(field(float(c) * h, _moved(y, h, np.asarray(row), slopes)))
     reached = _moved(y, h, np.asarray(tableau.b_sol), slopes)
-    return reached, _error(y, reached, h, np.asarray(tableau.b_error), slopes)
+    return reached, _error(h, np.asarray(tableau.b_error), slopes)
 
 
 @runge_kutta_step.def_jvp
@@ -45,7 +44,7 @@ def _runge_kutta_step_jvp(primals, tangents, *, solver):
     return eqx.filter_jvp(partial(_looped, solver=solver), primals, tangents)
 
 
-def _looped(field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any) -> tuple[State, FloatArray]:
+def _looped(field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any) -> tuple[State, State]:
     tableau = _tableau(solver)
     stages = len(tableau.b_sol)
     dtype = jnp.result_type(h)
@@ -63,8 +62,8 @@ def _looped(field: Callable[[Any, State], State], y: State, h: FloatArray, *, so
     slopes, _ = lax.scan(stage, start, (jnp.arange(stages), nodes, jnp.asarray(weights, dtype)))
     moved = jnp.asarray(np.asarray(tableau.b_sol), dtype) @ slopes
     reached = tuple(value + h * moved[i] for i, value in enumerate(y))
-    given = lax.stop_gradient((y, reached, h, tuple(map(tuple, slopes))))
-    return reached, _error(*given[:3], np.asarray(tableau.b_error), list(given[3]))
+    h, rows = lax.stop_gradient((h, tuple(map(tuple, slopes))))
+    return reached, _error(h, np.asarray(tableau.b_error), list(rows))
 
 
 def _tableau(solver: Any) -> diffrax.ButcherTableau:
@@ -77,10 +76,35 @@ def _moved(y: State, h: FloatArray, weights: np.ndarray, slopes: list[State]) ->
     return tuple(value + h * sum(weight * slope[i] for weight, slope in used) for i, value in enumerate(y))
 
 
-def _error(y: State, reached: State, h: FloatArray, weights: np.ndarray, slopes: list[State]) -> FloatArray:
-    zero = tuple(jnp.zeros_like(value) for value in y)
-    worst = jnp.zeros_like(h)
-    for wrong, begin, end, slope in zip(_moved(zero, h, weights, slopes), y, reached, slopes[0], strict=True):
-        size = jnp.maximum(jnp.abs(begin), jnp.abs(end)) + jnp.abs(end - begin) + jnp.abs(h * slope)
+def _error(h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:
+    return _moved(tuple(jnp.zeros_like(value) for value in slopes[0]), h, weights, slopes)
+
+
+def relative_error(error: State, y: State, reached: State, way: State) -> FloatArray:
+    """Of the state's component in which the `error` of a step from `y` to what it `reached` is largest beside it.
+
+    `way`: how far each component would go in the step by each term of its rate alone, their sum. Where they cancel the
+    rest is round-off, which no shorter step makes smaller beside itself.
+    """
+    worst = jnp.zeros_like(error[0])
+    for wrong, begin, end, alone in zip(error, y, reached, way, strict=True):
+        size = jnp.maximum(jnp.abs(begin), jnp.abs(end)) + jnp.abs(end - begin) + jnp.abs(alone)
         worst = jnp.maximum(worst, jnp.abs(wrong) / jnp.where(size > 0, size, 1))
     return worst
+
+
+def ways(h: FloatArray, y: State, idle: State, by_state: tuple[State, ...], push: State) -> State:
+    """The `way` of each component for `relative_error`: rates without friction, slopes of the rates by the state (rows:
+    rates), and what one unit of friction adds.
+
+    What moves a component may itself be round-off, of something that has moved on the way.
+    """
+    moved, way = tuple(map(jnp.abs, y)), y
+    for _ in y:
+        terms = [
+            [rate, rub, *(slope * size for slope, size in zip(row, moved, strict=True))]
+            for rate, rub, row in zip(idle, push, by_state, strict=True)
+        ]
+        way = tuple(h * sum(map(jnp.abs, of_one)) for of_one in terms)
+        moved = tuple(jnp.maximum(size, more) for size, more in zip(moved, way, strict=True))
+    return way

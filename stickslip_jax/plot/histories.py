@@ -46,7 +46,7 @@ def time_history(
     if one.system.rides_base:
         _draw_base(axes[1], pieces, "ground" if isinstance(one.base, GroundMotion) else "base")
     for number, panel in enumerate(axes):
-        _draw_state(panel, pieces, number, one.system.body)
+        _draw_state(panel, pieces, number, one.system.body_name)
         panel.set_ylabel(_label(coordinates[number], one.system.rides_base and number == 1) + whose)
         panel.set_xlim(window)
         if panel.xaxis.get_tick_params().get("labelbottom", True):

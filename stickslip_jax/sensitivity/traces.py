@@ -108,7 +108,7 @@ class TracedTurns(eqx.Module):
         smooth = state.turns.smooth
 
         def turn_one(lane, crossed, smooth):
-            model = engine.system.model(smooth, engine.solver)
+            model = engine.system.switched_model(smooth, engine.solver)
             moved, stick = advance(model, streams, t1, step, lane)
             if not with_edges:
                 return (moved, crossed), Trace(stick, None, None)
@@ -134,7 +134,7 @@ class TracedTurns(eqx.Module):
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
         def edges_of(moment, smooth):
-            return edges_of_moment(engine.system.model(smooth, engine.solver), streams, t1, step, moment)
+            return edges_of_moment(engine.system.switched_model(smooth, engine.solver), streams, t1, step, moment)
 
         return jax.vmap(edges_of)(moments, smooth)
 

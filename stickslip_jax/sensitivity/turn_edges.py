@@ -10,7 +10,6 @@ What is looked for is found without derivatives (`_places`); the derivatives com
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jax import lax
 from .._types import BoolArray, FloatArray
 from ..base_motion.pieces import Feed
 from ..dynamics.switched_engine import Lane, Streams, next_feeds
+from ..numerics.primal import without_derivatives
 from ..numerics.roots import steepest_fall
 from ..numerics.sharing import sharing
 from ..systems.switched_model import Pieces, State, SwitchedModel
@@ -99,18 +99,18 @@ def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
 @sharing
 def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> BoolArray:
     """Whether the turn has edges to look for."""
-    return _turn(*_fixed((model, streams, t1, step, moment))).may_be_near
+    return _turn(*without_derivatives((model, streams, t1, step, moment))).may_be_near
 
 
 @sharing
 def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> Edges:
     """The edges of one turn that may have some."""
-    still, calm, fixed = _fixed((model, streams, moment))
+    still, calm, fixed = without_derivatives((model, streams, moment))
     turn, sticking = _turn(still, calm, lax.stop_gradient(t1), lax.stop_gradient(step), fixed), moment.sign == 0
     pieces = streams.pieces(moment.feeds)
     # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
     start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
-    places = _places(still, calm.pieces(fixed.feeds), _fixed(start), fixed, turn, lax.stop_gradient(step))
+    places = _places(still, calm.pieces(fixed.feeds), without_derivatives(start), fixed, turn, lax.stop_gradient(step))
     looks = _at(model, pieces, start, places.tau)
 
     def of(flow: int) -> Any:
@@ -159,11 +159,6 @@ def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArr
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     falls = taken & (moment.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step * d[1])
     return _Turn(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
-
-
-def _fixed(tree: Any) -> Any:
-    """`tree`, its numbers without derivatives."""
-    return jax.tree.map(lambda leaf: lax.stop_gradient(leaf) if eqx.is_array_like(leaf) else leaf, tree)
 
 
 def _stop(t1: FloatArray, moment: Moment) -> FloatArray:

@@ -20,7 +20,7 @@ from ..base_motion.pieces import added
 from ..base_motion.recorded import Recorded
 from ..base_motion.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
 from ..numerics.rotation import damped_rotation
-from ..numerics.runge_kutta import runge_kutta_step
+from ..numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from ..numerics.sharing import sincos
 from .friction import Coulomb, FrictionLaw
 from .own import is_own
@@ -100,7 +100,7 @@ class MassSpring(System):
         return self.friction.holds_more
 
     @property
-    def loads(self) -> tuple[Recorded, ...]:
+    def recorded_loads(self) -> tuple[Recorded, ...]:
         return (self.force,) if isinstance(self.force, Recorded) else ()
 
     @property
@@ -120,7 +120,7 @@ class MassSpring(System):
         harmonic = isinstance(self.force, (Harmonic, SumOfHarmonics)) or not isinstance(self.force, Signal)
         return self.friction.constant and harmonic
 
-    def model(self, smooth: Signal | None, solver: Any) -> "OscillatorModel":
+    def switched_model(self, smooth: Signal | None, solver: Any) -> "OscillatorModel":
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
@@ -160,7 +160,7 @@ class MassSpring(System):
             check_no_resonance(self.force, (float(self.stiffness) / float(self.mass)) ** 0.5)
 
     @property
-    def body(self) -> str:
+    def body_name(self) -> str:
         return "mass"
 
     @property
@@ -366,8 +366,14 @@ class SolverOscillatorModel(OscillatorModel):
         self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
     ) -> tuple[State, FloatArray | None]:
         y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
-        # Of the package's own functions all is known that the step depends on (`time_scales.py`).
-        return y1, None if is_own(self) else error
+        if is_own(self):  # then all is known that the step depends on (`time_scales.py`)
+            return y1, None
+        m, k, c = self._constants()
+        none = jnp.zeros_like(h)
+        rub = self._coefficient(sign * self.relative_velocity(inputs, none, y)) * self.system.normal_force
+        by_state = ((none, none + 1), (none + k / m, none + (0 if c is None else c / m)))
+        way = ways(h, y, (none, self.load_at(inputs, none) / m), by_state, (none, rub / m))
+        return y1, relative_error(error, y, y1, way)
 
 
 class _Slip(eqx.Module):

@@ -101,7 +101,7 @@ class MotorCart(System):
     def stick_position(self) -> Coordinate:
         return Coordinate("motor angle during the stick", "rad", r"\alpha", 2 * math.pi)
 
-    def model(self, smooth: Signal | None, solver: Any) -> "CartModel":
+    def switched_model(self, smooth: Signal | None, solver: Any) -> "CartModel":
         assert isinstance(smooth, SourceVoltage)
         return CartModel(self, smooth)
 
@@ -134,7 +134,7 @@ class MotorCart(System):
             raise ValueError("Argument solver must be None for a MotorCart, which has an integrator of its own.")
 
     @property
-    def body(self) -> str:
+    def body_name(self) -> str:
         return "motor"
 
     @property

@@ -1,5 +1,6 @@
 """What a system of the user's must keep to, as far as can be seen before it moves."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 
 from .. import _checks
 from .switched_model import Base
+from .system import System
 
 _SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force, at which rates are looked at to see whether they are affine
 _AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
@@ -21,6 +23,12 @@ def check_fields(system: Any) -> None:
             raise ValueError(
                 f"Argument {field} of a {type(system).__name__} must be a number or an array, but {_checks.show(leaf)} "
                 f"was given; declare a field of another kind as {field}: ... = equinox.field(static=True)."
+            )
+    for field in dataclasses.fields(system):
+        if callable(getattr(System, field.name, None)):
+            raise ValueError(
+                f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
+                "what the package asks of every system; rename the field."
             )
     names = system.state_names
     if not isinstance(names, tuple) or len(names) < 2 or not all(isinstance(name, str) for name in names):

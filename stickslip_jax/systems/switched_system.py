@@ -8,6 +8,7 @@ and ``rates = a + b friction``, friction changes ``sigma'`` by
 """
 
 import abc
+from functools import partial
 from typing import Any, NamedTuple
 
 import diffrax
@@ -20,7 +21,8 @@ from .._types import BoolArray, FloatArray, Scalar
 from ..base_motion.drive import Drive
 from ..base_motion.pieces import added
 from ..base_motion.smooth import Signal
-from ..numerics.runge_kutta import runge_kutta_step
+from ..numerics.primal import without_derivatives
+from ..numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .friction import Coulomb, FrictionLaw
 from .own_checks import check_fields, check_motion
 from .switched_model import NOISE_ULPS, Base, Pieces, State, SwitchedModel
@@ -74,8 +76,8 @@ class SwitchedSystem(System):
     Fields hold numbers and arrays, or signals such as `Harmonic` for a force, ``self.force.value(t)``: what JAX can
     differentiate with respect to. Anything else, such as a name or a function, is declared
     ``field: str = equinox.field(static=True)``. `position` of a stick is the first number of the state. Figures name
-    their axes by `state_names`; `coordinates` (with symbols), `body`, `natural_frequency`, `stick_band` and others of
-    `System` may be given for what else figures show.
+    their axes by `state_names`; `coordinates`, `body_name`, `stick_band` and others of `System` may be given for what
+    else figures show.
 
     `simulate` and `simulate_ensemble` raise ValueError where an instance breaks these rules, as far as can be seen in
     the initial state with the base at rest. A base velocity of any kind drives the system, not a ground acceleration.
@@ -137,7 +139,7 @@ class SwitchedSystem(System):
     def holds_more(self) -> bool:
         return float(self.static_ratio) > 1
 
-    def model(self, smooth: Signal | None, solver: Any) -> "GeneralModel":
+    def switched_model(self, smooth: Signal | None, solver: Any) -> "GeneralModel":
         return GeneralModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
 
     def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
@@ -151,7 +153,7 @@ class SwitchedSystem(System):
         speed, time = self.speed_scale, self.shortest_time
         return speed, None if speed is None or time is None else speed / time
 
-    def check(self) -> None:
+    def check_numbers(self) -> None:
         check_fields(self)
 
     def check_state(self, y0: tuple[Any, ...]) -> None:
@@ -210,14 +212,15 @@ class GeneralModel(SwitchedModel):
     def slip_and_error(
         self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray
     ) -> tuple[State, FloatArray]:
-        return runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        slid, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        return slid, relative_error(error, y, slid, self._way(inputs, y, h))
 
     def stick(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
         return self.stick_and_error(inputs, y, h)[0]
 
     def stick_and_error(self, inputs: GeneralInputs, y: State, h: FloatArray) -> tuple[State, FloatArray]:
         held, error = runge_kutta_step(_Stick(self, inputs), y, h, solver=self.solver)
-        return self._held(inputs, h, held), error
+        return self._held(inputs, h, held), relative_error(error, y, held, self._way(inputs, y, h))
 
     def rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
         slid, held = self.slip_rates(inputs, tau, y, sign), self.stick_rates(inputs, tau, y)
@@ -325,6 +328,14 @@ class GeneralModel(SwitchedModel):
 
     def _rates(self, t: FloatArray, y: State, base: Base, friction: FloatArray) -> State:
         return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
+
+    def _way(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
+        """How far each number of the state goes in the time `h` by each term of its rate alone, their sum."""
+        model, inputs, y, h = without_derivatives((self, inputs, y, h))
+        t, base, _ = model.base_at(inputs, jnp.zeros_like(h))
+        none = jnp.zeros_like(t)
+        slopes = jax.jacfwd(partial(model._rates, t), argnums=(0, 2))(y, base, none)
+        return ways(h, y, model._rates(t, y, base, none), *zip(*slopes, strict=True))
 
     def _sigma(self, t: FloatArray, y: State, base: Base) -> FloatArray:
         return jnp.asarray(self.system.relative_velocity(t, y, base), t.dtype)

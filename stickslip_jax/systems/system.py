@@ -78,7 +78,7 @@ class System(eqx.Module):
         """The numbers of its state. A figure of the plane of motion draws the second against the first."""
 
     @abc.abstractmethod
-    def model(self, smooth: Signal | None, solver: Any) -> SwitchedModel:
+    def switched_model(self, smooth: Signal | None, solver: Any) -> SwitchedModel:
         """The system under a realised smooth drive; slips in closed form where there is one and `solver` is None."""
 
     @abc.abstractmethod
@@ -109,7 +109,7 @@ class System(eqx.Module):
         return False
 
     @property
-    def loads(self) -> tuple[Recorded, ...]:
+    def recorded_loads(self) -> tuple[Recorded, ...]:
         """External forces that come in pieces."""
         return ()
 
@@ -128,7 +128,7 @@ class System(eqx.Module):
         """The angular frequency of its free vibration, rad/s; None where there is none, or it is not known."""
         return None
 
-    def check(self) -> None:
+    def check_numbers(self) -> None:
         """Check what could not be checked when it was made. Raises ValueError otherwise."""
 
     def check_state(self, y0: tuple[Any, ...]) -> None:
@@ -147,7 +147,7 @@ class System(eqx.Module):
     # What figures show.
 
     @property
-    def body(self) -> str:
+    def body_name(self) -> str:
         """What its state is that of: "mass", "motor"."""
         return "system"
 
@@ -197,5 +197,5 @@ def require_system(system: Any) -> System:
             "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "
             f"{_checks.show(system)} was given."
         )
-    system.check()
+    system.check_numbers()
     return system
