@@ -7,6 +7,8 @@ import diffrax
 import numpy as np
 import pytest
 
+import stickslip_jax as ss
+
 SOURCE = Path(__file__).parents[1] / "docs" / "regularized_study.py"
 SHAPES = ("linear", "tanh", "rational", "arctan")
 SYSTEMS = ("square wave", "Poisson switching", "Leine", "moving base", "motor and cart")
