@@ -166,3 +166,21 @@ def test_stored(many, tmp_path):
     many.write_sticks(tmp_path / "sticks.csv")
     header = (tmp_path / "sticks.csv").read_text().splitlines()[0]
     assert "position" in header
+
+
+class Turntable(DuffingBelt):
+    """The same, its position counted in turns of its own."""
+
+    @property
+    def coordinates(self):
+        return ss.Coordinate("place", "m", "x", period=0.25), ss.Coordinate("velocity", "m/s")
+
+
+def test_any_period_is_drawn():
+    turning = ss.simulate(Turntable(), ss.Constant(SPEED), t1=20.0)
+    ax = plot.phase_portrait(turning)
+    assert ax.get_xlim() == (0, 0.25)
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["0", "0.0625", "0.125", "0.1875", "0.25"]
+    drawn = np.concatenate([line.get_xdata() for line in ax.lines])
+    assert np.nanmin(drawn) >= 0
+    assert np.nanmax(drawn) <= 0.25

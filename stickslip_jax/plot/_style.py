@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
@@ -63,11 +64,14 @@ def legend_above(ax: Axes, *others: Axes, columns: int = 3) -> None:
 
 
 def angle_axis(ax: Axes, period: float) -> str:
-    """Make the abscissa one `period`, pi or 2 pi (rad), with ticks at its quarters. Returns the period's name."""
-    names = {
-        True: ("0", r"$\pi/2$", r"$\pi$", r"$3\pi/2$", r"$2\pi$"),
-        False: ("0", r"$\pi/4$", r"$\pi/2$", r"$3\pi/4$", r"$\pi$"),
-    }[period > 4]
+    """Make the abscissa one `period`, with ticks at its quarters; pi and 2 pi by name. Returns the period's name."""
+    ticks = [quarter * period / 4 for quarter in range(5)]
+    if np.isclose(period, 2 * np.pi, rtol=1e-6):
+        names = ("0", r"$\pi/2$", r"$\pi$", r"$3\pi/2$", r"$2\pi$")
+    elif np.isclose(period, np.pi, rtol=1e-6):
+        names = ("0", r"$\pi/4$", r"$\pi/2$", r"$3\pi/4$", r"$\pi$")
+    else:
+        names = tuple(f"{tick:g}" for tick in ticks)
     ax.set_xlim(0, period)
-    ax.set_xticks([quarter * period / 4 for quarter in range(5)], names)
+    ax.set_xticks(ticks, names)
     return names[-1]

@@ -13,7 +13,6 @@ from . import _style
 from ._trajectory import Piece, check_simulation, check_window, has_steady_base, joined, pieces_of
 
 _POSITION, _SCALED = "position", "position_times_omega"
-_TURN = 2 * np.pi
 
 Group = tuple[str, Callable[[Piece], bool], dict[str, Any]]
 """Label of some pieces, which they are, and how they look."""
@@ -108,32 +107,34 @@ def _draw_plane(ax: Axes, one: Simulation, pieces: list[Piece], abscissa: str) -
 
 def _draw_turning(ax: Axes, pieces: list[Piece], first: Coordinate, second: Coordinate) -> None:
     """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
+    assert first.period is not None
+    period = first.period
     still = [piece for piece in pieces if piece.sticks and np.ptp(piece.state[:2], axis=1).max() == 0]
     points = set(map(id, still))
     for label, belongs, look in _ALIKE:
         chosen = [piece for piece in pieces if belongs(piece) and id(piece) not in points]
         if chosen:
-            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1)), label=label, **look)
+            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1), period), label=label, **look)
     if still:
         angles, speeds = np.transpose([[values[0] for values in piece.state[:2]] for piece in still])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
-        ax.plot(np.mod(angles, _TURN), speeds, label="stick", **look)
-    turn = _style.angle_axis(ax, _TURN)
+        ax.plot(np.mod(angles, period), speeds, label="stick", **look)
+    turn = _style.angle_axis(ax, period)
     ax.set_xlabel(first.labelled(f" modulo {turn}"))
     ax.set_ylabel(second.label)
 
 
-def _wrapped(angle: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line with its angle modulo 2 pi, led up to the edge, and broken, where it goes from one turn to another."""
-    turn = np.floor(angle / _TURN)
+def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """A line with its angle modulo `period`, led up to the edge, and broken, where it goes from one turn to another."""
+    turn = np.floor(angle / period)
     at = np.flatnonzero(np.abs(np.diff(turn)) > 0)  # NaN, where the line is broken already, compares false
-    edge = _TURN * np.maximum(turn[at], turn[at + 1])
+    edge = period * np.maximum(turn[at], turn[at + 1])
     part = (edge - angle[at]) / (angle[at + 1] - angle[at])
     between = speed[at] + part * (speed[at + 1] - speed[at])
     forward = turn[at + 1] > turn[at]
-    leaving, entering = np.where(forward, _TURN, 0), np.where(forward, 0, _TURN)
+    leaving, entering = np.where(forward, period, 0), np.where(forward, 0, period)
     x = np.insert(
-        angle - _TURN * turn, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
+        angle - period * turn, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
     )
     y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
     return x, y
