@@ -2,23 +2,22 @@
 
 from importlib import import_module
 
+from ._dynamics.method import Exact, Regularized
+from ._ensemble.call import simulate_ensemble
+from ._ensemble.result import Ensemble
+from ._events.sticks import Slips, Sticks
+from ._excitation.excitation import WithJumps
+from ._excitation.ground import GroundAcceleration
+from ._excitation.kanai_tajimi import KanaiTajimi
+from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
+from ._excitation.piecewise import VelocitySteps
+from ._excitation.random import RandomPhase, Uniform
+from ._excitation.reading import read_acceleration_csv, read_at2, read_recorded_csv
+from ._excitation.recorded import Recorded
+from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
+from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
-from ._status import Ending, Status
-from .base_motion.drive import WithJumps
-from .base_motion.ground import GroundAcceleration
-from .base_motion.kanai_tajimi import KanaiTajimi
-from .base_motion.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
-from .base_motion.piecewise import VelocitySteps
-from .base_motion.random import RandomPhase, Uniform
-from .base_motion.reading import read_acceleration_csv, read_at2, read_recorded_csv
-from .base_motion.recorded import Recorded
-from .base_motion.smooth import Harmonic, Signal, SumOfHarmonics
-from .base_motion.voltage import SourceVoltage
-from .dynamics.method import Exact, Regularized
-from .ensemble import simulate_ensemble
-from .ensemble_result import Ensemble
-from .events import Slips, Sticks
-from .sensitivity import (
+from ._sensitivity import (
     TOTAL_STICK_TIME,
     RealisationMeanDuration,
     Sensitivities,
@@ -31,32 +30,34 @@ from .sensitivity import (
     differentiable,
     sensitivity,
 )
-from .simulate import Simulation, simulate
-from .statistics.bootstrap import bootstrap_interval
-from .statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
-from .statistics.distribution import Distribution, Histogram
-from .statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
-from .statistics.estimate import Estimate
-from .statistics.estimates import (
+from ._simulation.call import simulate
+from ._simulation.result import Simulation
+from ._statistics.bootstrap import bootstrap_interval
+from ._statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
+from ._statistics.distribution import Distribution, Histogram
+from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
+from ._statistics.estimate import Estimate
+from ._statistics.estimates import (
     mean_slip_count,
     mean_slip_duration,
     mean_stick_count,
     mean_stick_duration,
     stick_fraction,
 )
-from .statistics.first_sticks import FirstSticks, first_stick
-from .statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
-from .systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
-from .systems.mass_spring import MassSpring
-from .systems.motor_cart import MotorCart, stick_duration_bound
-from .systems.switched_system import SwitchedSystem
-from .systems.system import Coordinate, System
+from ._statistics.first_sticks import FirstSticks, first_stick
+from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
+from ._status import Ending, Status
+from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
+from ._systems.mass_spring import MassSpring
+from ._systems.motor_cart import MotorCart, stick_duration_bound
+from ._systems.switched_system import SwitchedSystem
+from ._systems.system import Coordinate, System
 
 __version__ = "0.1.0"
 
 
 # Loaded when asked for: matplotlib takes longer to import than all the rest, and so does scipy.stats.
-_MODULES = ("papers", "plot")
+_MODULES = ("papers", "plot", "study")
 _TESTS = {
     "HypothesisTest": "verdicts",
     "Verdict": "verdicts",
@@ -70,7 +71,7 @@ def __getattr__(name: str):
     if name in _MODULES:
         return import_module(f"{__name__}.{name}")
     if name in _TESTS:
-        return getattr(import_module(f"{__name__}.statistics.{_TESTS[name]}"), name)
+        return getattr(import_module(f"{__name__}._statistics.{_TESTS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

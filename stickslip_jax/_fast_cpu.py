@@ -7,7 +7,7 @@ from functools import cache
 
 @cache
 def enable_fast_cpu() -> None:
-    """Deprecated; does nothing. The package's loops ask for fast compilation themselves (`numerics/compiling.py`)."""
+    """Deprecated; does nothing. The package's loops ask for fast compilation themselves (`_numerics/compiling.py`)."""
     warnings.warn(
         "enable_fast_cpu() does nothing any more and can be left out: simulations are fast without it.",
         DeprecationWarning,

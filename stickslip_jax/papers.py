@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from . import _checks
+from ._excitation.laws import RandomSteps, SquareWave
+from ._excitation.random import RandomPhase, Uniform
+from ._excitation.voltage import SourceVoltage
+from ._simulation.call import simulate
+from ._systems.friction import Coulomb
+from ._systems.mass_spring import MassSpring
+from ._systems.motor_cart import MotorCart
+from ._systems.system import System
 from ._types import Array, Float, Scalar
-from .base_motion.laws import RandomSteps, SquareWave
-from .base_motion.random import RandomPhase, Uniform
-from .base_motion.voltage import SourceVoltage
-from .simulate import simulate
-from .systems.friction import Coulomb
-from .systems.mass_spring import MassSpring
-from .systems.motor_cart import MotorCart
-from .systems.system import System
 
 BELT_SPEED = 1.0
 """Modulus of the belt velocity, m/s (conference paper, section 3)."""

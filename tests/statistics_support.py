@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stickslip_jax.events import FlatSticks
-from stickslip_jax.statistics.ensemble_statistics import EnsembleStatistics
-from stickslip_jax.statistics.tally import Numbering, StickTally
-from stickslip_jax.stick_stream import StickStream
+from stickslip_jax._events.stick_stream import StickStream
+from stickslip_jax._events.sticks import FlatSticks
+from stickslip_jax._statistics.accumulator import Numbering, StickTally
+from stickslip_jax._statistics.ensemble_statistics import EnsembleStatistics
 
 T1 = 100.0
 

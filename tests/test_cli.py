@@ -14,14 +14,14 @@ import xarray as xr
 from study_support import BAD_CONFIGS, SMALL, config_file
 
 import stickslip_jax as ss
-from stickslip_jax import cli
-from stickslip_jax.study.examples import EXAMPLES
-from stickslip_jax.study.folder import CONFIG, DATA, SUMMARY
-from stickslip_jax.study.options import Example
-from stickslip_jax.study.reading import read_config
-from stickslip_jax.study.run import STATISTICS
+from stickslip_jax import _cli as cli
+from stickslip_jax.study._examples import EXAMPLES
+from stickslip_jax.study._folder import CONFIG, DATA, SUMMARY
+from stickslip_jax.study._options import Example
+from stickslip_jax.study._reading import read_config
+from stickslip_jax.study._run import STATISTICS
 
-COMMAND = [sys.executable, "-m", "stickslip_jax.cli"]
+COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 
 
 @pytest.fixture(autouse=True)
@@ -156,7 +156,7 @@ def test_result_is_replaced_only_by_force(capsys, tmp_path):
 
 def test_existing_result_is_refused_before_anything_is_simulated(capsys, tmp_path, monkeypatch):
     (tmp_path / DATA).write_text("mine")
-    monkeypatch.setattr("stickslip_jax.study.run.simulate_ensemble", lambda *_, **__: pytest.fail("simulated"))
+    monkeypatch.setattr("stickslip_jax.study._run.simulate_ensemble", lambda *_, **__: pytest.fail("simulated"))
     assert "holds a result" in _refused(capsys, ["study", "--out", tmp_path])
 
 
@@ -171,7 +171,7 @@ def test_failure_in_the_middle_leaves_all_as_it_was(capsys, tmp_path, monkeypatc
         path.write_text("half")
         raise failure
 
-    monkeypatch.setattr("stickslip_jax.study.run.write_netcdf", write_half)
+    monkeypatch.setattr("stickslip_jax.study._run.write_netcdf", write_half)
     said = _refused(capsys, ["study", config_file(tmp_path), "--out", "result", *force], code)
     assert "No space left" in said or "Interrupted" in said
     if force:
@@ -193,7 +193,7 @@ def test_stop_that_arrives_in_the_garbage_collection_is_not_lost(capsys, tmp_pat
         time.sleep(5)
         pytest.fail("not stopped")
 
-    monkeypatch.setattr("stickslip_jax.study.run.simulate_ensemble", simulate)
+    monkeypatch.setattr("stickslip_jax.study._run.simulate_ensemble", simulate)
     gc.callbacks.append(collecting)
     try:
         assert "no result was written" in _refused(capsys, ["study", config_file(tmp_path)], code)
@@ -267,7 +267,7 @@ def test_answers_without_a_simulation_do_not_start_jax():
     code = """
 import sys
 import jax
-from stickslip_jax.cli import main
+from stickslip_jax._cli import main
 assert main(["study", "--help"]) == 0
 assert main(["study", "--print-config"]) == 0
 for name in ("harmonic-base", "base-isolation", "motor-cart"):
@@ -285,7 +285,8 @@ def test_every_example_can_be_asked_for():
 
 
 def test_missing_extra_is_named():
-    code = "import sys; sys.modules['h5netcdf'] = None; from stickslip_jax.cli import main; sys.exit(main(['study']))"
+    absent = "import sys; sys.modules['h5netcdf'] = None"
+    code = f"{absent}; from stickslip_jax._cli import main; sys.exit(main(['study']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == "stickslip: Studies need h5netcdf: pip install 'stickslip_jax[study]'.\n"

@@ -11,9 +11,9 @@ from study_support import config_file
 
 from stickslip_jax import _compilation_cache
 from stickslip_jax._compilation_cache import VARIABLE
-from stickslip_jax.study.run import STATISTICS
+from stickslip_jax.study._run import STATISTICS
 
-COMMAND = [sys.executable, "-m", "stickslip_jax.cli", "study", "--json", "--force"]
+COMMAND = [sys.executable, "-m", "stickslip_jax._cli", "study", "--json", "--force"]
 
 
 def start(folder, out="result", **variables):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from jax import lax
 
-from stickslip_jax.numerics import compiling, native_call
-from stickslip_jax.numerics.compiling import CompiledNatively, computed_once, native_loop, native_loops_work
+from stickslip_jax._numerics import compiling, native_call
+from stickslip_jax._numerics.compiling import CompiledNatively, computed_once, native_loop, native_loops_work
 
 X = np.linspace(0.1, 0.9, 8)
 LARGE = 1 << 12  # loops over less become native without being asked to
@@ -140,7 +140,7 @@ def test_without_native_loops_everything_still_works(monkeypatch):
 DROPPING = """
 import jax, jax.numpy as jnp
 from jax import lax
-from stickslip_jax.numerics.compiling import native_loop
+from stickslip_jax._numerics.compiling import native_loop
 
 def loop(x, unread, kept, first):
     def step(carry):

@@ -9,7 +9,7 @@ import pytest
 from statistics_support import statistics_of
 
 import stickslip_jax as ss
-from stickslip_jax.numerics.moments import Moments
+from stickslip_jax._numerics.moments import Moments
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)

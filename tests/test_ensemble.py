@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax.dynamics import lanes
-from stickslip_jax.dynamics.interval_lanes import IntervalEngine
-from stickslip_jax.ensemble_result import FEATURES
-from stickslip_jax.events import slips_between
-from stickslip_jax.numerics.moments import Moments
+from stickslip_jax._dynamics import lanes
+from stickslip_jax._dynamics.interval.lanes import IntervalEngine
+from stickslip_jax._ensemble.result import FEATURES
+from stickslip_jax._events.sticks import slips_between
+from stickslip_jax._numerics.moments import Moments
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -128,7 +128,7 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
         law = ss.PoissonSwitching(1.0, rate)
         ss.simulate_ensemble(system, law, t1=t1, samples=samples, key=jax.random.key(seed), chunk=64)
 
-    from stickslip_jax.dynamics.chunks import chunks_of  # noqa: PLC0415 - the cache under test
+    from stickslip_jax._dynamics.chunks import chunks_of  # noqa: PLC0415 - the cache under test
 
     summarise, begin, record = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
     chunks = (summarise.native, begin, record.native)

@@ -11,9 +11,9 @@ import pytest
 from independence_support import autoregressive, cut, drift, flat, iid, rows, shared, spearman_of
 from scipy import stats
 
-from stickslip_jax.statistics.identical import identically_distributed
-from stickslip_jax.statistics.independence import independent, independent_and_identical
-from stickslip_jax.statistics.verdicts import holm
+from stickslip_jax._statistics.identical import identically_distributed
+from stickslip_jax._statistics.independence import independent, independent_and_identical
+from stickslip_jax._statistics.verdicts import holm
 
 REPEATS = 500
 CHANCE = 1e-3  # for distribution tests of p-values: a correct test fails them this often, for a seed picked blindly

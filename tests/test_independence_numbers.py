@@ -9,11 +9,11 @@ import pytest
 from independence_support import autoregressive, flat, iid, rows, shared, spearman_of
 from scipy import integrate, stats
 
-from stickslip_jax.ensemble_result import FlatSticks
-from stickslip_jax.statistics.anderson_darling import anderson_darling, limit_tail
-from stickslip_jax.statistics.identical import identically_distributed
-from stickslip_jax.statistics.independence import independent, independent_and_identical
-from stickslip_jax.statistics.verdicts import HypothesisTest, holm
+from stickslip_jax._ensemble.result import FlatSticks
+from stickslip_jax._statistics.anderson_darling import anderson_darling, limit_tail
+from stickslip_jax._statistics.identical import identically_distributed
+from stickslip_jax._statistics.independence import independent, independent_and_identical
+from stickslip_jax._statistics.verdicts import HypothesisTest, holm
 
 
 def by_sample(sticks, values=None):

@@ -11,9 +11,9 @@ from plot_support import MAP_LABELS, T1, band_of, error_bars, line, mesh, only, 
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax.ensemble_result import Retained
+from stickslip_jax._ensemble.result import Retained
+from stickslip_jax._statistics.convergence import convergence, histogram_convergence
 from stickslip_jax.plot import _style
-from stickslip_jax.statistics.convergence import convergence, histogram_convergence
 
 
 @pytest.fixture(scope="module")

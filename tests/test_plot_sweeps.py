@@ -10,8 +10,8 @@ from plot_support import MAP_LABELS, T1, band_of, line, mesh, only, simulate, te
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax.statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
-from stickslip_jax.statistics.estimate import Estimate
+from stickslip_jax._statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
+from stickslip_jax._statistics.estimate import Estimate
 
 
 @pytest.fixture(scope="module")

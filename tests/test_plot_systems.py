@@ -342,7 +342,7 @@ def test_drawing_simulates_nothing(one, monkeypatch):
     def refuse(*args, **kwargs):
         raise AssertionError("a figure called the simulator")
 
-    monkeypatch.setattr(importlib.import_module("stickslip_jax.simulate"), "working_dtype", refuse)
+    monkeypatch.setattr(importlib.import_module("stickslip_jax._simulation.call"), "working_dtype", refuse)
     plot.time_history(one)
     plot.phase_portrait(one)
 

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from support import evaluate_compiled, padded, simulate_compiled
 
 import stickslip_jax as ss
-from stickslip_jax.dynamics.implicit_step import _balance
-from stickslip_jax.dynamics.switch import Switch
+from stickslip_jax._dynamics.regularized.switch import Switch
+from stickslip_jax._dynamics.switched.implicit_step import _balance
 
 SLOTS, STEPS, POINTS = 80, 2048, 41
 PHI = {

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax.numerics.random_bits import random_words, uniform
-from stickslip_jax.sensitivity.kernels import crossing, ending
+from stickslip_jax._numerics.random_bits import random_words, uniform
+from stickslip_jax._sensitivity.kernels import crossing, ending
 
 STATISTICS = {
     "count": ss.mean_stick_count,

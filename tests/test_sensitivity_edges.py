@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax.numerics.moments import Moments
-from stickslip_jax.numerics.roots import steepest_fall
-from stickslip_jax.sensitivity import sequences, windows
-from stickslip_jax.sensitivity.estimate import gradient_of_ratio
-from stickslip_jax.sensitivity.estimators import Columns
-from stickslip_jax.sensitivity.first_look import problem_of
-from stickslip_jax.sensitivity.parameters import with_numbers
-from stickslip_jax.sensitivity.problem import room_for
-from stickslip_jax.sensitivity.runs import Tally, derivatives_of
-from stickslip_jax.sensitivity.statistic import StickSequence
-from stickslip_jax.sensitivity.traces import traced
+from stickslip_jax._numerics.moments import Moments
+from stickslip_jax._numerics.roots import steepest_fall
+from stickslip_jax._sensitivity import sequences, windows
+from stickslip_jax._sensitivity.estimate import gradient_of_ratio
+from stickslip_jax._sensitivity.estimators import Columns
+from stickslip_jax._sensitivity.first_look import problem_of
+from stickslip_jax._sensitivity.parameters import with_numbers
+from stickslip_jax._sensitivity.problem import room_for
+from stickslip_jax._sensitivity.runs import Tally, derivatives_of
+from stickslip_jax._sensitivity.statistic import StickSequence
+from stickslip_jax._sensitivity.traces import traced
 
 LANES = 512
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax.sensitivity.estimators import counted, recorded
-from stickslip_jax.sensitivity.first_look import problem_of
+from stickslip_jax._sensitivity.estimators import counted, recorded
+from stickslip_jax._sensitivity.first_look import problem_of
 
 JUMPS = ss.PoissonSwitching(1.0, 1.0)
 

@@ -7,9 +7,9 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 
 import stickslip_jax as ss
-from stickslip_jax.dynamics.blocks import BLOCK, few_sizes, scan_in_blocks
-from stickslip_jax.numerics.known import NotKnown, bounds_of
-from stickslip_jax.numerics.sharing import sharing, sincos
+from stickslip_jax._dynamics.blocks import BLOCK, few_sizes, scan_in_blocks
+from stickslip_jax._numerics.known import NotKnown, bounds_of
+from stickslip_jax._numerics.sharing import sharing, sincos
 
 BASE, T1, START = ss.Harmonic(1.0, 0.8), 10.0, (0.3, 0.0)
 METHODS = {"exact": ss.Exact(), "regularised": ss.Regularized(0.05, step=0.02)}

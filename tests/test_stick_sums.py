@@ -9,10 +9,10 @@ import pytest
 from statistics_support import made_up_sticks, sticks_from
 
 import stickslip_jax as ss
-from stickslip_jax import ensemble_parts
-from stickslip_jax.numerics import loops
-from stickslip_jax.statistics import compiled_stick_sums, stick_sums
-from stickslip_jax.stick_stream import StickGatherer, StickStream
+from stickslip_jax._ensemble import parts as ensemble_parts
+from stickslip_jax._events.stick_stream import StickGatherer, StickStream
+from stickslip_jax._numerics import loops
+from stickslip_jax._statistics import compiled_stick_sums, stick_sums
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -217,8 +217,8 @@ def test_an_ensemble_without_sticks(keep):
 
 def test_without_numba_the_loops_are_not_there(monkeypatch):
     assert loops.compiled() is not None
-    monkeypatch.delattr("stickslip_jax.numerics.numba_loops")
-    monkeypatch.setitem(sys.modules, "stickslip_jax.numerics.numba_loops", None)
+    monkeypatch.delattr("stickslip_jax._numerics.numba_loops")
+    monkeypatch.setitem(sys.modules, "stickslip_jax._numerics.numba_loops", None)
     loops.compiled.cache_clear()
     try:
         assert loops.compiled() is None

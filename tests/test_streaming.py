@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from statistics_support import T1, made_up_sticks, statistics_of
 
 import stickslip_jax as ss
-from stickslip_jax import ensemble_parts
-from stickslip_jax.numerics.dyadic import DyadicCounts
-from stickslip_jax.numerics.power_sums import PowerSums
-from stickslip_jax.stick_stream import StickGatherer
+from stickslip_jax._ensemble import parts as ensemble_parts
+from stickslip_jax._events.stick_stream import StickGatherer
+from stickslip_jax._numerics.dyadic import DyadicCounts
+from stickslip_jax._numerics.power_sums import PowerSums
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)

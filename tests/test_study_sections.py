@@ -6,9 +6,9 @@ import pytest
 from study_support import HARMONIC, TIMES, TONES, VALUES, G, config_file, mass_spring, write_records
 
 import stickslip_jax as ss
-from stickslip_jax.study.config import MotorCartRunConfig, RunConfig, StudyConfig
-from stickslip_jax.study.examples import EXAMPLES
-from stickslip_jax.study.reading import read_config
+from stickslip_jax.study._config import MotorCartRunConfig, RunConfig, StudyConfig
+from stickslip_jax.study._examples import EXAMPLES
+from stickslip_jax.study._reading import read_config
 
 
 @pytest.fixture(autouse=True)

@@ -13,13 +13,13 @@ import xarray as xr
 from study_support import HARMONIC, TIMES, TONES, VALUES, G, config_file, mass_spring, write_records
 
 import stickslip_jax as ss
-from stickslip_jax import cli
-from stickslip_jax.study.errors import StudyError
-from stickslip_jax.study.figures import beginning_of_sample_0
-from stickslip_jax.study.folder import CONFIG, DATA, RESULT_FILES
-from stickslip_jax.study.reading import read_config
-from stickslip_jax.study.report import as_json, table
-from stickslip_jax.study.run import STATISTICS, run_study
+from stickslip_jax import _cli as cli
+from stickslip_jax.study._errors import StudyError
+from stickslip_jax.study._figures import beginning_of_sample_0
+from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES
+from stickslip_jax.study._reading import read_config
+from stickslip_jax.study._report import as_json, table
+from stickslip_jax.study._run import STATISTICS, run_study
 
 
 @pytest.fixture(autouse=True)
@@ -140,7 +140,7 @@ def check_sample_0(study):
 
 
 def test_figures_show_as_much_as_they_can_hold(tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip_jax.study.figures._PERIODS_SHOWN", 2)
+    monkeypatch.setattr("stickslip_jax.study._figures._PERIODS_SHOWN", 2)
     assert check_sample_0(run(tmp_path, STUDIES["artificial accelerogram"][0])) == pytest.approx(2 * math.pi)
 
 
@@ -196,7 +196,7 @@ def test_initial_rest_is_counted_if_asked_for(tmp_path):
 def test_motor_cart_by_statistics_alone(tmp_path, monkeypatch):
     whole = run(tmp_path, CART).ensemble
     bare = dataclasses.replace(whole, flat_sticks=None, totals=None)
-    monkeypatch.setattr("stickslip_jax.study.run.simulate", lambda *_: bare)
+    monkeypatch.setattr("stickslip_jax.study._run.simulate", lambda *_: bare)
     study = run(tmp_path, CART + 'keep = "statistics"\n', out=str(tmp_path / "bare"))
     assert study.first_sticks is None
     assert "first stick" not in table(study)

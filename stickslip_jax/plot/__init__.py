@@ -4,20 +4,20 @@ Nothing here simulates. A figure is made only where no `ax` is given; it shows o
 ``phase_portrait(one).figure.savefig("portrait.pdf")``. Legends stand above the axes; give titles to the figure.
 """
 
-from .convergences import convergence
-from .distributions import histogram
-from .durations import stick_durations
-from .fraction_curves import stick_fraction_curve
-from .histories import time_history
-from .joint_distributions import joint_histogram
-from .orders import means_by_order
-from .parameter_maps import parameter_map
-from .portraits import phase_portrait
-from .rasters import stick_raster
-from .saving import save
-from .sensitivity import sensitivity_curve, tornado
-from .shares import stick_share
-from .stick_maps import stick_joint_histogram, stick_map
+from ._convergences import convergence
+from ._distributions import histogram
+from ._durations import stick_durations
+from ._fraction_curves import stick_fraction_curve
+from ._histories import time_history
+from ._joint_distributions import joint_histogram
+from ._orders import means_by_order
+from ._parameter_maps import parameter_map
+from ._portraits import phase_portrait
+from ._rasters import stick_raster
+from ._saving import save
+from ._sensitivity import sensitivity_curve, tornado
+from ._shares import stick_share
+from ._stick_maps import stick_joint_histogram, stick_map
 
 __all__ = [
     "convergence",

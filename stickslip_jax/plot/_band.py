@@ -5,8 +5,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..base_motion.ground import GroundMotion
-from ..simulate import Simulation
+from .._excitation.ground import GroundMotion
+from .._simulation.result import Simulation
 
 
 def stick_band(

@@ -8,7 +8,7 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import MaxNLocator
 
 from .. import _checks
-from ..statistics.estimate import Estimate
+from .._statistics.estimate import Estimate
 from . import _style
 
 ERROR_LOOK = {"color": _style.MASS, "elinewidth": 0.9, "capsize": 0}

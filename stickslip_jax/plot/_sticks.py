@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _checks
+from .._ensemble.result import Ensemble
+from .._simulation.result import Simulation
+from .._statistics.first_sticks import FirstSticks
 from .._status import Ending, Status
-from ..ensemble_result import Ensemble
-from ..simulate import Simulation
-from ..statistics.first_sticks import FirstSticks
 
 
 class CompleteSticks(NamedTuple):

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._excitation.laws import BangBangLaw
+from .._excitation.piecewise import VelocitySteps
+from .._simulation.result import Simulation
 from .._status import Status
-from ..base_motion.laws import BangBangLaw
-from ..base_motion.piecewise import VelocitySteps
-from ..simulate import Simulation
 from ._band import stick_band
 
 _POINTS_PER_TURN = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius

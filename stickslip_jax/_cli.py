@@ -1,0 +1,141 @@
+"""The ``stickslip`` command: ``stickslip study [CONFIG]``.
+
+Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted (Ctrl-C), 143 terminated.
+"""
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+import threading
+import weakref
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+
+from . import _compilation_cache
+
+
+def main(tokens: Sequence[str] | None = None) -> int:
+    """Run the command given by `tokens` (default: those of the process, as the console script does).
+
+    Returns the exit code, except that an interrupted process ends here.
+    """
+    code = _answer(sys.argv[1:] if tokens is None else tokens)
+    if tokens is None and code > 128:
+        # JAX may still compile in other threads, and crashes when the interpreter is taken down under them.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
+
+
+class _Terminated(BaseException):
+    """The system asked the process to end."""
+
+
+def _answer(tokens: Sequence[str]) -> int:
+    """Run the command; every failure that is no bug becomes one sentence and an exit code."""
+    try:
+        from .study._errors import StudyError  # noqa: PLC0415 - needs the extra
+    except ImportError as error:
+        return _fail(error, 1)
+    try:
+        with _stops_raised():
+            return _run(tokens)
+    except StudyError as error:
+        return _fail(error, 2)
+    except KeyboardInterrupt:
+        return _fail("Interrupted; no result was written.", 130)
+    except _Terminated:
+        return _fail("Terminated; no result was written.", 143)
+    except OSError as error:
+        return _fail(error, 1)
+
+
+def _run(tokens: Sequence[str]) -> int:
+    # Imported only here: help and errors in the arguments come without loading what a simulation needs.
+    from .study._options import parse  # noqa: PLC0415
+    from .study._reading import OPTIONS, read_config  # noqa: PLC0415
+
+    command = parse(tokens)
+    if command is None:
+        return 0
+    options = command.options
+    given = {name: getattr(options, name) for name in OPTIONS}
+    config = read_config(command.config, given, example=options.print_example)
+    if options.print_config or options.print_example is not None:
+        print(config.to_toml(), end="")
+        return 0
+    _prepare_jax(config.run.dtype)
+
+    from .study._report import as_json, table  # noqa: PLC0415
+    from .study._run import run_study  # noqa: PLC0415
+
+    study = run_study(config, force=options.force, progress=False if options.quiet else options.progress)
+    if not options.quiet:
+        print(table(study), file=sys.stderr if options.json else sys.stdout)
+    if options.json:
+        print(as_json(study))
+    return 0
+
+
+def _prepare_jax(dtype: str) -> None:
+    """Choose the precision before JAX starts, and keep what it compiles."""
+    jax.config.update("jax_enable_x64", dtype == "float64")
+    problem = _compilation_cache.use()
+    if problem:
+        print("stickslip:", problem, file=sys.stderr)
+
+
+def _fail(reason: Any, code: int) -> int:
+    print("stickslip:", *str(reason).splitlines(), file=sys.stderr)
+    return code
+
+
+_WEAK_REFERENCES = (weakref.__file__, weakref.WeakSet.__init__.__code__.co_filename)
+
+
+@contextlib.contextmanager
+def _stops_raised() -> Iterator[None]:
+    """Let Ctrl-C, and a request to terminate (from a batch system, say), clean up: both raise, and are not lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGTERM, partial(_stop, _Terminated))
+    if usual[signal.SIGINT] is signal.default_int_handler:  # not where Ctrl-C is ignored
+        signal.signal(signal.SIGINT, partial(_stop, KeyboardInterrupt))
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
+    # Python drops what is raised in callbacks of its garbage collector and of weak references, and such a callback of
+    # JAX is often the first thing to run after a long compilation: there, try again a little later.
+    if _inside_callback(frame):
+        later = threading.Timer(0.05, os.kill, (os.getpid(), number))
+        later.daemon = True
+        later.start()
+        return
+    raise reason
+
+
+def _inside_callback(frame: Any) -> bool:
+    callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
+    while frame is not None:
+        code = frame.f_code
+        if code in callbacks or code.co_name == "__del__" or code.co_filename in _WEAK_REFERENCES:
+            return True
+        frame = frame.f_back
+    return False
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.
+
+512-bit vectors halve the time where the CPU has them, and change nothing where it has not. But with them jaxlib
+(0.10.2) computes ``jnp.arctan`` wrong, by up to pi/2; and there are operations that it cannot compile into a native
+loop, some of which end the process. The package's own laws and systems use none of these; where a user's functions are
+compiled too, XLA is asked for neither.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+
+from .._numerics.compiling import CompiledNatively
+from .._systems.own import is_own
+from . import lanes
+from .regularized import lanes as regularized_lanes
+
+
+class Chunks(NamedTuple):
+    """`lanes.summarise`, `lanes.open_lanes` and `lanes.record`, compiled."""
+
+    summarise: Callable[..., Any]
+    open: Callable[..., tuple[Any, ...]]
+    record: Callable[..., tuple[tuple[Any, ...], lanes.Records, lanes.Blocks]]
+
+
+def chunks_of(engine: lanes.Engine) -> Chunks:
+    """The functions for jobs of `engine`."""
+    return _COMPILED[is_own(engine)]
+
+
+# A solver of diffrax holds more than arrays; plain numbers must be arrays here.
+solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
+
+
+def _compiled(is_own: bool) -> Chunks:
+    compiled = partial(CompiledNatively, compiler_options=_WIDE) if is_own else jax.jit
+    options = _WIDE if is_own else None
+    return Chunks(
+        compiled(lanes.summarise, static_argnames=("lanes", "rows", "dtype")),
+        jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
+        compiled(lanes.record, static_argnames=("layout", "lanes", "blocks", "dtype")),
+    )
+
+
+# The passes left out find nothing to improve in these loops, and take a quarter of the time to compile.
+_WIDE = {"xla_cpu_prefer_vector_width": 512, "xla_llvm_disable_expensive_passes": True}
+_COMPILED = {is_own: _compiled(is_own) for is_own in (True, False)}

@@ -1,0 +1,115 @@
+"""Which engine follows a system: chosen here, for one trajectory, for ensembles and for sensitivities."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._excitation.excitation import drive_of
+from .._excitation.laws import BangBangLaw
+from .._excitation.piecewise import VelocitySteps
+from .._systems.system import System
+from .._types import Scalar
+from .interval.lanes import IntervalEngine
+from .interval.path import follow_intervals
+from .lanes import Engine
+from .method import Exact, Regularized
+from .path import Run
+from .regularized.lanes import AdaptiveBatch, FixedEngine
+from .regularized.path import follow_regularized
+from .regularized.settings import fixed_steps, settled
+from .switched.lanes import SwitchedEngine
+from .switched.path import follow_steps
+from .switched.run import turns_for
+from .validation import check_length, checked_step
+
+_MOST_COUNTED = 2**31 - 1
+
+
+class ByIntervals(NamedTuple):
+    """Closed forms over whole intervals of a piecewise-constant base velocity.
+
+    `system` is a `MassSpring`: none other has an interval form.
+    """
+
+    system: Any
+    base: Any
+    method: Exact
+    t1: Scalar
+
+    def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Exact, Run]:
+        """One trajectory on a realisation, and the method with every option filled in."""
+        return self.method, follow_intervals(self.system, self.base, self.t1, y0, dtype)
+
+    def lanes(self, y0: tuple[Any, ...], dtype) -> IntervalEngine:
+        """What simulates the samples of a law."""
+        return IntervalEngine(self.system, self.base, self.t1, y0)
+
+
+class BySteps(NamedTuple):
+    """Time steps with located switches, for any system and drive."""
+
+    system: System
+    base: Any
+    method: Exact
+    t1: Scalar
+
+    def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Exact, Run]:
+        """One trajectory on a realisation, and the method with every option filled in."""
+        return self.method, follow_steps(self.system, self.base, self.method, self.t1, y0, dtype)
+
+    def lanes(self, y0: tuple[Any, ...], dtype) -> SwitchedEngine:
+        """What simulates the samples of a law."""
+        system, method, t1 = self.system, self.method, self.t1
+        drive, step = checked_step(system, self.base, method, t1, "law")
+        check_length(system, self.base, t1)
+        # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
+        most = np.int32(min(method.max_steps or 20 * turns_for(system, drive, t1, step), _MOST_COUNTED))
+        return SwitchedEngine(system, drive, method.solver, t1, y0, step, most)
+
+
+class Smoothed(NamedTuple):
+    """Regularised dynamics, in fixed or adaptive steps."""
+
+    system: System
+    base: Any
+    method: Regularized
+    t1: Scalar
+
+    def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Regularized, Run]:
+        """One trajectory on a realisation, and the method with every option filled in."""
+        return follow_regularized(self.system, self.base, self.method, self.t1, y0, dtype)
+
+    def lanes(self, y0: tuple[Any, ...], dtype) -> FixedEngine | AdaptiveBatch:
+        """What simulates the samples of a law."""
+        system, t1 = self.system, self.t1
+        drive = drive_of(self.base, "law")
+        system.check_drive(drive)
+        check_length(system, self.base, t1)
+        method = settled(system, drive, self.method, dtype)
+        if method.step is None:
+            return AdaptiveBatch(system, drive, method, t1, y0)
+        # Twice what is expected, for samples of a law with many jumps; a step that is too long is refused here.
+        expected = 2 * fixed_steps(system, drive, method, t1)
+        return FixedEngine(system, drive, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED)))
+
+
+def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scalar) -> ByIntervals | BySteps | Smoothed:
+    """The fastest engine that can follow `system` on `base` (a law or a realisation) up to `t1` (s) by `method`.
+
+    Decided by what the arguments are, not by their numbers.
+    """
+    if isinstance(method, Regularized):
+        return Smoothed(system, base, method, t1)
+    steady = isinstance(base, (VelocitySteps, BangBangLaw)) and system.has_interval_form
+    if steady and method.step is None and method.solver is None:
+        return ByIntervals(system, base, method, t1)
+    return BySteps(system, base, method, t1)
+
+
+def lanes_for(
+    system: System, law: Any, method: Exact | Regularized, t1: float, y0: tuple[Any, ...], dtype
+) -> Engine | AdaptiveBatch:
+    """What simulates the samples of `law`, checked."""
+    if isinstance(law, BangBangLaw):
+        law.checked_capacity(t1)
+    return engine_for(system, law, method, t1).lanes(y0, dtype)

@@ -1,0 +1,206 @@
+"""Closed forms of the motion while the base velocity stays constant.
+
+Units inside: lengths as given; time as the angle ``omega t``; velocities divided by ``omega``, so that every slip arc
+is a circle run clockwise with unit angular speed. ``a`` is the stick half-width ``mu n / k``. All is told for a base
+that moves forward, ``q = |v| / omega >= 0``; for a backward one the picture is mirrored (`carry_across`).
+
+Slip below the base velocity circles about ``+a``, slip above it about ``-a`` (Lima and Sampaio, conference paper,
+eq. 3). With ``side = +1`` below and ``-1`` above, every rule is the same for both:
+
+- offset from the centre, towards the side: ``D = side x - a``; radius ``R^2 = D^2 + p^2``;
+- the arc meets the base velocity at distance ``h = sqrt(R^2 - q^2)`` from the centre, at ``x = side (a - h)``;
+- it sticks there if ``h <= 2 a``; otherwise it crosses to the other side, and meets the base velocity next at
+  distance ``h - 2 a`` from the other centre, and so on.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..._numerics.compiling import computed_once
+from ..._numerics.elementary import angle_of, sincos
+from ..._types import BoolArray, FloatArray
+
+# The arc of a mass that left a stick at base velocity w has R = w exactly. If the base comes back to w while the mass
+# is on that arc (perhaps after a rest, or half a turn about the other centre), the two touch, and round-off must not
+# make a stick of it. The error of R^2 - q^2, in units in the last place of the terms below, grows as the root of the
+# number of intervals passed: 80 after 10^4. With this threshold a true arrival is missed only if its stick is shorter
+# than about 1e-6 R/q (float64), which happens once in 10^12 arcs.
+_TOUCH_ULPS = {8: 4096, 4: 64}
+# Within so many units in the last place a mass on a base at rest counts as resting inside the band.
+_REST_ULPS = 128
+# Beyond so many radians an angle means nothing: its last place is 1e-7. Such spans end as NaN, which is reported.
+_LONGEST_SPAN = 2.0**30
+
+
+class Passage(NamedTuple):
+    """What happened in one interval: the state at its end, and its stick, if any, in angle from its beginning."""
+
+    x: FloatArray
+    p: FloatArray
+    entered: FloatArray
+    left: FloatArray
+    position: FloatArray
+    stuck: BoolArray
+    released: BoolArray
+
+
+def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, span: FloatArray) -> Passage:
+    """Carry the state ``(x, p)`` across an interval of base velocity ``v`` (over omega) and length `span` (an angle).
+
+    At most one stick happens: from a release on, the mass circles tangentially below the base velocity.
+    """
+    mirror, x, p, q, span = _mirrored(x, p, v, span)
+    first = _first_arc(x, p, q, a, span)
+    first_side, first_offset, first_p, excess, first_h, angle, arrived_first = first
+    side, h, entered, arrived = _follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
+    position, left, released, stuck = _stick(side, h, entered, arrived, q, a, span)
+    centre, offset, p_start, angle = _last_arc(
+        side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p
+    )
+    sine, cosine = sincos(angle)
+    # A radius whose square overflows would miss its arrivals: infinity times zero makes it NaN, which is reported.
+    x_end = centre + offset * cosine + p_start * sine + 0 * excess
+    p_end = p_start * cosine - offset * sine
+    return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
+
+
+@computed_once
+def _mirrored(x, p, v, span):
+    mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
+    return mirror, mirror * x, mirror * p, jnp.abs(v), jnp.where(span < _LONGEST_SPAN, span, jnp.nan)
+
+
+@computed_once
+def _stick(side, h, entered, arrived, q, a, span):
+    # Stick from `entered` at x = side (a - h) until the spring reaches the friction limit at x = +a.
+    position = side * (a - h)
+    moving = q > 0
+    release = jnp.where(moving, entered + (a - position) / jnp.where(moving, q, 1), jnp.inf)
+    released = arrived & (release <= span)
+    left = jnp.where(released, release, span)
+    return position, left, released, arrived & (left > entered)
+
+
+@computed_once
+def _last_arc(side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p):
+    # One rotation ends the interval: about +a from the release point, or about the centre of the arc under way from
+    # where that arc began: the interval's first state, or (after a crossing) distance h beyond the centre at p = q.
+    # A mass still stuck at the end is a rotation by angle 0 of its last point.
+    crossed = arrived_first & ~arrived
+    offset = jnp.where(crossed, side * h, first_offset)
+    offset = jnp.where(arrived, jnp.where(released, 0, position + q * (span - entered) - a), offset)
+    centre = jnp.where(arrived, a, side * a)
+    p_start = jnp.where(arrived_first, q, first_p)
+    angle = jnp.where(arrived, span - left, span - jnp.where(crossed, entered, 0))
+    return centre, offset, p_start, angle
+
+
+def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> BoolArray:
+    """Whether a mass in the state ``(x, p)`` is in a stick from the first instant on a base of velocity ``v``."""
+    forward = jnp.where(v < 0, -x, x)
+    return ((p == v) & (forward >= -a) & (forward < a)) | _rests(x, p, v, a)
+
+
+def _rests(x, p, v, a):
+    """Whether the mass is at rest inside the stick band, its very edge included, on a base at rest.
+
+    At the edge a circle of radius 0 is no motion.
+    """
+    edge = _REST_ULPS * jnp.finfo(x.dtype).eps * a
+    return (v == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
+
+
+def _first_arc(x, p, q, a, span):
+    """The arc from the interval's first state.
+
+    Returns its side, offset from its centre and p; ``R^2 - q^2``; its root, the distance h at which the arc meets the
+    base velocity; the angle at which it does, and whether within the span.
+    """
+    at_rest, side, D, p = _seen_from_centre(x, p, q, a)
+    excess, reaches, h = _meeting(at_rest, D, p, q, a)
+    angle = _angle_to_meeting(D, p, q, h, side)
+    return side, side * D, p, excess, h, angle, reaches & (angle < span)
+
+
+@computed_once
+def _seen_from_centre(x, p, q, a):
+    at_rest = _rests(x, p, q, a)
+    x, p = jnp.where(at_rest, jnp.clip(x, -a, a), x), jnp.where(at_rest, 0, p)
+    above = (p > q) | ((p == q) & (x < -a))
+    side = jnp.where(above, -1, 1).astype(x.dtype)
+    return at_rest, side, side * x - a, p
+
+
+@computed_once
+def _meeting(at_rest, D, p, q, a):
+    excess = D * D + (p - q) * (p + q)  # R^2 - q^2, free of cancellation near p = q
+    ulp = _TOUCH_ULPS[D.dtype.itemsize] * jnp.finfo(D.dtype).eps
+    roundoff = ulp * (D * D + q * q + a * (jnp.abs(D) + q))
+    reaches = at_rest | (excess > jnp.where(p < q, roundoff, 0))
+    positive = excess > 0
+    h = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
+    return excess, reaches, h
+
+
+def _angle_to_meeting(D, p, q, h, side):
+    # Half the clockwise angle from (D, p) to (-h, q) on the same circle. Each form is free of cancellation where it is
+    # used, never negative, and 0 when the state is already on the base velocity inside the band.
+    before = D <= 0
+    return _twice_the_angle(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
+
+
+@jax.custom_jvp
+def _follow_crossings(side, h, entered, arrived, q, a, span):
+    """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval.
+
+    Takes and returns: the side of the arc under way, the distance h at which it meets the base velocity, the angle at
+    which the last arc that arrived did so, and whether the one under way arrives within the span. Nothing is done (and
+    nearly nothing spent) where the first arc does not cross. Differentiable in both modes: the number of crossings
+    does not change, and the derivative of the sum over them is summed beside it.
+    """
+    # Beside thousands of other lanes the first crossing is nearly always needed: no loop for it.
+    state = _cross_if_needed((arrived & (h > 2 * a), side, h, entered, arrived), q, a, span)
+    return lax.while_loop(lambda s: s[0], lambda s: _cross(s, q, a, span), state)[1:]
+
+
+def _cross_if_needed(state, q, a, span):
+    return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), _cross(state, q, a, span), state)
+
+
+@_follow_crossings.defjvp
+def _follow_crossings_jvp(primals, tangents):
+    side, h, entered, arrived, q, a, span = primals
+    d_side, dh, d_entered, d_arrived, dq, da, _ = tangents
+
+    def cross(carry):
+        state, (crossings, by_h, by_q, by_a) = carry
+        state = _cross(state, q, a, span)
+        _, now, distance, _, arrived = state
+        crossings = crossings + 1
+        squared = distance * distance + q * q
+        slope = jnp.where(arrived, 2 * now / jnp.where(squared > 0, squared, 1), 0)
+        return state, (crossings, by_h - slope * q, by_q + slope * distance, by_a + slope * q * 2 * crossings)
+
+    zero = jnp.zeros_like(h)
+    state = (arrived & (h > 2 * a), side, h, entered, arrived)
+    state, (crossings, by_h, by_q, by_a) = lax.while_loop(lambda c: c[0][0], cross, (state, (zero, zero, zero, zero)))
+    d_out = (d_side, dh - 2 * crossings * da, d_entered + by_h * dh + by_q * dq + by_a * da, d_arrived)
+    return state[1:], d_out
+
+
+def _cross(state, q, a, span):
+    """Cross to the other side and follow the arc there, from (h, q) to (-h, q) as seen from its centre."""
+    _, side, h, entered, _ = state
+    side = -side
+    h = h - 2 * a
+    arrival = entered + _twice_the_angle(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
+    arrived = arrival < span
+    return arrived & (h > 2 * a), side, h, jnp.where(arrived, arrival, entered), arrived
+
+
+@computed_once
+def _twice_the_angle(y, x):
+    return 2 * angle_of(y, x)

@@ -1,0 +1,116 @@
+"""Exact motion on a base of piecewise-constant velocity: one closed form per interval, scanned over the intervals.
+
+One trajectory per call; batches are made with ``jax.vmap`` outside. Time is carried in seconds, so that switching
+instants are exact sums of durations; inside an interval the closed forms measure it as the angle ``omega t``.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..._events.records import StickRecord, Totals, start_totals
+from ..._status import Ending, Status
+from ..._systems.mass_spring import MassSpring
+from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar
+from .arcs import carry_across, sticks_from_start
+
+
+class Motion(NamedTuple):
+    """Where the mass is: time in s, position in m, velocity divided by omega in m."""
+
+    t: FloatArray
+    x: FloatArray
+    p: FloatArray
+
+
+class Scales(NamedTuple):
+    """What the closed forms need to know of the system, and the horizon."""
+
+    omega: FloatArray
+    per_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
+    half_width: FloatArray
+    t1: FloatArray
+
+
+def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
+    """The system's scales as arrays of `dtype`."""
+    omega = jnp.sqrt(jnp.asarray(system.stiffness, dtype) / jnp.asarray(system.mass, dtype))
+    return Scales(omega, 1 / omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
+
+
+def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
+    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
+    dtype = scales.omega.dtype
+    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega)
+
+
+def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
+    """Whether the trajectory begins with a stick, given the first base velocity: then no slip comes before it."""
+    return sticks_from_start(motion.x, motion.p, velocity * scales.per_omega, scales.half_width)
+
+
+def cross_interval(
+    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[Motion, Totals, StickRecord]:
+    """Cross one interval, cut at the horizon: the next state, the totals with this interval's stick, its record."""
+    omega, per_omega, a, t1 = scales
+    uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: it spoils the time, and that is reported
+    span = jnp.where(uncut, duration, t1 - motion.t)
+    passage = carry_across(motion.x, motion.p, velocity * per_omega, a, omega * span)
+    t_end = jnp.where(uncut, motion.t + duration, t1)
+    following = Motion(t_end, passage.x, passage.p)
+
+    stuck, released = passage.stuck, passage.released
+    released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))
+    ending = jnp.where(stuck, jnp.where(released, released_, jnp.where(uncut, switched, cut)), none)
+    record = StickRecord(
+        start=motion.t + passage.entered * per_omega,
+        end=jnp.where(released, motion.t + passage.left * per_omega, t_end),
+        position=passage.position,
+        ending=ending,
+    )
+    totals = Totals(
+        sticks=totals.sticks + stuck,
+        censored=totals.censored + (stuck & ~released & ~uncut),
+        # Not end - start, whose error grows with the time of day.
+        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * per_omega,
+    )
+    return following, totals, record
+
+
+def cross_live_interval(
+    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[Motion, Totals, StickRecord]:
+    """`cross_interval`, but after the horizon nothing happens, not even the round-off of going nowhere."""
+    live = ~(motion.t >= scales.t1)
+    following, totals, record = cross_interval(scales, motion, totals, duration, velocity)
+    return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record
+
+
+def run_intervals(
+    scales: Scales, motion: Motion, durations: Array, velocities: Array
+) -> tuple[Motion, Totals, StickRecord, Motion]:
+    """Simulate all intervals of one realisation.
+
+    Returns the final state, the totals, one `StickRecord` an interval, and the state at the beginning of each.
+    """
+
+    @partial(jax.checkpoint, prevent_cse=False)  # an interval is followed again sooner than what it needs is stored
+    def step(carry, interval):
+        *following, record = cross_live_interval(scales, *carry, *interval)
+        return tuple(following), (record, carry[0])
+
+    start = (motion, start_totals(motion.x.dtype))
+    (motion, totals), (records, beginnings) = lax.scan(step, start, (durations, velocities))
+    return motion, totals, records, beginnings
+
+
+def status_of(motion: Motion, t1: FloatArray) -> IntArray:
+    """The `Status` of a trajectory that ended in the state `motion`."""
+    finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
+    code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
+    return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)

@@ -1,0 +1,268 @@
+"""Motion over given base intervals: one trajectory, which ``jax.vmap`` turns into blocks of lanes.
+
+XLA runs a vmapped loop over intervals operation by operation, each over all samples, and as far as the room for
+intervals goes. Here a vmapped trajectory becomes blocks of lanes whose arrays stay in the cache; a block is one native
+loop, which ends with its last lane. Such a loop has no reverse mode. So derivatives with respect to single numbers
+(the system's and the initial state) are found in forward mode beside the motion: the tangents of the results are sums
+of stored slopes, which JAX transposes for reverse mode. Where the base itself depends on what is differentiated by (its
+durations or velocities do), the tangents go through `run_intervals`.
+
+There are three functions, so that nobody pays for what nobody reads: `final_motion`, `ordered_sticks`, `beginnings`.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
+
+from ..._events.records import StickRecord, Totals, closed_up, start_totals
+from ..._numerics.compiling import computed_once, native_loop, native_loops_work
+from ..._types import Array, IntArray
+from .engine import Motion, Scales, cross_live_interval, run_intervals
+
+_LANES = 256  # of a block
+_What = Literal["final", "sticks", "beginnings"]
+
+
+class Given(NamedTuple):
+    """The scales and start of a trajectory (numbers), and durations (s) and velocities (m/s) of its base's intervals,
+    (intervals,). For many lanes, each leaf has the lanes as its first axis.
+    """
+
+    scales: Scales
+    start: Motion
+    durations: Array
+    velocities: Array
+
+
+class _Block(NamedTuple):
+    """A block of lanes under way: the number of intervals crossed, the state and sums of each lane, and what is kept of
+    each interval, arrays (intervals, lanes): `StickRecord`, `Motion` or nothing.
+    """
+
+    crossed: IntArray
+    motion: Motion
+    totals: Totals
+    kept: Any
+
+
+def final_motion(given: Given) -> tuple[Motion, Totals]:
+    """The state at the end of one trajectory, and the sums over its sticks."""
+    return _follow("final", given)
+
+
+def ordered_sticks(given: Given) -> StickRecord:
+    """The sticks of one trajectory in order of time, in slots (intervals,); as `closed_up` leaves them."""
+    return _follow("sticks", given)
+
+
+def beginnings(given: Given) -> Motion:
+    """The state at the beginning of each interval of one trajectory, (intervals,)."""
+    return _follow("beginnings", given)
+
+
+def _follow(what: _What, given: Given) -> Any:
+    return _fast(what, given) if native_loops_work() else _plain(what, given)
+
+
+def _plain(what: _What, given: Given) -> Any:
+    """One scan over all intervals, which every transformation of JAX understands."""
+    motion, totals, records, began = run_intervals(given.scales, given.start, given.durations, given.velocities)
+    if what == "final":
+        return motion, totals
+    return began if what == "beginnings" else closed_up(records)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _fast(what: _What, given: Given) -> Any:
+    return _only_lane(_lanes_of(what)(_one_lane(given)))
+
+
+@partial(_fast.defjvp, symbolic_zeros=True)
+def _fast_jvp(what: _What, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Any, Any]:
+    (given,), (direction,) = primals, tangents
+    if not (_is_zero(direction.durations) and _is_zero(direction.velocities)):
+        whole = jax.tree.map(_instantiated, given, direction, is_leaf=_is_zero)
+        return jax.jvp(partial(_plain, what), (given,), (whole,))
+    changes = _numbers_of(direction)
+    moved = tuple(not _is_zero(change) for change in changes)
+    out, slopes = _only_lane(_lanes_with_slopes(what, moved)(_one_lane(given)))
+    slopes = iter(slopes)
+
+    def tangent(value):
+        if not jnp.issubdtype(value.dtype, jnp.floating):
+            return np.zeros(value.shape, jax.dtypes.float0)
+        columns = next(slopes)
+        chosen = (change for change in changes if not _is_zero(change))
+        return sum((change * columns[k] for k, change in enumerate(chosen)), jnp.zeros_like(value))
+
+    return out, jax.tree.map(tangent, out)
+
+
+def _numbers_of(given: Given) -> list[Any]:
+    return jax.tree.leaves((given.scales, given.start), is_leaf=_is_zero)
+
+
+def _with_numbers(given: Given, numbers: list[Any]) -> Given:
+    scales, start = jax.tree.unflatten(jax.tree.structure((given.scales, given.start)), numbers)
+    return given._replace(scales=scales, start=start)
+
+
+def _is_zero(leaf: Any) -> bool:
+    return isinstance(leaf, SymbolicZero)
+
+
+def _instantiated(value: Array, tangent: Any) -> Array:
+    return jnp.zeros_like(value) if _is_zero(tangent) else tangent
+
+
+def _one_lane(given: Given) -> Given:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], given)
+
+
+def _only_lane(results: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf[0], results)
+
+
+@cache
+def _lanes_of(what: _What) -> Callable[[Given], Any]:
+    return _for_any_batch(partial(_run_block, what))
+
+
+@cache
+def _lanes_with_slopes(what: _What, moved: tuple[bool, ...]) -> Callable[[Given], Any]:
+    """Results, and their slopes (lanes, numbers, ...) by the numbers that `moved`: a list, of the real results."""
+
+    def run(given: Given) -> Any:
+        numbers = _numbers_of(given)
+        basis = jnp.eye(sum(moved), dtype=given.durations.dtype)
+
+        def along(direction):
+            entries = iter(direction)
+            change = [
+                jnp.full_like(n, next(entries)) if m else jnp.zeros_like(n) for n, m in zip(numbers, moved, strict=True)
+            ]
+            out, slopes = jax.jvp(lambda ns: _run_block(what, _with_numbers(given, ns)), (numbers,), (change,))
+            real = [leaf for leaf in jax.tree.leaves(slopes) if leaf.dtype != jax.dtypes.float0]
+            return out, real
+
+        return jax.vmap(along, out_axes=(None, 1))(basis)
+
+    return _for_any_batch(run)
+
+
+def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
+    """`run_block` for any number of lanes, block by block; under vmap the new axis becomes more lanes."""
+
+    def run(given: Given) -> Any:
+        lanes = given.durations.shape[0]
+        blocks = -(-lanes // _LANES)
+        if blocks == 1:
+            return run_block(given)
+        width = 8 * -(-lanes // (8 * max(blocks, 1)))
+
+        def add_block(number, results):
+            # The last block goes back over lanes of the one before, which come out the same again.
+            first = jnp.minimum(number * width, lanes - width)
+            block = run_block(jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, first, width), given))
+            return jax.tree.map(lambda old, new: lax.dynamic_update_slice_in_dim(old, new, first, 0), results, block)
+
+        some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((max(width, 1), *leaf.shape[1:]), leaf.dtype), given)
+        shapes = jax.eval_shape(run_block, some)
+        room = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
+        return lax.fori_loop(0, blocks, add_block, room) if lanes else room
+
+    mapped = custom_vmap(run)
+
+    @mapped.def_vmap
+    def _more_lanes(size, batched, given):
+        (batched,) = batched  # one entry an argument
+        if not any(jax.tree.leaves(batched)):
+            out = run(given)
+            return out, jax.tree.map(lambda _: False, out)
+        each = jax.tree.map(
+            lambda leaf, has: leaf if has else jnp.broadcast_to(leaf, (size, *leaf.shape)), given, batched
+        )
+        lanes = given.durations.shape[batched.durations]
+        out = mapped(jax.tree.map(lambda leaf: leaf.reshape(size * lanes, *leaf.shape[2:]), each))
+        parted = jax.tree.map(lambda leaf: leaf.reshape(size, lanes, *leaf.shape[1:]), out)
+        return parted, jax.tree.map(lambda _: True, out)
+
+    return mapped
+
+
+def _run_block(what: _What, given: Given) -> Any:
+    """The results of a block of lanes; all leaves have the lanes as their first axis."""
+    durations = given.durations
+    totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, given.start.t.shape), start_totals(durations.dtype))
+    room: Any = jnp.zeros_like(durations)
+    room = {"final": None, "sticks": _no_sticks(room.T), "beginnings": Motion(room, room, room)}[what]
+    block = _Block(jnp.zeros((), jnp.int32), given.start, totals, room)
+    block = _cross_all(given.scales, durations, given.velocities, block)
+    if what == "final":
+        return block.motion, block.totals
+    if what == "sticks":
+        return _close_up(block.kept, _no_sticks(jnp.full_like(durations, jnp.nan)), block.crossed)
+    later = jnp.arange(durations.shape[1]) >= block.crossed
+    return jax.tree.map(lambda kept, last: jnp.where(later, last[:, None], kept), block.kept, block.motion)
+
+
+def _no_sticks(times: Array) -> StickRecord:
+    return StickRecord(times, times, times, jnp.full(times.shape, -1, jnp.int8))
+
+
+@native_loop
+def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Block) -> _Block:
+    """Cross interval by interval until no lane is short of the horizon."""
+
+    def cross(block):
+        number = block.crossed
+        motion, totals, record = jax.vmap(cross_live_interval)(
+            scales, block.motion, block.totals, _column(durations, number), _column(velocities, number)
+        )
+        kept = block.kept
+        if isinstance(kept, StickRecord):
+            kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), kept, record)
+        elif isinstance(kept, Motion):
+            kept = jax.tree.map(
+                lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept, block.motion
+            )
+        return _Block(number + 1, motion, totals, kept)
+
+    def goes_on(block):
+        return (block.crossed < durations.shape[1]) & ~jnp.all(block.motion.t >= scales.t1)
+
+    return lax.while_loop(goes_on, cross, block)
+
+
+@computed_once  # neighbours in a column lie far apart: to be read once
+def _column(table: Array, number: IntArray) -> Array:
+    return lax.dynamic_index_in_dim(table, number, 1, keepdims=False)
+
+
+@native_loop
+def _close_up(records: StickRecord, room: StickRecord, crossed: IntArray) -> StickRecord:
+    """The sticks among the first records (intervals, lanes), put into the first slots of `room` (lanes, slots)."""
+
+    def put(number, carry):
+        lane, room, count = carry
+        is_stick = records.ending[number, lane] >= 0
+
+        def move(old, column):
+            # What is no stick leaves the slot spare, for the next.
+            spare = jnp.asarray(-1 if column.dtype == jnp.int8 else jnp.nan, column.dtype)
+            entry = jnp.where(is_stick, lax.dynamic_slice(column, (number, lane), (1, 1)), spare)
+            return lax.dynamic_update_slice(old, entry, (lane, count))
+
+        return lane, jax.tree.map(move, room, records), count + is_stick
+
+    def close_lane(lane, room):
+        return lax.fori_loop(jnp.int32(0), crossed, put, (lane, room, jnp.zeros((), jnp.int32)))[1]
+
+    return lax.fori_loop(jnp.int32(0), jnp.int32(records.ending.shape[1]), close_lane, room)

@@ -1,0 +1,63 @@
+"""One trajectory in closed form, and the state along it."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..._events.records import start_totals
+from ..._events.sticks import Sticks
+from ..._excitation.piecewise import VelocitySteps
+from ..._systems.mass_spring import MassSpring
+from ..._systems.switched_model import State
+from ..._types import FloatArray, Scalar
+from ..path import Path, Run
+from .engine import Motion, cross_interval, scales_of, start_motion, status_of
+from .given import Given, beginnings, final_motion, ordered_sticks
+
+
+class IntervalPath(Path):
+    """The states at the beginnings of the base's intervals."""
+
+    system: MassSpring
+    base: VelocitySteps
+    t1: Scalar
+    beginnings: Motion
+
+    @property
+    def times(self) -> Array:
+        return self.beginnings.t
+
+    def state(self, time: FloatArray) -> State:
+        scales = scales_of(self.system, self.t1, time.dtype)
+        began, velocity = jax.tree.map(
+            lambda values: values[self._index(time)], (self.beginnings, self.base.velocities)
+        )
+        motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
+        return motion.x, motion.p * scales.omega
+
+    def base_velocity(self, time: FloatArray) -> FloatArray:
+        return self.base.velocities[self._index(time)].astype(time.dtype)
+
+    def _index(self, time: FloatArray) -> Array:
+        # Among intervals that begin together (spare slots of no length), the last: it is the one that lasts.
+        return jnp.clip(jnp.searchsorted(self.beginnings.t, time, side="right") - 1, 0)
+
+
+@partial(jax.jit, static_argnames="dtype")
+def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
+    """One trajectory in closed form, interval by interval."""
+    scales = scales_of(system, t1, dtype)
+    # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
+    durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
+    motion = start_motion(scales, (y0[0], y0[1]))
+    given = Given(scales, motion, durations, base.velocities.astype(dtype))
+    final, totals = final_motion(given)
+    final_state = (final.x, final.p * scales.omega)
+    path = IntervalPath(system, base, t1, beginnings(given))
+    none = jnp.zeros((), jnp.int32)
+    records = ordered_sticks(given)
+    sticks = Sticks(*records, records.ending >= 0)
+    return Run(sticks, totals, status_of(final, scales.t1), final.t, final_state, none, path)

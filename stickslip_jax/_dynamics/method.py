@@ -1,0 +1,129 @@
+"""How to simulate: the exact method, the regularised one, and their options."""
+
+import difflib
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import numpy as np
+
+from .. import _checks
+from .._types import AnyArray, Scalar
+from .regularized.switch import SHAPES
+
+
+class Exact(eqx.Module):
+    """Exact switched dynamics. Without a step, closed forms over whole base intervals are used where they apply
+    (constant velocities, no damping, no force, one friction coefficient), and time steps elsewhere.
+
+    - `step`: the time step, s; switches are located inside it. By default a fraction of the shortest time scale.
+    - `max_steps`: how many steps (and tries of steps, about three for every event) one trajectory may take. By default
+      enough, and more when they do not suffice. Needed under ``jit`` or ``grad`` when `t1` is traced.
+    - `solver`: an explicit Runge-Kutta solver of diffrax for slips; by default closed forms where there are any, and
+      ``diffrax.Dopri8()`` for a mass and spring without.
+
+    Raises ValueError for a step that is not positive, a number of steps below 1, or another kind of solver.
+    """
+
+    step: Scalar | None = None
+    max_steps: int | None = eqx.field(static=True, default=None)
+    solver: Any = None
+
+    def __check_init__(self):
+        if self.step is not None:
+            _checks.positive("step", self.step, "s")
+        if self.max_steps is not None:
+            _checks.whole_number("max_steps", self.max_steps)
+        if self.solver is not None and not isinstance(self.solver, diffrax.AbstractERK):
+            raise ValueError(
+                "Argument solver must be an explicit Runge-Kutta solver such as diffrax.Tsit5(), but "
+                f"{_checks.show(self.solver)} was given."
+            )
+
+
+class Regularized(eqx.Module):
+    """Regularised dynamics: the sign of the relative velocity ``v_rel`` in the friction force becomes a smooth switch.
+
+    The mass then creeps where it would stick, and a stick is a time in which it creeps slowly. The exact method is
+    faster and has no such errors: this one is for comparison with programs and papers that regularise, and for
+    optimisers that need a smooth field. How wrong it is, and what it costs: ``docs/regularized.md``.
+
+    - `width`: the relative velocity over which friction changes its sign, m/s, positive. Of a `MotorCart`:
+      ``eccentricity`` times angular velocity; of a `SwitchedSystem`: in the unit of its relative velocity.
+    - `shape`: "linear" (up to one width, then constant), "tanh", "rational" (``s/sqrt(1 + s^2)``) or "arctan"
+      (``2/pi atan``), of ``s = v_rel / width``. The first is the least wrong, and the cheapest; the others are smooth.
+    - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Without it, diffrax
+      chooses the steps.
+    - `solver`: diffrax's solver of adaptive steps; by default ``Kvaerno3()``, which is implicit and takes any width.
+      ``Tsit5()`` is explicit: cheaper while ``width`` is at least a hundredth of the system's velocities.
+    - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
+      the scale of each state. The instants of sticks are read off between two steps: where they matter, take an `rtol`
+      far below the width over the system's velocities ("linear", whose corners a long step passes, 1e-8 or less).
+    - `max_steps`: how many steps (tries included) one trajectory may take; by default 16384 adaptive ones, or as many
+      fixed ones as ``t1`` holds. Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
+    - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep at which a mass is
+      released, a little more than one width (`Switch.creep`).
+    - `minimum_duration`: that lasts at least so long (s); by default the time that friction takes to stop twice the
+      threshold (so that a mass that passes through is not counted), and two fixed steps.
+    - `adjoint`: diffrax's way to differentiate adaptive steps: ``RecursiveCheckpointAdjoint()`` by default, for reverse
+      mode (``grad``); ``ForwardMode()`` for ``jvp`` and ``jacfwd``; ``DirectAdjoint()`` takes both, slower. Fixed steps
+      take both modes.
+
+    The method of a result, ``one.method``, holds the numbers that were used. Raises ValueError for numbers that are
+    not positive, an unknown shape, another kind of solver, and options that do not go together.
+    """
+
+    width: Scalar
+    shape: str = eqx.field(static=True, default="linear")
+    step: Scalar | None = eqx.field(default=None, kw_only=True)
+    solver: Any = eqx.field(static=True, default=None, kw_only=True)
+    rtol: Scalar = eqx.field(default=1e-5, kw_only=True)
+    atol: AnyArray | Scalar | None = eqx.field(default=None, kw_only=True)
+    max_steps: int | None = eqx.field(static=True, default=None, kw_only=True)
+    threshold: Scalar | None = eqx.field(default=None, kw_only=True)
+    minimum_duration: Scalar | None = eqx.field(default=None, kw_only=True)
+    adjoint: Any = eqx.field(static=True, default=None, kw_only=True)
+
+    def __check_init__(self):
+        _checks.positive("width", self.width, "m/s")
+        if self.shape not in SHAPES:
+            near = difflib.get_close_matches(str(self.shape), SHAPES, 1, 0.4)
+            guess = f"; did you mean {near[0]!r}?" if near else "."
+            raise ValueError(
+                f"Argument shape must be one of {', '.join(map(repr, SHAPES))}, but {_checks.show(self.shape)} was "
+                f"given{guess}"
+            )
+        for name, unit in {"step": "s", "threshold": "m/s"}.items():
+            if getattr(self, name) is not None:
+                _checks.positive(name, getattr(self, name), unit)
+        if self.minimum_duration is not None:
+            _checks.non_negative("minimum_duration", self.minimum_duration, "s")
+        if self.max_steps is not None:
+            _checks.whole_number("max_steps", self.max_steps)
+        _checks.positive("rtol", self.rtol)
+        if self.atol is not None:
+            _checks.numeric("atol", self.atol, ndim=None)
+            if not _checks.is_traced(self.atol) and np.any(np.asarray(self.atol) <= 0):
+                raise ValueError(f"Argument atol must be positive, but {_checks.show(self.atol)} was given.")
+        self._check_solver()
+
+    def _check_solver(self):
+        if self.step is not None and (self.solver is not None or self.adjoint is not None):
+            raise ValueError(
+                f"Arguments solver and adjoint must be None with a fixed step, but step = {_checks.show(self.step)} "
+                "was given; leave the step out for adaptive steps."
+            )
+        if self.solver is not None and not isinstance(self.solver, diffrax.AbstractAdaptiveSolver):
+            raise ValueError(
+                "Argument solver must be a solver of diffrax with an error estimate, such as diffrax.Kvaerno3() or "
+                f"diffrax.Tsit5(), but {_checks.show(self.solver)} was given."
+            )
+        if self.adjoint is not None and not isinstance(self.adjoint, diffrax.AbstractAdjoint):
+            raise ValueError(
+                "Argument adjoint must be one of diffrax's, such as diffrax.ForwardMode(), but "
+                f"{_checks.show(self.adjoint)} was given."
+            )
+
+
+EXACT = Exact()
+"""The exact method with nothing chosen by hand."""

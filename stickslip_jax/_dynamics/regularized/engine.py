@@ -1,0 +1,127 @@
+"""Regularised motion in steps of fixed length: one trajectory, batches are made with ``jax.vmap`` outside.
+
+Each turn of the loop takes one step, which ends early where a piece of the base motion or of the load ends: a jump is
+never stepped over. Adaptive steps: `regularized_solve.py`.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..._events.records import StickRecord, no_stick
+from ..._excitation.segments import Feed
+from ..._numerics.sharing import sharing
+from ..._systems.switched_model import State, SwitchedModel
+from ..._types import FloatArray, IntArray
+from ..switched.engine import Streams, is_spent, next_feeds
+from ..switched.implicit_step import implicit_step
+from .stick_detector import Criterion, Step, Watch, start_watch, watch_step
+from .switch import Switch
+
+
+class Field(NamedTuple):
+    """A system under its drive, whose friction acts by a smooth switch."""
+
+    model: SwitchedModel
+    switch: Switch
+
+    def rates(self, inputs: object, tau: FloatArray, y: State) -> State:
+        """The time derivative of the state."""
+        speed = self.model.relative_velocity(inputs, tau, y)
+        return self.model.rates_under(inputs, tau, y, self.switch.grip(self.model.friction, speed))
+
+    def need(self, inputs: object, tau: FloatArray, y: State) -> FloatArray:
+        """The friction that holding the relative velocity needs, as a share of the largest; infinite without any."""
+        zero = jnp.zeros_like(tau)
+        free, per_grip = (
+            self.model.relative_acceleration(inputs, tau, y, self.model.rates_under(inputs, tau, y, grip))
+            for grip in (zero, zero + 1)
+        )
+        held = jnp.abs(per_grip - free) * self.model.friction.static
+        return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
+
+    def seen(
+        self, inputs: object, t: FloatArray, h: FloatArray, before: State, after: State
+    ) -> tuple[Step, State, State]:
+        """The step from `t` for the time `h` as a watch sees it, and the rates at its ends."""
+        zero = jnp.zeros_like(h)
+        rates, end_rates = self.rates(inputs, zero, before), self.rates(inputs, h, after)
+        first = (
+            self.model.relative_velocity(inputs, zero, before),
+            self.model.relative_acceleration(inputs, zero, before, rates),
+        )
+        last = (
+            self.model.relative_velocity(inputs, h, after),
+            self.model.relative_acceleration(inputs, h, after, end_rates),
+        )
+        needs = self.need(inputs, zero, before), self.need(inputs, h, after)
+        return Step(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
+
+
+class FixedLane(NamedTuple):
+    """One trajectory under way; `has_ended` and `status_of_lane` of the switched engine take it too."""
+
+    t: FloatArray
+    y: State
+    turns: IntArray
+    watch: Watch
+    feeds: tuple[Feed, ...]
+
+
+class Passage(NamedTuple):
+    """What a step leaves for `evaluate`: when it began, the state, and the rates at both ends."""
+
+    t: FloatArray
+    y: State
+    rates: State
+    end_rates: State
+
+
+def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
+    """What an idle turn leaves, of a trajectory with states like `y`."""
+    none = tuple(jnp.zeros_like(value) for value in y)
+    return no_stick(y[0].dtype), Passage(none[0], none, none, none)
+
+
+def start_fixed(
+    field: Field, streams: Streams, criterion: Criterion, feeds: tuple[Feed, ...], y0: tuple, dtype
+) -> FixedLane:
+    """The beginning of a trajectory."""
+    zero = jnp.zeros((), dtype)
+    y = tuple(jnp.asarray(value, dtype) for value in y0)
+    speed = field.model.relative_velocity(field.model.inputs(zero, streams.pieces(feeds)), zero, y)
+    return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_watch(criterion, speed, y[0]), feeds)
+
+
+@sharing
+def advance_fixed(
+    field: Field,
+    streams: Streams,
+    criterion: Criterion,
+    t1: FloatArray,
+    step: FloatArray,
+    most_steps: IntArray,
+    lane: FixedLane,
+) -> tuple[FixedLane, StickRecord, Passage]:
+    """One turn of the loop: the lane after it, the stick that ended in it, if any, and the step."""
+    inputs = field.model.inputs(lane.t, streams.pieces(lane.feeds))
+    live = (lane.t < t1) & ~is_spent(lane) & (lane.turns < most_steps)
+    stop = t1
+    for feed in lane.feeds:
+        stop = jnp.minimum(stop, feed.piece.end)
+    left = jnp.where(live, stop - lane.t, 0)
+    # Not a last step of a few units in the last place.
+    to_stop = step * (1 + 1e-6) >= left
+    h = jnp.where(to_stop, left, step)
+    y = implicit_step(field.model, field.switch, inputs, lane.y, h)
+    seen, rates, end_rates = field.seen(inputs, lane.t, h, lane.y, y)
+
+    t = jnp.where(to_stop, stop, lane.t + h)
+    feeds, jumped = next_feeds(streams, lane.feeds, t, t < t1)
+    after = field.model.relative_velocity(field.model.inputs(t, streams.pieces(feeds)), jnp.zeros_like(t), y)
+    watch, record = watch_step(criterion, lane.watch, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
+    moved = FixedLane(t, y, lane.turns + 1, watch, feeds)
+    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
+    record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
+    return moved, record, Passage(lane.t, lane.y, rates, end_rates)

@@ -1,0 +1,89 @@
+"""What a regularised simulation takes where the user leaves it open: thresholds and tolerances by scales."""
+
+import math
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ... import _checks
+from ..._excitation.excitation import Drive
+from ..._numerics.known import largest, smallest
+from ..._systems.system import System
+from ..._types import Array, Scalar
+from ..method import Regularized
+from ..time_scales import step_for
+from .solve import table_sizes
+from .switch import Switch
+
+_MOST_ADAPTIVE_STEPS = 16384
+
+
+def settled(system: System, drive: Drive, method: Regularized, dtype) -> Regularized:
+    """`method` with every option filled in, its numbers as arrays of `dtype`.
+
+    Raises ValueError where an option is needed because the system's scales are not known.
+    """
+    width = jnp.asarray(method.width, dtype)
+    speed, deceleration = system.contact_scales
+    for name, known in {"threshold": speed, "minimum_duration": deceleration}.items():
+        if getattr(method, name) is None and known is None:
+            raise ValueError(
+                f"Argument method must give the {name}, Regularized(..., {name}=...), because the velocities of a "
+                f"{type(system).__name__} are not known; or give it the properties speed_scale and shortest_time."
+            )
+    threshold = Switch(width, method.shape).creep(jnp.asarray(speed)) if method.threshold is None else method.threshold
+    duration = method.minimum_duration
+    if duration is None:
+        # Without friction nothing sticks, however slowly it passes.
+        slows = jnp.asarray(deceleration) > 0
+        never = min(_checks.LARGEST, float(jnp.finfo(dtype).max))
+        duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
+        duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
+    adaptive = method.step is None
+    scales = _state_scales(system, drive, dtype)
+    atol = method.rtol * scales if method.atol is None else method.atol
+    if np.shape(atol) not in ((), scales.shape):
+        raise ValueError(
+            f"Argument atol must be one number, or one for each of the {len(scales)} states, but an array of shape "
+            f"{np.shape(atol)} was given."
+        )
+    return Regularized(
+        width,
+        method.shape,
+        step=None if adaptive else jnp.asarray(method.step, dtype),
+        solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
+        rtol=jnp.asarray(method.rtol, dtype),
+        atol=jnp.asarray(atol, dtype),
+        max_steps=_MOST_ADAPTIVE_STEPS if adaptive and method.max_steps is None else method.max_steps,
+        threshold=jnp.asarray(threshold, dtype),
+        minimum_duration=jnp.asarray(duration, dtype),
+        adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
+    )
+
+
+def fixed_steps(system: System, drive: Drive, method: Regularized, t1: Scalar) -> int:
+    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each piece.
+
+    Raises NotKnown where a number that it depends on is not known yet, ValueError for a step that is too long for the
+    shortest time scale.
+    """
+    horizon, shortest = largest(t1), smallest(step_for(system, drive, method))
+    return math.ceil(horizon / shortest) + sum(table_sizes(system, drive, horizon)) + 1
+
+
+def _state_scales(system: System, drive: Drive, dtype) -> Array:
+    """The typical size of each state, by which errors are judged where the state itself is small."""
+    values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(drive)])
+    return jnp.where(values > 0, values, 1)
+
+
+def as_arrays(tree: Any, dtype) -> Any:
+    """Plain numbers in `tree` as arrays, so that other numbers need no recompilation."""
+
+    def convert(leaf):
+        return jnp.asarray(leaf, dtype) if isinstance(leaf, (int, float)) and not isinstance(leaf, bool) else leaf
+
+    return jax.tree.map(convert, tree)

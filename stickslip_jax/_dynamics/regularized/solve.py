@@ -1,0 +1,163 @@
+"""Regularised motion in steps of adaptive length, by diffrax: one trajectory."""
+
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..._events.records import StickRecord
+from ..._excitation.excitation import Drive
+from ..._excitation.table import PieceTable
+from ..._status import Status
+from ..._systems.switched_model import Pieces
+from ..._types import Array, FloatArray, IntArray
+from ..method import Regularized
+from ..switched.engine import Streams
+from .engine import Field, Passage
+from .stick_detector import Criterion, Watch, start_watch, watch_step
+
+
+class Tables(eqx.Module):
+    """All that comes in pieces, of one realisation; the order is that of `Streams`."""
+
+    base: tuple[PieceTable, ...]
+    ground: tuple[PieceTable, ...]
+    force: tuple[PieceTable, ...]
+
+    @classmethod
+    def of(cls, system: Any, drive: Drive, words: Any, sizes: tuple[int, ...], dtype) -> "Tables":
+        """The pieces that `words` choose, so many of each part (`table_sizes`)."""
+        streams, own = Streams.of(system, drive), drive.words_of_pieces(words)
+        tables = [PieceTable.of(law, own, size, dtype) for law, size in zip(streams.all, sizes, strict=True)]
+        second, third = len(streams.base), len(streams.base) + len(streams.ground)
+        return cls(tuple(tables[:second]), tuple(tables[second:third]), tuple(tables[third:]))
+
+    @property
+    def all(self) -> tuple[PieceTable, ...]:
+        """The tables in order."""
+        return self.base + self.ground + self.force
+
+    def at(self, t: FloatArray) -> Pieces:
+        """The pieces under way at time `t`."""
+        return Pieces(*(tuple(table.at(t) for table in part) for part in (self.base, self.ground, self.force)))
+
+    @property
+    def end(self) -> FloatArray | float:
+        """When the first part comes to its end, s."""
+        earliest = jnp.inf
+        for table in self.all:
+            earliest = jnp.minimum(earliest, table.end)
+        return earliest
+
+    @property
+    def times(self) -> Array | None:
+        """When pieces end and others begin, s; None where that never happens."""
+        times = [table.pieces.begin[1:] for table in self.all]
+        return jnp.concatenate(times) if sum(map(len, times)) else None
+
+
+def table_sizes(system: Any, drive: Drive, t1: Any) -> tuple[int, ...]:
+    """How many pieces of each part nearly every realisation needs until `t1`, which is no tracer."""
+    return tuple(law.pieces(t1) for law in Streams.of(system, drive).all)
+
+
+class Solver(NamedTuple):
+    """How to solve: diffrax's solver and adjoint, tolerances (absolute: one for each state)."""
+
+    solver: Any
+    adjoint: Any
+    rtol: Any
+    atol: Any
+
+    @classmethod
+    def of(cls, method: Regularized) -> "Solver":
+        """As a method says in which every option is filled in."""
+        return cls(method.solver, method.adjoint, method.rtol, method.atol)
+
+
+class Solution(NamedTuple):
+    """The accepted steps: the states at their beginnings and, in the last slots used, at the end.
+
+    `t`: (steps + 1,), infinity in spare slots. `y`: (steps + 1, states). `steps`: how many there are.
+    """
+
+    t: Array
+    y: Array
+    steps: IntArray
+    status: IntArray
+
+    @property
+    def time_reached(self) -> FloatArray:
+        """Where the last step ended, s."""
+        return self.t[self.steps]
+
+
+def solve_adaptive(
+    field: Field, tables: Tables, t1: FloatArray, y0: tuple[Any, ...], how: Solver, max_steps: int
+) -> Solution:
+    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, tries included."""
+    dtype = t1.dtype
+    zero = jnp.zeros((), dtype)
+
+    def rates(t, y, _):
+        inputs = field.model.inputs(t, tables.at(t))
+        return jnp.stack(field.rates(inputs, zero, tuple(y)))
+
+    controller: Any = diffrax.PIDController(rtol=how.rtol, atol=how.atol)
+    if tables.times is not None:
+        controller = diffrax.ClipStepSizeController(controller, jump_ts=tables.times)
+    end = jnp.minimum(t1, tables.end)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rates), how.solver, zero, end, None, jnp.stack([jnp.asarray(v, dtype) for v in y0]),
+        saveat=diffrax.SaveAt(t0=True, steps=True), stepsize_controller=controller, max_steps=max_steps,
+        adjoint=how.adjoint, throw=False,
+    )  # fmt: skip
+    t, y = jnp.asarray(solution.ts), jnp.asarray(solution.ys)
+    steps = jnp.sum(jnp.isfinite(t)).astype(jnp.int32) - 1
+    full = solution.result == diffrax.RESULTS.max_steps_reached
+    code = jnp.where(solution.result == diffrax.RESULTS.successful, Status.FINISHED, Status.SOLVER_FAILED)
+    code = jnp.where(full, Status.OUT_OF_STEPS, code)
+    code = jnp.where((code == Status.FINISHED) & (end < t1), Status.BASE_TOO_SHORT, code)
+    finite = jnp.all(jnp.isfinite(y[steps])) & jnp.isfinite(t1)
+    return Solution(t, y, steps, jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8))
+
+
+def start_watching(field: Field, tables: Tables, criterion: Criterion, y: Array) -> Watch:
+    """The watch at the beginning."""
+    zero = jnp.zeros((), y.dtype)
+    return start_watch(
+        criterion, field.model.relative_velocity(field.model.inputs(zero, tables.at(zero)), zero, tuple(y)), y[0]
+    )
+
+
+def watch_one(
+    field: Field,
+    tables: Tables,
+    criterion: Criterion,
+    t1: FloatArray,
+    solution: Solution,
+    watch: Watch,
+    index: IntArray,
+) -> tuple[Watch, StickRecord, Passage]:
+    """Go over step number `index` of a solution; where there is none, nothing happens."""
+    live = index < solution.steps
+    index = jnp.where(live, index, 0)
+    t, y = solution.t[index], tuple(solution.y[index])
+    # Without steps at all, one of no length stands in.
+    following = jnp.where(solution.steps > 0, index + 1, 0)
+    now, after = solution.t[following], tuple(solution.y[following])
+    h = now - t
+    pieces, next_pieces = tables.at(t + h / 2), tables.at(now)
+    seen, rates, end_rates = field.seen(field.model.inputs(t, pieces), t, h, y, after)
+    jumped = jnp.zeros((), bool)
+    for table, old, new in zip(tables.base, pieces.base, next_pieces.base, strict=True):
+        jumped = jumped | ((old.begin != new.begin) & table.jumps)
+    speed = field.model.relative_velocity(field.model.inputs(now, next_pieces), jnp.zeros_like(now), after)
+    moved, record = watch_step(
+        criterion, watch, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
+    )
+    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, watch)
+    record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
+    return moved, record, Passage(t, y, rates, end_rates)

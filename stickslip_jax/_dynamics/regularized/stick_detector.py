@@ -1,0 +1,184 @@
+"""Sticks of regularised dynamics: while the relative velocity is below a threshold, for long enough."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..._events.records import StickRecord, Totals, start_totals
+from ..._numerics.roots import look_ahead
+from ..._status import Ending
+from ..._types import BoolArray, FloatArray, Scalar
+
+
+class Criterion(NamedTuple):
+    """What counts as a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s)."""
+
+    threshold: Scalar
+    minimum_duration: Scalar
+
+
+class Watch(NamedTuple):
+    """What is known of the sticks so far.
+
+    `inside`: whether the relative velocity is below the threshold. `crossed`: when it passed through zero in the last
+    step without ending inside, infinity if it did not; `crossed_at`: the position there.
+    """
+
+    inside: BoolArray
+    start: FloatArray
+    position: FloatArray
+    crossed: FloatArray
+    crossed_at: FloatArray
+    totals: Totals
+    at_start: BoolArray
+
+
+class Step(NamedTuple):
+    """One step as the watch sees it, from time `t` for the time `h`.
+
+    Relative velocity and its slope at both ends (before a jump of the base), position and velocity too. `need0` and
+    `need1`: the friction that holding the mass needs there, as a share of the largest.
+    """
+
+    t: FloatArray
+    h: FloatArray
+    r0: FloatArray
+    slope0: FloatArray
+    r1: FloatArray
+    slope1: FloatArray
+    x0: FloatArray
+    v0: FloatArray
+    x1: FloatArray
+    v1: FloatArray
+    need0: FloatArray
+    need1: FloatArray
+
+
+def start_watch(criterion: Criterion, speed: FloatArray, position: FloatArray) -> Watch:
+    """The beginning of a trajectory with this relative velocity and position."""
+    dtype = speed.dtype
+    inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
+    return Watch(inside, zero, position, never, position, start_totals(dtype), jnp.zeros((), bool))
+
+
+def watch_step(
+    criterion: Criterion,
+    watch: Watch,
+    step: Step,
+    *,
+    jumped: BoolArray,
+    after: FloatArray,
+    last: BoolArray,
+    resolved: bool,
+) -> tuple[Watch, StickRecord]:
+    """Go over one step.
+
+    It may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. `resolved`: whether
+    it resolves the width, so that the cubic through its ends shows where the relative velocity passes the threshold. If
+    not, that falls straight to zero inside the step in which a stick begins, and leaves zero inside the step in which
+    the needed friction passes the largest.
+    """
+    threshold = jnp.asarray(criterion.threshold, step.t.dtype)
+    inside = jnp.abs(step.r1) <= threshold
+    enters, leaves = ~watch.inside & inside, watch.inside & ~inside
+    entry = _crossing(threshold, step, entering=True) if resolved else _straight_entry(threshold, step)
+    leave = _crossing(threshold, step, entering=False)
+    leave = leave if resolved else _late_exit(threshold, step, leave)
+    at = _position(step, entry)
+    start = jnp.where(enters, step.t + entry, watch.start)
+    position = jnp.where(enters, at, watch.position)
+    crossed, crossed_at = watch.crossed, watch.crossed_at
+    if not resolved:
+        # A long step in which the mass comes to rest may end a little beyond; the next one brings it back.
+        late = enters & jnp.isfinite(watch.crossed)
+        start, position = jnp.where(late, watch.crossed, start), jnp.where(late, watch.crossed_at, position)
+        passes = ~watch.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
+        crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
+
+    now = step.t + step.h
+    cut = last & inside
+    ends = leaves | cut | (jumped & inside)
+    end = jnp.where(leaves, step.t + leave, now)
+    counts = ends & (end - start >= criterion.minimum_duration) & (end > start)
+    released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
+    ending = jnp.where(leaves, released, jnp.where(cut, horizon, switched))
+    record = StickRecord(start, end, position, jnp.where(counts, ending, none))
+    totals = Totals(
+        sticks=watch.totals.sticks + counts,
+        censored=watch.totals.censored + (counts & cut),
+        stick_time=watch.totals.stick_time + jnp.where(counts, end - start, 0),
+    )
+    goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
+    watch = Watch(
+        inside=goes_on,
+        start=jnp.where(jumped, now, start),
+        position=jnp.where(jumped, step.x1, position),
+        crossed=crossed,
+        crossed_at=crossed_at,
+        totals=totals,
+        at_start=watch.at_start | (counts & (start <= 0)),
+    )
+    return watch, record
+
+
+def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
+    """When ``|v_rel|`` passes the threshold, s after the step began; of no meaning where it does not."""
+    h = step.h
+    sign = _sign(step.r0 if entering else step.r1)
+    # Positive before the crossing and negative after it.
+    turn = sign if entering else -sign
+    shift = threshold if entering else -threshold
+    s0, s1 = turn * step.r0 - shift, turn * step.r1 - shift
+    d0, d1 = turn * step.slope0 * h, turn * step.slope1 * h
+    falls = (s0 > 0) & (s1 < 0)
+    s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
+    u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(h)).where
+    # One Newton step more, through which the derivative passes.
+    value = hermite(u, jnp.ones_like(u), s0, d0, s1, d1)
+    slope = 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
+    usable = falls & (slope < 0)
+    return h * jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1)
+
+
+def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
+    """When ``|v_rel|`` falls to the threshold if it goes on as it begins; else where the chord does."""
+    size, rise = jnp.abs(step.r0), _sign(step.r0) * step.slope0
+    above = jnp.maximum(size - threshold, 0)
+    total = jnp.maximum(size - _sign(step.r0) * step.r1, threshold)
+    where = jnp.where(rise < 0, above / jnp.where(rise < 0, -rise, 1), step.h * above / total)
+    return jnp.clip(where, 0, step.h)
+
+
+def _late_exit(threshold: FloatArray, step: Step, resolved: FloatArray) -> FloatArray:
+    """When ``|v_rel|`` rises to the threshold, where the mass is released in this very step; else as `resolved` says.
+
+    From the release on, at a needed share of one, the excess force grows straight and the relative velocity with its
+    square.
+    """
+    here = (step.need0 < 1) & (step.need1 > 1)
+    gain = jnp.where(here, step.need1 - step.need0, 1)
+    released = step.h * jnp.clip((1 - step.need0) / gain, 0, 1)
+    rest, rise = step.h - released, _sign(step.r1) * step.slope1
+    usable = here & (rise > 0) & (rest > 0)
+    while_creeping = jnp.sqrt(jnp.where(usable, 2 * threshold * rest / jnp.where(usable, rise, 1), 1))
+    return jnp.where(here, released + jnp.where(usable, jnp.minimum(while_creeping, rest), 0), resolved)
+
+
+def _sign(value: FloatArray) -> FloatArray:
+    return jnp.where(value < 0, -1.0, 1.0).astype(value.dtype)
+
+
+def _position(step: Step, tau: FloatArray) -> FloatArray:
+    """The position inside the step, by the cubic through its ends."""
+    return hermite(tau, step.h, step.x0, step.v0, step.x1, step.v1)
+
+
+def hermite(
+    tau: FloatArray, h: FloatArray, x0: FloatArray, v0: FloatArray, x1: FloatArray, v1: FloatArray
+) -> FloatArray:
+    """The cubic with these values and slopes at 0 and `h`, at `tau`; `x0` where the step has no length."""
+    u = jnp.where(h > 0, tau / jnp.where(h > 0, h, 1), 0)
+    bend = (1 - u) * (1 - u)
+    values = x0 * bend * (1 + 2 * u) + x1 * u * u * (3 - 2 * u)
+    return values + h * (v0 * u * bend - v1 * u * u * (1 - u))

@@ -1,0 +1,337 @@
+"""Exact switched motion of any system: time steps in which every switch is located to machine precision.
+
+A system plugs in as a `SwitchedModel`: how it moves while it slips one way or the other and while it sticks, and one
+function, the guard, that is positive while the present mode lasts. Each turn of the loop tries one step:
+
+- if the guard stays positive, the step is taken;
+- if it falls through zero inside, the step is tried again up to the guess of where it does, until it ends there within
+  `_LANDED` of the step; a last Newton step then lands on the event, and carries its derivative (the implicit function
+  theorem);
+- if it comes down near zero and turns up again, the step is tried again up to the turning point, to see which it is;
+- a step never crosses the end of a piece of the base motion or of the load: there the mode is settled afresh.
+
+- a step whose error the solver estimates as too large is tried again, shorter.
+
+What can be missed: two falls in one step between which the guard has two more extrema, which the cubic through the
+ends of a step cannot show; so steps must be short against the shortest time scale (`time_scales.py` sees to it).
+Where something less than `_DOUBT` would have made or undone an event, that is counted (`_close_calls`).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..._events.records import StickRecord, Totals, start_totals
+from ..._excitation.excitation import Drive
+from ..._excitation.segments import Feed, PieceLaw, next_feed
+from ..._numerics.roots import look_ahead
+from ..._numerics.sharing import sharing
+from ..._status import Ending, Status
+from ..._systems.switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from ..._systems.system import System
+from ..._types import BoolArray, FloatArray, IntArray
+
+_LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
+_DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
+_CLOCK_ULPS = 4  # the round-off of times, in units in the last place
+_ERROR = {8: 1e-9, 4: 1e-5}  # of a step without a closed form, relative; its solver's estimate is far too high
+_LEAST_ERROR = 1e-20
+_AT_ONCE = 1e-9  # of a step: a fall so early means that the mode was over when the step began
+_GRAZING = 64  # of the guard's round-off: a slip whose guard begins to change by less, in a step, begins at rest
+_EARLY, _SHORTER = 0.02, 0.25  # of a step
+_MANY_TRIES = 12  # guesses that have not landed by then are followed by halving, down to where round-off decides
+
+
+class Lane(NamedTuple):
+    """One trajectory under way. `sign` is that of the relative velocity, 0 in a stick."""
+
+    t: FloatArray
+    y: State
+    sign: FloatArray
+    target: FloatArray  # length of the next step to try
+    pace: FloatArray  # the longest step that the error of those before allows
+    event: FloatArray  # time of the last event at rest
+    tries: IntArray
+    turns: IntArray  # of the loop so far
+    stick_start: FloatArray
+    stick_position: FloatArray
+    totals: Totals
+    at_start: BoolArray
+    doubts: IntArray
+    feeds: tuple[Feed, ...]
+
+
+class Streams(eqx.Module):
+    """The laws of all parts of the drive that come in pieces; a lane's feeds follow their order."""
+
+    base: tuple[PieceLaw, ...]
+    ground: tuple[PieceLaw, ...]
+    force: tuple[PieceLaw, ...]
+
+    @classmethod
+    def of(cls, system: System, drive: Drive) -> "Streams":
+        """The parts of drive and force that come in pieces."""
+        return cls(drive.base, drive.ground, system.recorded_loads)
+
+    @property
+    def all(self) -> tuple[PieceLaw, ...]:
+        return self.base + self.ground + self.force
+
+    def pieces(self, feeds: tuple[Feed, ...]) -> Pieces:
+        """The pieces under way."""
+        now = tuple(feed.piece for feed in feeds)
+        second, third = len(self.base), len(self.base) + len(self.ground)
+        return Pieces(now[:second], now[second:third], now[third:])
+
+
+def start_lane(
+    model: SwitchedModel, streams: Streams, feeds: tuple[Feed, ...], y0: tuple[Any, ...], step: FloatArray
+) -> Lane:
+    """The beginning of a trajectory, its mode settled."""
+    dtype = step.dtype
+    zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+    y = tuple(jnp.asarray(value, dtype) for value in y0)
+    inputs = model.inputs(zero, streams.pieces(feeds))
+    y, sign = _settle(model, inputs, y, model.at_rest(inputs, y))
+    return Lane(
+        zero,
+        y,
+        sign,
+        lax.stop_gradient(model.step_limit(zero, step, y, sign)),
+        jnp.full((), jnp.inf, dtype),
+        zero,
+        none,
+        none,
+        zero,
+        y[0],
+        start_totals(dtype),
+        sign == 0,
+        none,
+        feeds,
+    )
+
+
+@sharing
+def advance(
+    model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, lane: Lane
+) -> tuple[Lane, StickRecord]:
+    """One turn of the loop; the stick that ended in it, if any."""
+    dtype = lane.t.dtype
+    inputs = model.inputs(lane.t, streams.pieces(lane.feeds))
+    stop = jnp.minimum(t1, _first(feed.piece.end for feed in lane.feeds))
+    left = stop - lane.t
+    to_stop = lane.t + lane.target >= stop  # so written, for the sum may be rounded up to it
+    h = jnp.where(to_stop, left, lane.target)
+    sticking = lane.sign == 0
+    # What is not chosen must stay finite for the sake of derivatives: a slip over the long step of a stick may not.
+    slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
+    held, error_held = model.stick_and_error(inputs, lane.y, h)
+    y1, error = _where(sticking, held, slid), lax.stop_gradient(_chosen(sticking, error_held, error))
+
+    s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
+    s1, d1 = model.guard(inputs, h, y1, lane.sign)
+    scale = model.guard_scale(inputs, y1, lane.sign)
+    # Round-off of the guard itself, and of the time at which it is taken.
+    clock = _CLOCK_ULPS * jnp.finfo(dtype).eps * (lane.t + h)
+    noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
+    look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
+    delta = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
+    near = jnp.abs(delta) <= _LANDED[dtype.itemsize] * step + clock
+    stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
+    # Released, a mass leaves its stick with no relative velocity and hardly any relative acceleration: whether it does
+    # at all is not seen from a step that ends after it has been caught again. Shorter ones show it.
+    hidden = look.falls & ~sticking & (s0 <= noise) & (jnp.abs(d0) * h <= _GRAZING * noise) & (look.where < _EARLY)
+    early = (look.where < _AT_ONCE) & ~hidden
+    at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
+    landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
+    again = ~landed & (look.falls | look.turns) & ~stalled
+    # A step to be tried again anyway may be too long because it goes beyond the event.
+    rough = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[dtype.itemsize])
+    landed, again = landed & ~rough, again | rough
+    taken = ~landed & ~again
+    stretch = _Stretch(sticking, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
+    touched, race = _close_calls(stretch, taken, landed & ~at_once, taken & to_stop)
+
+    # The event: a Newton step from where the step ended. Its tangent is that of the implicit function theorem.
+    delta = jnp.where(landed & ~at_once, delta, 0)
+    stays = again | at_once
+    tau = jnp.where(stays, 0, h + delta)
+    rates = model.rates(inputs, h, y1, lane.sign)
+    y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
+    t = jnp.where(taken & to_stop, stop, lane.t + tau)
+    live = ~(lane.t >= t1) & ~is_spent(lane)
+    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), turns=lane.turns + 1)
+
+    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
+    switched, record, edge, abrupt = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
+    doubt = touched | (race & abrupt) | (edge < 2 * _DOUBT[dtype.itemsize])
+    switched = switched._replace(doubts=lane.doubts + doubt)
+    longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
+    pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
+    target = jnp.where(again & ~rough, guess * h, jnp.minimum(longest, pace))
+    switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
+    following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
+    return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+class _Stretch(NamedTuple):
+    """What tells of a step how close things were: the guard at both ends and lowest between, and times, s."""
+
+    sticking: BoolArray
+    s0: FloatArray
+    s1: FloatArray
+    d1: FloatArray
+    lowest: FloatArray
+    noise: FloatArray
+    scale: FloatArray
+    step: FloatArray
+    age: FloatArray  # since the last event at rest, at the end of the step
+
+
+def _close_calls(of: _Stretch, taken: BoolArray, landed: BoolArray, stopped: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Whether the last digits decided whether there was an event, and whether they would if the mode ended abruptly."""
+    few = _DOUBT[of.s1.dtype.itemsize]
+    # Here the guard is so flat that it is near its lowest point: were that a little higher, or lower, there would be no
+    # event, or one. (The guard of a slip that has only just begun at rest has never been high.)
+    flat = (jnp.abs(of.d1) * of.step < math.sqrt(2 * few) * of.scale) & (of.sticking | (of.age > of.step))
+    inside = (of.lowest < few * of.scale) & (of.lowest > -of.noise) & (of.s0 > of.noise)
+    touched = (taken & (inside | (flat & (of.s1 < few * of.scale)))) | (landed & flat)
+    # An event that was about to come, or had only just been.
+    due = (of.d1 < 0) & (of.s1 < -few * of.step * of.d1)
+    return touched, stopped & (due | (of.age < few * of.step))
+
+
+def _pace(pace: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, rough: BoolArray) -> FloatArray:
+    """The longest step from here on, by the error of the one tried: with the order of the solvers used, 8 or less."""
+    allowed = _ERROR[h.dtype.itemsize] / jnp.maximum(error, _LEAST_ERROR)
+    change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
+    faster = jnp.where(taken & (h >= 0.999 * pace), pace * change, pace)
+    return jnp.where(rough, h * jnp.minimum(change, 0.8), faster)
+
+
+def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
+    """Settle the mode after an event or at the end of a piece, and note the stick that ended.
+
+    Also returned: how far from the edge of the stick's band it was decided whether the mass sticks (infinity if that
+    was not decided), and whether the mode ended abruptly, by a jump of the base or the horizon.
+    """
+    ended = at_stop & (lane.t < t1)
+    was_stick = lane.sign == 0
+    feeds, jumped = next_feeds(streams, lane.feeds, lane.t, ended)
+    inputs = model.inputs(lane.t, streams.pieces(feeds))
+
+    on_base = model.on_base(inputs, lane.y)
+    holds = model.can_stick(inputs, on_base)
+    resting = model.at_rest(inputs, lane.y)
+    # A mass that is not at rest there moves on, against friction that now acts the other way.
+    turned = jnp.where(was_stick | resting, model.release_sign(inputs, on_base), -lane.sign)
+    sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
+    slipping = (lane.sign != 0) & ~jumped
+    settled_y, settled_sign = _settle(model, inputs, lane.y, resting | (was_stick & ~jumped))
+    settle = ended & ~slipping
+    sign = jnp.where(settle, settled_sign, sign)
+    y = _where(settle, settled_y, _where(landed & (sign == 0), on_base, lane.y))
+
+    cut = at_stop & ~(lane.t < t1)
+    over = was_stick & ((sign != 0) | cut) & (lane.t > lane.stick_start)
+    released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
+    ending = jnp.where(over, jnp.where(cut, horizon, jnp.where(ended & jumped, switched, released)), none)
+    record = StickRecord(lane.stick_start, lane.t, lane.stick_position, ending)
+    begins = ~was_stick & (sign == 0)
+    at_rest = landed & (resting | (sign == 0))
+    decided = (landed & ~was_stick) | (ended & jumped & resting)
+    edge = jnp.abs(model.guard(inputs, jnp.zeros_like(lane.t), on_base, jnp.zeros_like(lane.sign))[0])
+    edge = jnp.where(decided, edge, jnp.inf)
+    # A mass put down on the very edge of the band leaves it at once: that is no stick.
+    no_stick = was_stick & (sign != 0) & ~over
+    totals = Totals(
+        sticks=lane.totals.sticks + over,
+        censored=lane.totals.censored + (over & cut),
+        stick_time=lane.totals.stick_time + jnp.where(over, lane.t - lane.stick_start, 0),
+    )
+    return (
+        lane._replace(
+            y=y,
+            sign=sign,
+            totals=totals,
+            feeds=feeds,
+            event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
+            at_start=lane.at_start & ~no_stick,
+            stick_start=jnp.where(begins, lane.t, lane.stick_start),
+            stick_position=jnp.where(begins, y[0], lane.stick_position),
+        ),
+        record,
+        edge,
+        cut | jumped,
+    )
+
+
+def next_feeds(
+    streams: Streams, feeds: tuple[Feed, ...], t: FloatArray, ended: BoolArray
+) -> tuple[tuple[Feed, ...], BoolArray]:
+    """The pieces under way after time `t`, where a step `ended` that may have come to the end of some, and whether a
+    base velocity jumped.
+    """
+    following, jumped = [], jnp.zeros((), bool)
+    for law, feed in zip(streams.all, feeds, strict=True):
+        over = ended & (feed.piece.end <= t)
+        new = next_feed(law, feed, t.dtype)
+        following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, feed))
+        jumped = jumped | (over & law.jumps)
+    return tuple(following), jumped
+
+
+def _settle(model, inputs, y, resting):
+    """The mode of a mass in the state `y`, found from nothing but whether it is at rest there."""
+    on_base = model.on_base(inputs, y)
+    held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
+    return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
+
+
+def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
+    """The `Status` of a trajectory that has ended, or will not be followed further."""
+    finite = jnp.isfinite(lane.t + t1)
+    for value in lane.y:
+        finite = finite & jnp.isfinite(value)
+    unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
+    code = jnp.where(lane.t < t1, unfinished, Status.FINISHED)
+    return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
+
+
+def has_ended(lane: Any, t1: FloatArray, most_turns: IntArray) -> BoolArray:
+    """Whether nothing more will happen: the horizon, the end of the base motion, a NaN, or too many turns."""
+    finite = jnp.ones((), bool)
+    for value in lane.y:
+        finite = finite & jnp.isfinite(value)
+    return ~(lane.t < t1) | is_spent(lane) | (lane.turns >= most_turns) | ~finite
+
+
+def is_spent(lane: Any) -> BoolArray:
+    """Whether some part of the drive has come to its end."""
+    spent = jnp.zeros((), bool)
+    for feed in lane.feeds:
+        spent = spent | feed.spent
+    return spent
+
+
+def _first(times) -> FloatArray | float:
+    earliest = jnp.inf
+    for time in times:
+        earliest = jnp.minimum(earliest, time)
+    return earliest
+
+
+def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+    """One of two errors, of which None is 0."""
+    if one is None and other is None:
+        return None
+    return jnp.where(first, 0 if one is None else one, 0 if other is None else other)
+
+
+def _where(chosen: BoolArray, new: State, old: State) -> State:
+    return tuple(jnp.where(chosen, a, b) for a, b in zip(new, old, strict=True))

@@ -1,0 +1,113 @@
+"""One step of fixed length of regularised dynamics, stable for any width.
+
+The singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander 1977; L-stable).
+Each stage is linear but for the friction: everything else is linearised where the stage is expected. What is left is
+one equation for the relative velocity, ``sigma + K grip(sigma) = sigma*`` (`_balance`). A step
+may be far longer than the time in which friction acts over the width: it then ends in the stick, as it should, where a
+step linearised in friction too would jump over it to and fro.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..._systems.friction import FrictionLaw
+from ..._systems.switched_model import State, SwitchedModel
+from ..._types import FloatArray
+from ..regularized.switch import Switch
+
+_GAMMA = 1 - 1 / math.sqrt(2)
+_NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
+
+
+def implicit_step(model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray) -> State:
+    """The state after the time `h`."""
+    grip = switch.grip(model.friction, model.relative_velocity(inputs, jnp.zeros_like(h), y))
+    start = model.rates_under(inputs, jnp.zeros_like(h), y, grip)
+    expected = _moved(y, _GAMMA * h, start)
+    _, first = _stage(model, switch, inputs, _GAMMA * h, y, expected, _GAMMA * h)
+    base, expected = _moved(y, (1 - _GAMMA) * h, first), _moved(y, h, first)
+    end, _ = _stage(model, switch, inputs, h, base, expected, _GAMMA * h)
+    return end
+
+
+def _stage(
+    model: SwitchedModel,
+    switch: Switch,
+    inputs: object,
+    tau: FloatArray,
+    base: State,
+    expected: State,
+    weight: FloatArray,
+) -> tuple[State, State]:
+    """Solve ``Y = base + weight f(tau, Y)``, linearised at `expected` but for friction: Y and f(tau, Y)."""
+
+    def free(state):
+        return model.rates_under(inputs, tau, state, jnp.zeros_like(tau))
+
+    rates = free(expected)
+    push = tuple(
+        a - b for a, b in zip(model.rates_under(inputs, tau, expected, jnp.ones_like(tau)), rates, strict=True)
+    )
+    jacobian = jax.jacfwd(free)(expected)
+    size = len(base)
+    matrix = [[(i == j) - weight * jacobian[i][j] for j in range(size)] for i in range(size)]
+    missing = tuple(b - e + weight * r for b, e, r in zip(base, expected, rates, strict=True))
+    without, by_grip = _solve(matrix, [list(missing), [weight * value for value in push]])
+
+    speed, per_grip = jax.jvp(
+        lambda state: model.relative_velocity(inputs, tau, state), (_moved(expected, 1.0, without),), (by_grip,)
+    )
+    grip = _balance(switch, model.friction, speed, -per_grip)
+    change = tuple(a + grip * b for a, b in zip(without, by_grip, strict=True))
+    _, turned = jax.jvp(free, (expected,), (change,))
+    end_rates = tuple(r + t + grip * p for r, t, p in zip(rates, turned, push, strict=True))
+    return _moved(expected, 1.0, change), end_rates
+
+
+def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:
+    """The friction coefficient with its sign, where ``sigma + stiffness grip(sigma) = speed``.
+
+    Newton's method from below, on the magnitude: `grip` is concave up to its largest value, so that no iterate
+    overshoots. Where a law that holds more in a stick leaves several solutions to a long step, that is the one of the
+    stick. The last step carries the derivative of the implicit function.
+    """
+    size, sign = jnp.abs(speed), jnp.where(speed < 0, -1.0, 1.0)
+
+    def grip(sigma):
+        return jax.jvp(lambda value: switch.grip(friction, value), (sigma,), (jnp.ones_like(sigma),))
+
+    _, steepest = grip(jnp.full_like(size, 1e-9) * switch.width)
+    sigma = jnp.maximum(size - stiffness * friction.static, size / (1 + stiffness * steepest))
+    for _ in range(_NEWTON[switch.shape]):
+        value, slope = grip(sigma)
+        sigma = jnp.maximum(sigma - (sigma + stiffness * value - size) / jnp.maximum(1 + stiffness * slope, 1), 0)
+    sigma = lax.stop_gradient(sigma)
+    value, slope = grip(sigma)
+    slope = lax.stop_gradient(slope)
+    residual = sigma + stiffness * value - size
+    return sign * (value - slope * residual / jnp.maximum(1 + stiffness * slope, 1))
+
+
+def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:
+    """Solve small linear systems by elimination.
+
+    Without pivoting, which steps short against the time scales do not need: the matrix is near the identity, or has a
+    large positive diagonal where something decays fast.
+    """
+    rows = [[*line, *(side[i] for side in sides)] for i, line in enumerate(matrix)]
+    size = len(rows)
+    for i in range(size):
+        per = 1 / rows[i][i]
+        rows[i] = [value * per for value in rows[i]]
+        for j in range(size):
+            if j != i:
+                factor = rows[j][i]
+                rows[j] = [a - factor * b for a, b in zip(rows[j], rows[i], strict=True)]
+    return [tuple(rows[i][size + k] for i in range(size)) for k in range(len(sides))]
+
+
+def _moved(y: State, h: FloatArray | float, rates: State) -> State:
+    return tuple(value + h * rate for value, rate in zip(y, rates, strict=True))

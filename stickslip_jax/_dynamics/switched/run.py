@@ -1,0 +1,112 @@
+"""One whole trajectory of the switched engine, and its state at any time."""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..._events.records import StickRecord, no_stick
+from ..._excitation.excitation import Drive
+from ..._excitation.segments import open_feed
+from ..._excitation.voltage import SourceVoltage
+from ..._numerics.known import largest, smallest
+from ..._systems.switched_model import Pieces, State
+from ..._types import Array, FloatArray, Scalar
+from ..blocks import few_sizes, scan_in_blocks
+from .engine import Lane, Streams, advance, has_ended, start_lane, status_of_lane
+
+MOST_TURNS = 2**30  # they are counted in 32 bits
+
+
+class Beginnings(NamedTuple):
+    """Where each turn of the loop began, arrays (turns,): time (s), state, sign, and the pieces under way."""
+
+    t: Array
+    y: tuple[Array, ...]
+    sign: Array
+    pieces: Pieces
+
+
+class Trajectory(eqx.Module):
+    """What one trajectory leaves: its last `Lane`, a `StickRecord` for each turn of the loop, and where each began."""
+
+    lane: Lane
+    status: Array
+    records: StickRecord
+    beginnings: Beginnings
+
+
+def lane_at_start(system: Any, drive: Drive, words: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any) -> Lane:
+    """The beginning of the trajectory that `words` choose."""
+    dtype = step.dtype
+    streams = Streams.of(system, drive)
+    model = system.switched_model(drive.realised(words, dtype), solver)
+    own = drive.words_of_pieces(words)
+    feeds = tuple(open_feed(law, own, dtype) for law in streams.all)
+    return start_lane(model, streams, feeds, y0, step)
+
+
+def run_trajectory(
+    system: Any, drive: Drive, solver: Any, t1: Scalar, y0: tuple[Any, ...], step: Scalar, *, turns: int, dtype: Any
+) -> Trajectory:
+    """Follow one realisation for up to `turns` turns of the loop; where it ends earlier, the loop idles."""
+    t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
+    streams, model = Streams.of(system, drive), system.switched_model(drive.signal, solver)
+    start = lane_at_start(system, drive, jnp.zeros(2, jnp.uint32), y0, step, solver)
+    most = jnp.asarray(turns, jnp.int32)
+
+    def beginning(lane):
+        return Beginnings(lane.t, lane.y, lane.sign, streams.pieces(lane.feeds))
+
+    def turn(lane, _):
+        following, record = advance(model, streams, t1, step, lane)
+        return following, (record, beginning(lane))
+
+    def idle(lane):
+        return no_stick(dtype), beginning(lane)
+
+    lane, (records, beginnings) = scan_in_blocks(turn, start, turns, lambda lane, _: has_ended(lane, t1, most), idle)
+    return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
+
+
+def state_at(system: Any, drive: Drive, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
+    """The state at one `time`, from the beginning of the turn that holds it."""
+    model = system.switched_model(drive.signal, solver)
+    # Among turns that begin together (tries of the same step), the last: it is the one that was taken.
+    index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
+    t, y, sign, pieces = jax.tree.map(lambda values: values[index], beginnings)
+    inputs, h = model.inputs(t, pieces), time - t
+    stuck, slid = model.stick(inputs, y, h), model.slip(inputs, y, jnp.where(sign == 0, 0, h), sign)
+    return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
+
+
+def base_velocity_at(drive: Drive, beginnings: Beginnings, time: FloatArray) -> FloatArray:
+    """The base velocity at one `time`, m/s; 0 where nothing but a voltage or the ground's acceleration drives."""
+    index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
+    velocity = jnp.zeros_like(time)
+    if drive.signal is not None and not isinstance(drive.signal, SourceVoltage):
+        velocity = velocity + drive.signal.value(time)
+    for piece in beginnings.pieces.base:
+        begin, value, slope = (values[index] for values in (piece.begin, piece.value, piece.slope))
+        velocity = velocity + value + slope * (time - begin)
+    return velocity
+
+
+def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
+    """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece.
+
+    Rounded up to one of few sizes, so that neighbouring lengths share a compilation; the loop stops when a trajectory
+    ends. Raises NotKnown where a number that it depends on is not known yet, ValueError if they are too many to be
+    counted in 32 bits.
+    """
+    horizon, shortest = largest(t1), smallest(step)
+    pieces = sum(law.pieces(horizon) for law in Streams.of(system, drive).all)
+    turns = 1.5 * (horizon / shortest) + 2 * pieces + 96
+    if turns > MOST_TURNS:
+        raise ValueError(
+            f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_TURNS} steps of {shortest:.3g} s or "
+            "pieces of the motion."
+        )
+    return few_sizes(math.ceil(turns))

@@ -1,0 +1,66 @@
+"""The step that the time scales of a system and of what drives it call for."""
+
+import math
+from contextlib import suppress
+from typing import Any
+
+import jax.numpy as jnp
+
+from .. import _checks
+from .._excitation.excitation import Drive
+from .._numerics.known import NotKnown, plain, smallest
+from .._systems.system import OWN_TIME, System
+from .._types import Scalar
+from .blocks import few_sizes
+
+
+def step_for(system: System, drive: Drive, method: Any) -> Scalar:
+    """The time step (s) of `method`, checked, or the default one.
+
+    Raises ValueError if it is too long for the shortest time scale, or if one is needed because a time scale is not
+    known.
+    """
+    scales = {name: (plain(of.time), of.steps) for name, of in system.time_scales(drive, method.solver).items()}
+    known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
+    unknown = [name for name in scales if name not in known]
+    if method.step is None and unknown:
+        raise ValueError(
+            f"Argument method must give the step, Exact(step=...), but the {unknown[0]} is not known; or give what "
+            f"you wrote a property {'shortest_time' if unknown[0] == OWN_TIME else 'shortest_period'} (s)."
+        )
+    if method.step is None:
+        steps = [time / count.default for time, count in known.values()]
+        if any(_checks.is_traced(step) for step in steps):
+            return jnp.min(jnp.stack([jnp.asarray(step, float) for step in steps]))
+        return min(float(step) for step in steps)
+    step = plain(method.step)
+    if not _checks.is_traced(step):
+        for name, (time, count) in known.items():
+            if not _checks.is_traced(time) and step > time / count.least * (1 + 1e-9):
+                longest, share = float(time) / count.least, 1 / count.least
+                raise ValueError(
+                    f"Argument step must be at most {longest:.4g} s, {share:.2g} times the {name} of {float(time):.4g} "
+                    f"s, but {step} was given; between longer steps sticks could be missed."
+                )
+    return step
+
+
+def room_to_give(system: System, drive: Drive, method: Any, t1: Scalar) -> str:
+    """A number of steps to give where JAX traces what it depends on, from what is known of time and time scales."""
+    horizon = min(_known([t1]), default=100.0)
+    steps = [method.step] if method.step is not None else [
+        of.time / of.steps.default for of in system.time_scales(drive, method.solver).values() if of.time is not None
+    ]  # fmt: skip
+    found = _known(steps)
+    step = min((step for step in found if step < math.inf), default=0.01) / (1 if len(found) == len(steps) else 4)
+    turns = few_sizes(math.ceil(1.5 * horizon / step) + 96)
+    return f"max_steps={turns} is room for {horizon:g} s in steps of {step:.3g} s; too many cost nothing but memory"
+
+
+def _known(numbers: list[Any]) -> list[float]:
+    """The smallest value of each number that has one yet."""
+    found = []
+    for number in numbers:
+        with suppress(NotKnown):
+            found.append(smallest(number))
+    return found

@@ -1,0 +1,96 @@
+"""What `simulate` and `simulate_ensemble` ask of their arguments."""
+
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .. import _checks
+from .._excitation.excitation import Drive, WithJumps, drive_of, is_random, longest_time
+from .._excitation.laws import BangBangLaw
+from .._excitation.piecewise import VelocitySteps
+from .._excitation.random import Uniform
+from .._excitation.smooth import UserMotion
+from .._numerics.known import plain
+from .._systems.system import System
+from .._types import AnyArray, Scalar
+from .method import Exact, Regularized
+from .time_scales import step_for
+
+
+def check_method(method: Any) -> None:
+    """Check that `method` is `Exact` or `Regularized`. Raises ValueError otherwise."""
+    if not isinstance(method, (Exact, Regularized)):
+        raise ValueError(
+            f"Argument method must be Exact(...) or Regularized(width), but {_checks.show(method)} was given."
+        )
+
+
+def state_of(system: System, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
+    """The initial state of `system`, checked; zeros if it is None."""
+    meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
+    numbers = y0 = (0.0,) * len(meaning) if y0 is None else y0
+    if isinstance(y0, (tuple, list)) and any(isinstance(value, Uniform) for value in y0):
+        if not may_be_random:
+            raise ValueError(
+                f"Argument y0 must be numbers, but {_checks.show(y0)} was given; only simulate_ensemble draws initial "
+                "states."
+            )
+        numbers = tuple(value.low if isinstance(value, Uniform) else value for value in y0)
+    numbers = _checks.state("y0", numbers, meaning)
+    system.check_state(numbers)
+    return tuple(y0)
+
+
+def one_realisation(system: System, base: Any, t1: Scalar) -> Any:
+    """`base` as a motion without randomness that covers ``[0, t1]``."""
+    if isinstance(base, VelocitySteps) and base.durations.ndim != 1:
+        raise ValueError(
+            f"Argument base must be one realisation, but it has durations of shape {base.durations.shape}; "
+            "use jax.vmap over the realisations, or simulate_ensemble."
+        )
+    smooth = drive_of(base).smooth
+    if is_random(base):
+        raise ValueError(
+            f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
+            "draw one with base.sample(key, t1)."
+        )
+    check_length(system, base, t1)
+    if isinstance(smooth, UserMotion) and not isinstance(base, WithJumps):
+        return smooth
+    return base.sample(None, t1) if isinstance(base, BangBangLaw) else base
+
+
+def check_length(system: System, base: Any, t1: Scalar) -> None:
+    """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
+    if _checks.is_traced(t1):
+        return
+    for name, motion in (("base", base), *(("force", load) for load in system.recorded_loads)):
+        longest = longest_time(motion)
+        if longest < float(t1) * (1 - 1e-12):
+            raise ValueError(
+                f"Argument {name} must last until t1 = {float(t1):g} s, but it ends at {longest:g} s; record more of "
+                "it or choose a smaller t1."
+            )
+
+
+def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Drive, Scalar]:
+    """The drive that `base` (an argument called `name`) is, and the time step (s), at most `t1`."""
+    drive = drive_of(base, name)
+    system.check_drive(drive)
+    system.check_solver(method.solver)
+    step, horizon = step_for(system, drive, method), plain(t1)
+    return drive, step if _checks.is_traced(step) or _checks.is_traced(horizon) else min(float(step), float(horizon))
+
+
+def working_dtype(*arrays: AnyArray, stacklevel: int = 3):
+    """The floating dtype of a simulation; says once how to get float64 when JAX runs in float32."""
+    dtype = jnp.result_type(float, *arrays)
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "stickslip_jax runs in float32: event times are good to about 2e-6 of t1. For float64 call "
+            'jax.config.update("jax_enable_x64", True) before anything else.',
+            stacklevel=stacklevel,
+        )
+    return dtype

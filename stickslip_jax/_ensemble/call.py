@@ -1,0 +1,318 @@
+"""Simulate many samples of a random base motion: keys, chunks, threads, streaming."""
+
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._dynamics.chunks import chunks_of, solve_chunk
+from .._dynamics.engine_choice import lanes_for
+from .._dynamics.lanes import BLOCK, Engine, Job, LaneResults
+from .._dynamics.method import EXACT, Exact, Regularized
+from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
+from .._dynamics.regularized.settings import as_arrays
+from .._dynamics.regularized.solve import table_sizes
+from .._dynamics.validation import check_method, state_of, working_dtype
+from .._events.stick_stream import StickGatherer
+from .._excitation.excitation import is_random, words_for
+from .._excitation.random import Uniform
+from .._fast_cpu import cores
+from .._numerics.packing import Layout, packed
+from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._systems.system import require_system
+from .._types import Array
+from .parts import Gathering, Part, prepare
+from .result import Ensemble
+
+_MOST_SAMPLES = 2**31  # they are numbered in 32 bits
+_Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
+_ADAPTIVE_LANES = 256  # of one batch: enough to hide the launches, few enough for the slowest not to hold up many
+_RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: fewer calls, but records that stay in the cache
+
+
+def simulate_ensemble(
+    system: Any,
+    law: Any,
+    *,
+    t1: float,
+    samples: int,
+    key: Array | None = None,
+    y0: Any = None,
+    method: Exact | Regularized = EXACT,
+    keep: str = "statistics",
+    orders: int = 10,
+    count_initial_rest: bool = False,
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+) -> Ensemble:
+    """Simulate `samples` independent realisations of the base motion `law`.
+
+    Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
+    the chunk size or the threads; ``many.realisation(i)`` gives its base motion and initial state.
+
+    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
+    - `law`: what drives it: one such as `PoissonSwitching` or `KanaiTajimi`, or anything that `simulate` takes.
+    - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
+    - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
+    - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
+    - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
+      `samples`); "sticks" keeps every stick besides; "totals" only stick time, sticks and slips, which is the fastest.
+    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick (at most the 1000th).
+    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the first of these.
+    - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
+    - `progress`: True shows a progress bar, False none; default: only on a terminal.
+
+    Trajectories that did not reach ``t1`` are counted in ``many.status_counts`` and enter no statistic. Raises
+    ValueError for arguments outside these bounds.
+    """
+    run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
+    threads = _checks.whole_number("threads", threads) if threads is not None else cores()
+    plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
+    gathering, started = Gathering(samples, keep), time.perf_counter()
+    simulate = _simulator(run, plan, gathering)
+    _compile(simulate, run, keep)
+    compiled = time.perf_counter()
+    _simulate_all(simulate, plan, samples, gathering, progress)
+    return Ensemble(
+        system=system,
+        law=law,
+        t1=float(t1),
+        method=run.method,
+        numbering=run.numbering,
+        y0=run.y0,
+        samples=samples,
+        key_words=tuple(int(word) for word in np.asarray(run.words)) if run.is_random else None,
+        dtype=str(np.dtype(run.dtype)),
+        **gathering.found(),
+        threads=min(plan.threads, -(-samples // plan.samples_per_task)),
+        compile_seconds=compiled - started,
+        run_seconds=time.perf_counter() - compiled,
+    )
+
+
+def _compile(simulate: _Simulate, run: "_Run", keep: str) -> None:
+    """So that the threads need not race for it."""
+    with ThreadPoolExecutor(1) as beside:  # one compiler at work beside the other
+        prepared = beside.submit(prepare, run.dtype) if keep != "totals" else None
+        simulate(0, 0)
+        if prepared is not None:
+            prepared.result()
+
+
+def _simulate_all(
+    simulate: _Simulate, plan: "_Plan", samples: int, gathering: Gathering, progress: bool | None
+) -> None:
+    with _progress_bar(progress, samples) as advance:
+        for number, part in _in_order(simulate, plan, samples):
+            gathering.add(part)
+            advance(number)
+
+
+class _Run(NamedTuple):
+    """What is the same for every chunk."""
+
+    engine: Engine | AdaptiveBatch
+    method: Exact | Regularized
+    words: Array
+    y0: tuple[Any, ...]
+    is_random: bool
+    dtype: Any
+    t1: float
+    numbering: Numbering
+
+    @classmethod
+    def checked(cls, system, law, t1, samples, key, y0, method, keep, numbering) -> "_Run":
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, law, t1, key, y0, method))):
+            raise ValueError(
+                "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
+                "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."
+            )
+        require_system(system)
+        check_method(method)
+        _checks.positive("t1", t1, "s")
+        _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
+        if keep not in ("totals", "statistics", "sticks"):
+            raise ValueError(f"Argument keep must be 'totals', 'statistics' or 'sticks', but {keep!r} was given.")
+        y0 = state_of(system, y0, may_be_random=True)
+        dtype = working_dtype(stacklevel=4)
+        engine = lanes_for(system, law, method, t1, y0, dtype)
+        if isinstance(engine, (FixedEngine, AdaptiveBatch)):
+            method = engine.method  # with every option filled in
+        random = is_random(law) or any(isinstance(value, Uniform) for value in y0)
+        if random and key is None:
+            raise ValueError(
+                "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
+            )
+        return cls(engine, method, words_for(law, key), y0, random, dtype, float(t1), numbering)
+
+    def job(self, first: int, used_rows: int) -> Job:
+        """Samples ``first ..`` in so many rows of lanes."""
+        assert isinstance(self.engine, Engine)
+        return Job(self.engine, self.words, np.uint32(first), np.int32(used_rows))
+
+
+def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
+    _checks.truth("count_initial_rest", count_initial_rest)
+    return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
+
+
+class _Plan(NamedTuple):
+    """How the samples are cut: tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
+
+    lanes: int
+    rows: int
+    samples_per_task: int
+    threads: int
+
+    @classmethod
+    def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
+        # The lanes' arrays should stay in the cache (benchmarks/README.md).
+        lanes, rows = 256, 32
+        if chunk is not None:
+            # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
+            chunk = min(_checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES), max(samples, 4096))
+            lanes = min(lanes, 1 << (chunk - 1).bit_length())
+            rows = -(-chunk // lanes)
+            return cls(lanes, rows, min(chunk, lanes * rows), threads)
+        # In a small run most lanes would idle.
+        lanes = min(lanes, max(256, 1 << (-(-samples // threads) - 1).bit_length()))
+        # Small runs are cut finer, so that every thread gets its share.
+        fair = -(-samples // (4 * threads * lanes)) * lanes
+        return cls(lanes, rows, min(fair, lanes * rows), threads)
+
+    @classmethod
+    def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
+        """For adaptive steps: a lane each."""
+        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES)
+        lanes = min(most, -(-samples // threads) if chunk is None else samples)
+        return cls(lanes, 1, lanes, threads)
+
+
+def _simulator(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
+    """A function that simulates samples ``first .. first + number - 1``, for what `gathering` wants of them."""
+    if isinstance(run.engine, AdaptiveBatch):
+        return _solver(run, run.engine, plan, gathering)
+    return _streamer(run, plan) if gathering.keep == "totals" else _recorder(run, plan, gathering)
+
+
+def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, gathering: Gathering) -> _Simulate:
+    """The same for adaptive steps."""
+    sizes, dtype = table_sizes(batch.system, batch.drive, batch.t1), run.dtype
+    system, drive, t1, y0 = as_arrays((batch.system, batch.drive, batch.t1, batch.y0), dtype)
+    arrays = AdaptiveBatch(system, drive, batch.method, t1, y0)
+    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": gathering.keep != "totals", "dtype": dtype}
+
+    def simulate(first: int, number: int) -> Part:
+        results, records = solve_chunk(arrays, run.words, jnp.uint32(first), jnp.uint32(number), **how)
+        results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
+        if records is None:
+            return Part(results)
+        columns = [np.asarray(column).T for column in records]
+        sticks = StickGatherer()
+        sticks.restart(number)
+        sticks.add(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
+        return Part.of(results, sticks, run.t1, run.numbering, gathering.wants_sticks)
+
+    return simulate
+
+
+def _streamer(run: _Run, plan: _Plan) -> _Simulate:
+    """A function that keeps totals."""
+    assert isinstance(run.engine, Engine)
+    summarise = chunks_of(run.engine).summarise
+
+    def simulate(first: int, number: int) -> Part:
+        job = run.job(first, -(-number // plan.lanes))
+        results = summarise(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        return Part(_first_samples(results, number))
+
+    return simulate
+
+
+def _recorder(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
+    """A function that tallies every stick."""
+    assert isinstance(run.engine, Engine)
+    _, begin, record = chunks_of(run.engine)
+    own = threading.local()  # of each thread: fresh memory for every task would take long to be had
+    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
+    lane = np.arange(plan.lanes)
+
+    def simulate(first: int, number: int) -> Part:
+        if not hasattr(own, "sticks"):
+            own.sticks = StickGatherer()
+        rows = -(-number // plan.lanes)
+        job = jax.tree.map(jnp.asarray, run.job(first, rows))
+        now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
+        own.sticks.restart(number)
+        ended, unfinished = [], True
+        while unfinished:
+            now, room, told = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
+            told = jax.tree.map(np.asarray, told)
+            sample = told.row * plan.lanes + lane
+            own.sticks.add(np.asarray(room.values), np.asarray(room.ending), sample)
+            ended.append((sample[told.ended], *(column[told.ended] for column in told.results)))
+            unfinished = np.any(told.row[-1] + told.ended[-1] < rows)
+        return Part.of(
+            _of_samples(ended, rows * plan.lanes, number), own.sticks, run.t1, run.numbering, gathering.wants_sticks
+        )
+
+    return simulate
+
+
+def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> LaneResults:
+    """Results of `samples` samples, told in the order in which they ended, in their own order; the first `number`."""
+    sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
+    ordered = [np.empty(samples, column.dtype) for column in columns]
+    for to, column in zip(ordered, columns, strict=True):
+        to[sample] = column
+    return LaneResults(*(column[:number] for column in ordered))
+
+
+def _first_samples(results: LaneResults, number: int) -> LaneResults:
+    """Results (rows, lanes) as NumPy arrays in order of the samples, without those that nobody asked for."""
+    return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
+
+
+def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:
+    """Simulate all tasks in threads, a few at a time, and hand the parts back in order of the samples."""
+    tasks = deque(
+        (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)
+    )
+    waiting: deque[tuple[int, Future]] = deque()
+    with ThreadPoolExecutor(min(plan.threads, len(tasks))) as pool:
+        try:
+            while tasks or waiting:
+                while tasks and len(waiting) < 2 * plan.threads:
+                    first, number = tasks.popleft()
+                    waiting.append((number, pool.submit(simulate, first, number)))
+                number, future = waiting.popleft()
+                yield number, future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
+    """A function to call with the number of samples done; shows a bar when asked for, or on a terminal."""
+    if progress is False or (progress is None and not sys.stderr.isatty()):
+        yield lambda number: None
+        return
+    try:
+        from tqdm.auto import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
+    except ImportError:
+        if progress is None:
+            yield lambda number: None
+            return
+        raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
+    with tqdm(total=samples, unit="sample", unit_scale=True) as bar:
+        yield bar.update

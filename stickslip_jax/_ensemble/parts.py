@@ -1,0 +1,143 @@
+"""The parts of an ensemble as its threads hand them in, and what they come to."""
+
+import os
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._dynamics.lanes import LaneResults
+from .._events.stick_stream import StickGatherer, StickStream
+from .._events.sticks import FlatSticks
+from .._numerics.moments import Moments
+from .._statistics.accumulator import Numbering, StickTally
+from .._statistics.source import FEATURES
+from .._status import Status
+from .result import Retained, SampleTotals
+
+RETAINED = 1_000_000
+"""So many sticks at most, those of the first samples, are retained where only statistics are kept: standard errors
+and whatever cannot be summed (ranks, tests) rest on them."""
+FEWEST = 64
+"""So many samples are retained in any case."""
+
+
+class Part(NamedTuple):
+    """A simulated piece of the ensemble: results of consecutive samples; their sticks and the tally of these."""
+
+    results: LaneResults
+    sticks: FlatSticks | None = None
+    tally: StickTally | None = None
+
+    @classmethod
+    def of(
+        cls, results: LaneResults, sticks: StickGatherer, t1: float, numbering: Numbering, keep_sticks: bool
+    ) -> "Part":
+        """Of the results of consecutive samples and what was gathered of their sticks; these kept if `keep_sticks`."""
+        finished = np.equal(results.status, Status.FINISHED)
+        stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
+        done, found = sticks.sticks, None
+        if not np.all(finished):
+            found = done.only(finished).in_order()
+            done = StickStream.of(found.only(finished))
+        tally = StickTally.of(done, stick_time, slips, t1, numbering)
+        return cls(results, found or done.in_order() if keep_sticks else None, tally)
+
+
+def prepare(dtype: Any) -> None:
+    """Compile the loops that find and count sticks, unless that is done; for times of `dtype`."""
+    sticks = StickGatherer()
+    sticks.restart(1)
+    sticks.add(np.zeros((1, 3, 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
+    one = np.zeros(1)
+    Part.of(LaneResults(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
+
+
+class Gathering:
+    """What the parts seen so far, in order of the samples, come to.
+
+    Sums for all; the sticks of the first samples, or if ``keep="sticks"`` of all.
+    """
+
+    def __init__(self, samples: int, keep: str):
+        self.samples, self.keep = samples, keep
+        self.moments = Moments.of(np.zeros((0, len(FEATURES))))
+        self.counts = np.zeros(len(Status), int)
+        self.doubtful = 0
+        self.tally: StickTally | None = None
+        self._kept: list[Part] = []
+        self._room, self._retained_samples = RETAINED, 0
+
+    @property
+    def wants_sticks(self) -> bool:
+        """Whether the sticks of further parts will be kept."""
+        return self.keep == "sticks" or self._room > 0
+
+    def add(self, part: Part) -> None:
+        """Take in the next part."""
+        self.counts += np.bincount(part.results.status, minlength=len(Status))
+        self.doubtful += int(np.count_nonzero(part.results.doubts))
+        self.moments = self.moments.merge(Moments.of(_features(part.results)))
+        if part.tally is not None:
+            self.tally = part.tally if self.tally is None else self.tally.merge(part.tally)
+        if part.sticks is None:
+            return
+        if self.keep == "sticks":
+            self._kept.append(part._replace(tally=None))
+            _check_memory(self._kept, self.samples)
+        elif self._room > 0:
+            # A sample without sticks takes room too, so that these cannot fill the memory either.
+            fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._room, side="right"))
+            fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
+            self._retained_samples += fits
+            results = LaneResults(*(column[:fits].copy() for column in part.results))
+            whole = fits == len(part.sticks.count)
+            self._kept.append(Part(results, part.sticks if whole else part.sticks.head(fits)))
+            left = self._room - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
+            self._room = max(left, int(self._retained_samples < FEWEST))
+
+    def found(self) -> dict[str, Any]:
+        """What an `Ensemble` is told of it."""
+        is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
+        sticks = FlatSticks.joined(kept) if kept else None
+        return {
+            "moments": self.moments,
+            "status_counts": {status: int(self.counts[status]) for status in Status},
+            "doubtful": self.doubtful,
+            "tally": self.tally,
+            "retained": None if sticks is None else self._retained(sticks),
+            "totals": self._totals() if is_full else None,
+            "flat_sticks": sticks if is_full else None,
+        }
+
+    def _totals(self) -> SampleTotals:
+        """Of every kept sample."""
+        columns = [np.concatenate(column) for column in zip(*(part.results for part in self._kept), strict=True)]
+        by_name = dict(zip(LaneResults._fields, columns, strict=True))
+        return SampleTotals(**{name: by_name[name] for name in SampleTotals._fields})
+
+    def _retained(self, sticks: FlatSticks) -> Retained:
+        """The kept samples that finished, of all that were kept."""
+        results = [part.results for part in self._kept]
+        finished = np.concatenate([np.equal(one.status, Status.FINISHED) for one in results])
+        return Retained(sticks.only(finished), np.concatenate([_features(one) for one in results]))
+
+
+def _features(results: LaneResults) -> np.ndarray:
+    """The vectors that `Moments` sums, one row for each finished sample; columns as in `FEATURES`."""
+    finished = results.status == Status.FINISHED
+    columns = (results.stick_time, results.sticks, results.slips)
+    return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
+
+
+def _check_memory(kept: list[Part], samples: int) -> None:
+    """Stop before the sticks outgrow the memory: twice their size is needed when they are joined."""
+    if len(kept) % 64 != 1 or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
+        return
+    done = sum(len(part.results.status) for part in kept)
+    size = sum(column.nbytes for part in kept for column in (*part.results, *(part.sticks or ())))
+    expected, memory = 2 * size / done * samples, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if expected > memory:
+        raise ValueError(
+            f'Argument keep must be "statistics" for so many samples: keeping the sticks of {samples} takes '
+            f"about {expected / 1e9:.0f} GB, and this machine has {memory / 1e9:.0f} GB."
+        )

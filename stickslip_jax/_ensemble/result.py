@@ -1,0 +1,173 @@
+"""What an ensemble hands back: sums for the statistics and, if kept, every stick of every sample."""
+
+import dataclasses
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._events.sticks import FlatSticks, Sticks
+from .._excitation.excitation import is_random
+from .._excitation.random import realised_state
+from .._numerics.moments import Moments
+from .._statistics.accumulator import Numbering, StickTally
+from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
+from .._statistics.source import FEATURES
+from .._statistics.summary import Summary, summary_of
+from .._status import Status
+
+
+class SampleTotals(NamedTuple):
+    """Totals of each sample; arrays (samples,). Times in s."""
+
+    sticks: np.ndarray
+    slips: np.ndarray
+    stick_time: np.ndarray
+    status: np.ndarray
+    doubts: np.ndarray
+
+
+class Retained(NamedTuple):
+    """The sticks of finished samples, the first ones, and `FEATURES` of each, (samples, 3)."""
+
+    sticks: FlatSticks
+    features: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
+class Ensemble:
+    """Many simulated samples of one law.
+
+    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_words`: what was simulated.
+    - `method`: how; a `Regularized` method has its options filled in. `numbering`: which stick is the 1st, 2nd, ...
+    - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
+    - `doubtful`: how many samples had an instant at which the last digits decide whether there was an event (see
+      `Simulation`); they are counted like the others.
+    - `status_counts`: how many samples ended with each `Status`; all that are not FINISHED enter no statistic.
+    - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
+    - `flat_sticks`: the same sticks one after the other, without padding.
+    - `tally`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first samples that
+      finished (of all, if kept); the standard errors rest on them. Both None if ``keep="totals"``.
+    - `compile_seconds`, `run_seconds`: where the time went.
+    """
+
+    system: Any
+    law: Any
+    t1: float
+    method: Any
+    numbering: Numbering
+    y0: tuple[Any, ...]
+    samples: int
+    key_words: tuple[int, ...] | None
+    dtype: str
+    moments: Moments
+    status_counts: dict[Status, int]
+    doubtful: int
+    tally: StickTally | None
+    retained: Retained | None
+    totals: SampleTotals | None
+    flat_sticks: FlatSticks | None
+    threads: int
+    compile_seconds: float
+    run_seconds: float
+
+    @cached_property
+    def statistics(self) -> EnsembleStatistics:
+        """All statistics of the sticks and slips. Raises ValueError if ``keep="totals"``."""
+        return statistics_of_ensemble(self)
+
+    def summary(self) -> Summary:
+        """The statistics as a table to read, in text or in a notebook. Raises ValueError if ``keep="totals"``."""
+        return summary_of(self)
+
+    @cached_property
+    def sticks(self) -> Sticks:
+        """Every stick of every sample, arrays (samples, slots). Raises ValueError unless ``keep="sticks"``."""
+        return self.require_sticks().padded()
+
+    def finished_sticks(self) -> FlatSticks:
+        """The sticks of the samples that reached ``t1``: of all, or where only statistics are kept of the first.
+
+        Raises ValueError if ``keep="totals"``.
+        """
+        if self.retained is None:
+            raise ValueError(
+                'This ensemble kept only totals; call simulate_ensemble(..., keep="statistics") or keep="sticks".'
+            )
+        return self.retained.sticks
+
+    def numbered_sticks(self) -> FlatSticks:
+        """The same without those that begin at t = 0, if these are not counted among the 1st, 2nd, ... stick."""
+        sticks = self.finished_sticks()
+        return sticks if self.numbering.count_initial_rest else sticks.without_initial_rest()
+
+    def require_sticks(self) -> FlatSticks:
+        """`flat_sticks`, or a ValueError that says how to keep them."""
+        if self.flat_sticks is None:
+            raise ValueError('This ensemble did not keep its sticks; call simulate_ensemble(..., keep="sticks").')
+        return self.flat_sticks
+
+    @property
+    def finished(self) -> int:
+        """Number of samples that reached ``t1``."""
+        return self.status_counts[Status.FINISHED]
+
+    def realisation(self, number: int) -> tuple[Any, tuple[float, ...]]:
+        """The base motion and the initial state of sample `number`: what `simulate` needs to follow it again.
+
+        Raises ValueError unless ``0 <= number < samples``.
+        """
+        if _checks.whole_number("number", number, minimum=0) >= self.samples:
+            raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
+        if self.key_words is None:
+            return self.law, self.y0
+        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_words, jnp.uint32)), number)
+        base = self.law.sample(key, self.t1) if is_random(self.law) else self.law
+        y0 = realised_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
+        return base, tuple(float(value) for value in y0)
+
+    def to_xarray(self) -> Any:
+        """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.
+
+        Sticks come as CF contiguous ragged arrays along ``stick``; ``stick_count`` tells how many belong to each
+        sample. Needs ``keep="sticks"`` (else ValueError) and the extra ``study`` (else ImportError).
+        """
+        from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
+
+        return dataset_of(self)
+
+    def write_sticks(self, path: Any) -> Path:
+        """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
+
+        - `path`: a file that ends in .csv or .parquet; units stand in the names of the columns.
+
+        Returns the path. Needs ``keep="sticks"`` and a path of those endings (else ValueError), and the extra `tables`
+        (else ImportError).
+        """
+        from .tables import write_sticks  # noqa: PLC0415 - needs an extra
+
+        return write_sticks(self, path)
+
+    def __repr__(self) -> str:
+        sticks = self.moments.mean[FEATURES.index("stick_count")] * self.moments.number
+        lines = [
+            f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
+            f"  system    {_brief(self.system)}",
+            f"  law       {_brief(self.law)}",
+            f"  sticks    {round(sticks)} found" + ("" if self.flat_sticks is None else ", all kept"),
+            f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile",
+        ]
+        failed = {status: count for status, count in self.status_counts.items() if status and count}
+        lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
+        lines += [f"  in doubt  {self.doubtful} samples, by the last digits"] if self.doubtful else []
+        return "\n".join(lines if failed else [*lines, "  finished  all samples"])
+
+
+def _brief(module: Any) -> str:
+    text = " ".join(eqx.tree_pformat(module, short_arrays=False).split())
+    return text if len(text) <= 110 else text[:107] + "..."

@@ -1,0 +1,43 @@
+"""Sticks as tables in files, one row a stick."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import _checks
+from .._status import Ending
+
+_WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
+
+
+def write_sticks(ensemble: Any, path: Any) -> Path:
+    """Write every stick of `ensemble` to `path`, whose ending tells the format; see `Ensemble.write_sticks`."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
+    sticks, path = ensemble.require_sticks(), Path(path)
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ValueError(f"Argument path must end in {' or '.join(_WRITERS)}, but {str(path)!r} was given.")
+    try:
+        import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
+    except ImportError:
+        raise ImportError("Tables of sticks need pandas: pip install 'stickslip_jax[tables]'.") from None
+    unit = ensemble.system.stick_position.unit
+    table = pd.DataFrame(
+        {
+            "sample": sticks.sample,
+            "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
+            "start_s": sticks.start,
+            "end_s": sticks.end,
+            "duration_s": sticks.duration,
+            "position" if unit == "1" else f"position_{unit}": sticks.position,
+            "ending": np.array([ending.name for ending in Ending])[sticks.ending],
+        }
+    )
+    try:
+        getattr(table, writer)(path, index=False)
+    except ImportError:
+        raise ImportError("Parquet files need pyarrow: pip install 'stickslip_jax[tables]'.") from None
+    return path

@@ -1,0 +1,156 @@
+"""Sticks as they come out of the lanes' records: each sample's in order of time, samples in any order."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._numerics import loops
+from .sticks import FlatSticks
+
+
+class StickStream(NamedTuple):
+    """The sticks of many samples, those of each in order of time.
+
+    To bring millions of sticks into the order of their samples takes as long as to simulate them; what the statistics
+    need can be had without.
+
+    - `count`: of sticks of each sample, (samples,). `last`: when the last of them ends, s (0 without any), (samples,).
+    - `start`, `end`, `position`, `ending`: as in `FlatSticks`, (sticks,).
+    - `owner`: the sample of each stick. `order`: how many sticks of the same sample come before. (sticks,).
+    - `slip`: duration of the slip before each stick, s; 0 where a sample begins with a stick. (sticks,).
+    """
+
+    count: np.ndarray
+    last: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    position: np.ndarray
+    slip: np.ndarray
+    ending: np.ndarray
+    owner: np.ndarray
+    order: np.ndarray
+
+    @classmethod
+    def of(cls, sticks: FlatSticks) -> "StickStream":
+        """Of sticks in order of their samples."""
+        first, has = sticks.first, sticks.count > 0
+        slip = np.empty_like(sticks.start)
+        slip[1:] = sticks.start[1:] - sticks.end[:-1]
+        slip[first[has]] = sticks.start[first[has]]
+        last = np.zeros(len(has), sticks.end.dtype)
+        last[has] = sticks.end[(first + sticks.count - 1)[has]]
+        order = np.arange(len(slip)) - np.repeat(first, sticks.count)
+        own = (sticks.start, sticks.end, sticks.position, slip, sticks.ending)
+        return cls(sticks.count, last, *own, sticks.sample.astype(np.int32), order.astype(np.int32))
+
+    @property
+    def begins_at_zero(self) -> np.ndarray:
+        """Whether each sample begins with a stick, (samples,)."""
+        begins = np.zeros(len(self.count), bool)
+        at_zero = np.flatnonzero(self.start == 0)
+        begins[self.owner[at_zero]] = True
+        return begins
+
+    def slip_after(self, t1: float) -> np.ndarray:
+        """Duration of the slip after each sample's last stick, s; 0 where it ends with a stick. (samples,)."""
+        return np.maximum(self.last.dtype.type(t1) - self.last, 0)
+
+    def only(self, kept: np.ndarray) -> "StickStream":
+        """The same without the sticks of the samples that are not `kept`, (samples,)."""
+        inside = kept[self.owner]
+        count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
+        return StickStream(count, last, *(column[inside] for column in self[2:]))
+
+    def in_order(self) -> FlatSticks:
+        """The sticks in order of their samples."""
+        first = np.cumsum(self.count) - self.count
+        columns = (self.start, self.end, self.position, self.ending)
+        into = FlatSticks(self.count, *(np.empty_like(column) for column in columns))
+        compiled = loops.compiled()
+        if compiled is not None:
+            compiled.put_in_order(first, self.owner, self.order, columns[:3], self.ending, into[1:4], into.ending)
+            return into
+        at = first[self.owner] + self.order
+        for to, column in zip(into[1:], columns, strict=True):
+            to[at] = column
+        return into
+
+
+class StickGatherer:
+    """Takes sticks out of records, some blocks after the other, into memory of its own, which it uses again and again.
+
+    Fresh memory for every part would take longer to be had than the sticks to be put there.
+    """
+
+    def __init__(self) -> None:
+        self._columns: tuple[np.ndarray, ...] = ()
+        self.restart(0)
+
+    def restart(self, samples: int) -> None:
+        """Begin anew, with so many samples; what `sticks` gave before is lost."""
+        self._samples, self._number = samples, 0
+        self._lanes: tuple[np.ndarray, ...] = ()
+        self._of_samples: tuple[np.ndarray, ...] = ()
+
+    def add(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> None:
+        """Take in the sticks of further blocks of records, later than those before.
+
+        `values` (slots, 3, lanes) holds start, end and position, `ending` (slots, lanes) is negative where there is no
+        stick, and `sample` (blocks, lanes) tells whose records the lanes of each block of slots hold.
+        """
+        lanes, dtype = ending.shape[1], values.dtype
+        if not self._lanes:
+            # The sample that each lane is in, its sticks so far, and the end of the last.
+            self._lanes = (np.full(lanes, -1), np.zeros(lanes, np.int32), np.zeros(lanes, dtype))
+            self._of_samples = (np.zeros(self._samples, np.int64), np.zeros(self._samples, dtype))
+        columns = self._room(ending.size, dtype)
+        compiled = loops.compiled()
+        if compiled is None:
+            self._number += self._gather(values, ending, sample, columns)
+            return
+        records = (loops.read_only(array) for array in (values, ending, sample))
+        self._number += compiled.gather(*records, self._samples, *self._lanes, *self._of_samples, *columns)
+
+    def _gather(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray, into: tuple[np.ndarray, ...]) -> int:
+        """Put the sticks of some blocks into columns; their number."""
+        whose, so_far, last = self._lanes
+        count, finish = self._of_samples
+        found = 0
+        for of_lanes, part, endings in zip(sample, *(np.split(a, len(sample)) for a in (values, ending)), strict=True):
+            change = of_lanes != whose
+            whose[:] = of_lanes
+            so_far[change], last[change] = 0, 0
+            lane, slot = np.nonzero((endings >= 0).T & (of_lanes < self._samples)[:, None])  # lane by lane
+            number = np.bincount(lane, minlength=len(whose))
+            first = np.cumsum(number) - number
+            start, end, position = (part[slot, row, lane] for row in range(3))
+            before = np.empty_like(end)
+            before[1:] = end[:-1]
+            has = number > 0
+            before[first[has]] = last[has]
+            last[has] = end[(first + number - 1)[has]]
+            order = so_far[lane] + np.arange(len(lane)) - first[lane]
+            so_far += number.astype(so_far.dtype)
+            known = of_lanes < self._samples
+            count[of_lanes[known]], finish[of_lanes[known]] = so_far[known], last[known]
+            new = (start, end, position, start - before, endings[slot, lane], of_lanes[lane], order)
+            for column, numbers in zip(into, new, strict=True):
+                column[found : found + len(lane)] = numbers
+            found += len(lane)
+        return found
+
+    def _room(self, more: int, dtype: Any) -> tuple[np.ndarray, ...]:
+        """Where to put up to so many more sticks."""
+        begin, end = self._number, self._number + more
+        if not self._columns or end > len(self._columns[0]):
+            kinds = (dtype, dtype, dtype, dtype, np.int8, np.int32, np.int32)
+            larger = tuple(np.empty(2 * end, kind) for kind in kinds)
+            for new, old in zip(larger, self._columns, strict=False):
+                new[:begin] = old[:begin]
+            self._columns = larger
+        return tuple(column[begin:end] for column in self._columns)
+
+    @property
+    def sticks(self) -> StickStream:
+        """The sticks of all blocks since `restart`."""
+        return StickStream(*self._of_samples, *(column[: self._number] for column in self._columns))

@@ -1,0 +1,167 @@
+"""What drives a system, taken apart into what the switched engine can follow: a smooth part and parts in pieces."""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._numerics.random_bits import key_words, random_words
+from .._types import Array, Scalar
+from .ground import GroundMotion
+from .laws import BangBangLaw
+from .piecewise import VelocitySteps
+from .random import RandomPhase
+from .segments import PieceLaw
+from .smooth import Signal, UserMotion
+from .voltage import SourceVoltage
+
+
+class WithJumps(eqx.Module):
+    """A base velocity that is the sum of a continuous motion and of one that jumps.
+
+    - `motion`: a `Signal` such as `Harmonic`, a `RandomPhase`, a `Recorded`, or a motion of your own.
+    - `jumps`: a law such as `PoissonSwitching`, or a realisation of one.
+
+    Raises ValueError for anything else.
+    """
+
+    motion: Any = eqx.field(converter=lambda v: UserMotion(v) if _is_users(v) else v)
+    jumps: BangBangLaw | VelocitySteps
+
+    def __check_init__(self):
+        if not isinstance(self.jumps, (BangBangLaw, VelocitySteps)):
+            raise ValueError(
+                f"Argument jumps must be a law such as PoissonSwitching, but {_checks.show(self.jumps)} was given."
+            )
+        if isinstance(self.motion, (BangBangLaw, VelocitySteps, GroundMotion, WithJumps, SourceVoltage)):
+            raise ValueError(
+                "Argument motion must be a continuous base velocity such as a Harmonic, but "
+                f"{_checks.show(self.motion)} was given."
+            )
+        drive_of(self.motion)
+
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "WithJumps":
+        """One realisation that covers ``[0, t1]``; arguments and errors as for the law of the jumps."""
+        if key is None and is_random(self):
+            raise ValueError("Argument key must be a key such as jax.random.key(0), but None was given.")
+        motion, jumps = self.motion, self.jumps
+        own = [None, None] if key is None else [jax.random.fold_in(key, part) for part in (0, 1)]
+        if isinstance(motion, RandomPhase) and own[1] is not None:
+            motion = motion.sample(own[1], t1)
+        if isinstance(jumps, BangBangLaw):
+            jumps = jumps.sample(own[0], t1, capacity=capacity)
+        return WithJumps(motion, jumps)
+
+
+class _Given(PieceLaw):
+    """A realisation of a base velocity that jumps, as a law of one possible outcome."""
+
+    steps: VelocitySteps
+    is_random = False
+    jumps = True
+
+    def pieces(self, t1) -> int:
+        return self.steps.durations.shape[-1]
+
+    def begin(self, words, dtype):
+        return ()
+
+    def draw(self, words, number, dtype):
+        size = self.steps.durations.shape[-1]
+        here = jnp.minimum(number.astype(jnp.int32), size - 1)
+        duration = jnp.where(number < size, self.steps.durations[here], 0)
+        return duration.astype(dtype), self.steps.velocities[here].astype(dtype)
+
+    def next_piece(self, memory, drawn, dtype):
+        return *drawn, jnp.zeros((), dtype), ()
+
+
+class Drive(eqx.Module):
+    """A base motion, ground motion or voltage, taken apart.
+
+    - `smooth`: the smooth part (base velocity or voltage), None if there is none.
+    - `base`: parts of the base velocity that come in pieces; `ground`: ground acceleration in pieces.
+    - `parts_differ`: whether the parts draw from keys of their own.
+    """
+
+    smooth: Signal | RandomPhase | None
+    base: tuple[PieceLaw, ...] = ()
+    ground: tuple[PieceLaw, ...] = ()
+    parts_differ: bool = eqx.field(static=True, default=False)
+
+    @property
+    def signal(self) -> Signal | None:
+        """The smooth part of a drive without random phases."""
+        assert not isinstance(self.smooth, RandomPhase)
+        return self.smooth
+
+    def realised(self, words: Any, dtype) -> Signal | None:
+        """The smooth part of the sample whose key has these words."""
+        if isinstance(self.smooth, RandomPhase):
+            return self.smooth.realised(_part(words, 1) if self.parts_differ else words, dtype)
+        return self.signal
+
+    def words_of_pieces(self, words: Any) -> Any:
+        """The words for `base` and `ground`."""
+        return _part(words, 0) if self.parts_differ else words
+
+
+def drive_of(base: Any, name: str = "base") -> Drive:
+    """Take `base`, an argument called `name`, apart. Raises ValueError if it is nothing that can drive a system."""
+    if isinstance(base, VelocitySteps):
+        return Drive(None, (_Given(base),))
+    if isinstance(base, GroundMotion):
+        return Drive(None, (), (base,))
+    if isinstance(base, PieceLaw):
+        return Drive(None, (base,))
+    if isinstance(base, (Signal, RandomPhase)):
+        return Drive(base)
+    if isinstance(base, WithJumps):
+        motion, jumps = drive_of(base.motion), drive_of(base.jumps)
+        return Drive(motion.smooth, motion.base + jumps.base, parts_differ=True)
+    if _is_users(base):
+        return Drive(UserMotion(base))
+    raise ValueError(
+        f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
+        f"and acceleration(t), but {_checks.show(base)} was given."
+    )
+
+
+def _is_users(base: Any) -> bool:
+    known = isinstance(base, (PieceLaw, VelocitySteps, Signal, RandomPhase))
+    return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
+
+
+def is_random(base: Any) -> bool:
+    """Whether `base` is a law whose realisations differ, so that one must be drawn before simulating it."""
+    if isinstance(base, WithJumps):
+        return is_random(base.motion) or is_random(base.jumps)
+    return isinstance(base, RandomPhase) or (isinstance(base, PieceLaw) and base.is_random)
+
+
+def words_for(base: Any, key: Array | None) -> Array:
+    """The key's two words, zeros where nothing is random and no key is given. Raises ValueError for a missing key."""
+    if key is not None:
+        return key_words(key)
+    if is_random(base):
+        raise ValueError(
+            f"Argument key must be a key such as jax.random.key(0) for the random law {type(base).__name__}, but None "
+            "was given."
+        )
+    return jnp.zeros(2, jnp.uint32)
+
+
+def longest_time(base: Any) -> float:
+    """How long a recorded motion lasts, s; infinity for one that is not recorded, or whose times are being traced."""
+    if isinstance(base, WithJumps):
+        return min(longest_time(base.motion), longest_time(base.jumps))
+    times = getattr(base, "times", None) if isinstance(base, PieceLaw) and not isinstance(base, BangBangLaw) else None
+    return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
+
+
+def _part(words: Any, number: int) -> tuple[Array, Array]:
+    return random_words(words, jnp.asarray(np.uint32(number)))

@@ -1,0 +1,62 @@
+"""Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._types import AnyArray, FloatArray
+from .recorded import Recorded, check_times
+from .segments import PieceLaw
+
+
+class GroundMotion(PieceLaw):
+    """An acceleration of the ground that comes in pieces linear in time.
+
+    It drives a `MassSpring` described by its position relative to the ground: there the base rests, and the ground's
+    acceleration acts as the force ``-mass * acceleration``.
+    """
+
+    jumps = False
+
+
+class GroundAcceleration(GroundMotion):
+    """A recorded ground acceleration: `accelerations` (m/s^2) at `times`, linear in between.
+
+    `times` in s, increasing, the first one 0, (points,), at least 2. Raises ValueError for times that do not increase
+    from 0, different lengths, or numbers that are not finite.
+    """
+
+    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
+    accelerations: AnyArray = eqx.field(converter=lambda v: _array("accelerations", v))
+    is_random = False
+
+    def __check_init__(self):
+        check_times("accelerations", self.times, self.accelerations)
+
+    @property
+    def duration(self):
+        """The last of `times`, s."""
+        return self.times[-1]
+
+    def acceleration(self, t: AnyArray | float) -> FloatArray:
+        """The ground acceleration at times `t` (s, any shape), m/s^2."""
+        return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.accelerations))
+
+    def pieces(self, t1) -> int:
+        return len(self.times)
+
+    def begin(self, words, dtype):
+        return ()
+
+    def draw(self, words, number, dtype):
+        return Recorded(self.times, self.accelerations).draw(words, number, dtype)
+
+    def next_piece(self, memory, drawn, dtype):
+        return *drawn, ()
+
+
+def _array(name: str, values: object) -> AnyArray:
+    _checks.numeric(name, values, ndim=1)
+    return values if isinstance(values, jax.Array) else np.asarray(values, float)

@@ -1,0 +1,348 @@
+"""Laws of piecewise-constant base velocity: how realisations are drawn.
+
+A law tells the intervals of a realisation one after the other: what is random about number i (`draw`, computed from
+the key and i alone), and what that makes of it (`next_interval`). So a realisation has no length of its own: sampling
+it with more room only continues it, and an ensemble can draw intervals while it simulates.
+"""
+
+import abc
+import math
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.errors import ConcretizationTypeError
+
+from .. import _checks
+from .._numerics.random_bits import exponential, key_words, random_words, uniform
+from .._types import AnyArray, Array, FloatArray, KeyWords, Scalar
+from .piecewise import VelocitySteps
+from .segments import PieceLaw
+
+Interval = tuple[FloatArray, FloatArray, Any]
+LARGEST_CAPACITY = 2**31
+"""Intervals of one realisation are numbered in 32 bits."""
+_BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
+
+
+class BangBangLaw(PieceLaw):
+    """What every law of piecewise-constant base velocity offers. Subclass it to add one."""
+
+    jumps = True
+
+    @abc.abstractmethod
+    def begin(self, words: KeyWords, dtype) -> Any:
+        """What is known before the first interval (for example the first sign), drawn from the key's words."""
+
+    @abc.abstractmethod
+    def draw(self, words: KeyWords, number: Array, dtype) -> Any:
+        """What is random (or looked up) about interval `number`, from the key's words and that number alone."""
+
+    @abc.abstractmethod
+    def next_interval(self, memory: Any, drawn: Any, dtype) -> Interval:
+        """Duration (s) and velocity (m/s) of an interval, and what to remember for the next.
+
+        Neighbouring velocities must differ, except that a duration of 0 marks a spare slot.
+        """
+
+    def all_intervals(self, memory: Any, drawn: Any, number: int, dtype) -> tuple[FloatArray, FloatArray]:
+        """Durations (s) and velocities (m/s) of the first `number` intervals, (number,), one after the other.
+
+        `memory`: what is known before the first. `drawn`: what is random about each, along a first axis. To be
+        overridden where all can be told at once, which is faster.
+        """
+
+        def step(memory, drawn_here):
+            duration, velocity, memory = self.next_interval(memory, drawn_here, dtype)
+            return memory, (duration, velocity)
+
+        return lax.scan(step, memory, drawn, length=number)[1]
+
+    def pieces(self, t1: Any) -> int:
+        return self.capacity(t1)
+
+    def next_piece(self, memory: Any, drawn: Any, dtype):
+        duration, velocity, memory = self.next_interval(memory, drawn, dtype)
+        return duration, velocity, jnp.zeros((), dtype), memory
+
+    @abc.abstractmethod
+    def capacity(self, t1: Scalar) -> int:
+        """How many intervals hold nearly every realisation on ``[0, t1]``."""
+
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> VelocitySteps:
+        """One realisation that covers ``[0, t1]``.
+
+        - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness.
+        - `t1`: duration to cover, s.
+        - `capacity`: number of intervals to keep room for. By default enough for nearly every realisation (a random
+          one can outgrow it, about once in 10^9; `simulate` then reports ``Status.BASE_TOO_SHORT``). Needed under
+          ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
+
+        Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a capacity below 1.
+        """
+        _checks.positive("t1", t1, "s")
+        if capacity is None:
+            capacity = self._capacity_or_explain(t1)
+        if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
+            raise ValueError(f"Argument capacity must be at most {LARGEST_CAPACITY}, but {capacity} was given.")
+        words = self.words(key)
+        return VelocitySteps(*_sample(self, words, capacity, jnp.result_type(float)))
+
+    def words(self, key: Array | None) -> Array:
+        """The key's two 32-bit words; zeros for a law without randomness, whatever the key."""
+        if not self.is_random:
+            return jnp.zeros(2, jnp.uint32)
+        if key is None:
+            raise ValueError(
+                f"Argument key must be a key such as jax.random.key(0) for the random law "
+                f"{type(self).__name__}, but None was given."
+            )
+        return key_words(key)
+
+    def checked_capacity(self, t1: Scalar) -> int:
+        """`capacity`, or a ValueError where the intervals are too many to be numbered in 32 bits."""
+        try:
+            capacity = self.capacity(t1)
+        except OverflowError:
+            capacity = LARGEST_CAPACITY + 1
+        if capacity > LARGEST_CAPACITY:
+            raise ValueError(
+                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} intervals of {self!r}."
+            )
+        return capacity
+
+    def _capacity_or_explain(self, t1: Scalar) -> int:
+        try:
+            return self.checked_capacity(t1)
+        except ConcretizationTypeError:
+            raise ValueError(
+                "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
+                f"(their values are not known then); find one with {type(self).__name__}(...).capacity(t1)."
+            ) from None
+
+
+class Constant(BangBangLaw):
+    """A base that moves with one velocity for ever.
+
+    `speed` in m/s, signed; zero is a base at rest. Raises ValueError if it is not finite.
+    """
+
+    speed: Scalar
+    is_random = False
+
+    def __check_init__(self):
+        _checks.numeric("speed", self.speed)
+
+    def begin(self, words, dtype):
+        return ()
+
+    def draw(self, words, number, dtype):
+        return number == 0
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return jnp.where(drawn, jnp.inf, 0.0).astype(dtype), jnp.asarray(self.speed, dtype), ()
+
+    def capacity(self, t1: Scalar) -> int:
+        return 1
+
+
+class SquareWave(BangBangLaw):
+    """``-speed`` on the first half of each period, ``+speed`` on the second (Lima and Sampaio, conference, eq. 4).
+
+    `speed` in m/s and `period` in s, both positive. The papers' ratio ``r`` gives
+    ``period = 2 pi / (r * omega)``. Raises ValueError if a number is not positive and finite.
+    """
+
+    speed: Scalar
+    period: Scalar
+    is_random = False
+
+    def __check_init__(self):
+        _checks.positive("speed", self.speed, "m/s")
+        _checks.positive("period", self.period, "s")
+
+    def begin(self, words, dtype):
+        return -jnp.ones((), dtype)
+
+    def draw(self, words, number, dtype):
+        return ()
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return jnp.asarray(self.period / 2, dtype), memory * self.speed, -memory
+
+    def capacity(self, t1: Scalar) -> int:
+        return math.ceil(2 * float(t1) / float(self.period)) + 1
+
+
+class PoissonSwitching(BangBangLaw):
+    """``+speed`` or ``-speed``, the sign flipping at the points of a Poisson process (Lima and Sampaio 2017).
+
+    - `speed` in m/s; `rate`, the mean number of flips per second, in 1/s: both positive.
+    - `first_sign`: "random" (a fair coin, the default), "positive" or "negative".
+
+    Gaps are independent exponential variables of mean ``1 / rate``; for a fixed key they scale as ``1 / rate``.
+    Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
+    """
+
+    speed: Scalar
+    rate: Scalar
+    first_sign: str = eqx.field(static=True, default="random")
+    is_random = True
+
+    def __check_init__(self):
+        _checks.positive("speed", self.speed, "m/s")
+        _checks.positive("rate", self.rate, "1/s")
+        if self.first_sign not in ("random", "positive", "negative"):
+            raise ValueError(
+                f"Argument first_sign must be 'random', 'positive' or 'negative', but {self.first_sign!r} was given."
+            )
+
+    def begin(self, words, dtype):
+        if self.first_sign != "random":
+            return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
+        high, _ = random_words(words, jnp.asarray(_BEGINNING))
+        return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
+
+    def draw(self, words, number, dtype):
+        return exponential(*random_words(words, number), dtype)
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return drawn * (1 / self.rate), memory * self.speed, -memory
+
+    def all_intervals(self, memory, drawn, number, dtype):
+        signs = memory * jnp.where(jnp.arange(number) % 2 == 0, 1, -1).astype(dtype)
+        return drawn * (1 / self.rate), signs * self.speed
+
+    def capacity(self, t1: Scalar) -> int:
+        # Six standard deviations above the Poisson mean; the last term covers the skewness of small means.
+        mean = float(self.rate) * float(t1)
+        return math.ceil(mean + 6 * math.sqrt(mean) + 12)
+
+
+class RandomSteps(BangBangLaw):
+    """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
+
+    - `speed` in m/s, `interval` in s (the papers' ``1 / f_b``): positive.
+    - `levels`: at least two different numbers; the velocities are ``speed * levels``. Default -1 and +1.
+    - `probabilities` of the levels, each at least 1e-6, summing to 1. Default: equal odds.
+
+    Equal velocities in a row are drawn at once as one long interval: its number of steps is geometric, and the next
+    level follows the odds of the others. Raises ValueError for numbers outside these bounds.
+    """
+
+    speed: Scalar
+    interval: Scalar
+    levels: tuple[float, ...] = eqx.field(static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v))
+    probabilities: tuple[float, ...] | None = eqx.field(
+        static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v)
+    )
+    is_random = True
+
+    def __check_init__(self):
+        _checks.positive("speed", self.speed, "m/s")
+        _checks.positive("interval", self.interval, "s")
+        if len(self.levels) < 2 or len(set(self.levels)) < len(self.levels):
+            raise ValueError(f"Argument levels must hold two or more different numbers, but {self.levels} was given.")
+        odds = self.odds
+        if len(odds) != len(self.levels) or min(odds) < 1e-6 or abs(sum(odds) - 1) > 1e-9:
+            raise ValueError(
+                f"Argument probabilities must hold one number of at least 1e-6 for each of the {len(self.levels)} "
+                f"levels, summing to 1, but {self.probabilities} was given."
+            )
+
+    @property
+    def odds(self) -> tuple[float, ...]:
+        """The probability of each level."""
+        return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
+
+    def begin(self, words, dtype):
+        high, _ = random_words(words, jnp.asarray(_BEGINNING))
+        return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.odds, dtype)))
+
+    def draw(self, words, number, dtype):
+        high, low = random_words(words, number)
+        return uniform(high, dtype), uniform(low, dtype)
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        odds = jnp.asarray(self.odds, dtype)
+        # Row i: the odds of the next level when the present one, i, is excluded.
+        others = jnp.where(jnp.eye(len(self.levels), dtype=bool), 0, odds[None, :] / (1 - odds[:, None]))
+        for_length, for_next = drawn
+        steps = jnp.floor(jnp.log(for_length) / jnp.log(odds)[memory]) + 1
+        velocity = self.speed * jnp.asarray(self.levels, dtype)[memory]
+        return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
+
+    def capacity(self, t1: Scalar) -> int:
+        return math.ceil(float(t1) / float(self.interval)) + 1
+
+
+class PiecewiseConstant(BangBangLaw):
+    """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one lasts for ever.
+
+    `times` in s, increasing, the first one 0; `velocities` in m/s, as many. Neighbouring equal velocities are merged.
+    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    """
+
+    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
+    velocities: AnyArray = eqx.field(converter=lambda v: _array("velocities", v))
+    is_random = False
+
+    def __check_init__(self):
+        if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
+            raise ValueError(
+                "Arguments times and velocities must have the same length of at least 1, but they have shapes "
+                f"{np.shape(self.times)} and {np.shape(self.velocities)}."
+            )
+        if _checks.is_traced(self.times):
+            return
+        times = np.asarray(self.times)
+        if times[0] != 0:
+            raise ValueError(f"Argument times must begin with 0, but its first entry is {times[0]}.")
+        if np.any(np.diff(times) <= 0):
+            at = int(np.argmax(np.diff(times) <= 0)) + 1
+            raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
+
+    def begin(self, words, dtype):
+        return ()
+
+    def draw(self, words, number, dtype):
+        times, velocities = jnp.asarray(self.times, dtype), jnp.asarray(self.velocities, dtype)
+        # Neighbours of equal velocity are one interval: number i begins where the i-th change is found.
+        found = jnp.cumsum(jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]]))
+        begin, end = (jnp.searchsorted(found, (number + np.uint32(later)).astype(found.dtype)) for later in (1, 2))
+        last = len(times) - 1
+        until = jnp.where(end > last, jnp.inf, times[jnp.minimum(end, last)])
+        begin = jnp.minimum(begin, last)
+        return jnp.where(number.astype(found.dtype) < found[-1], until - times[begin], 0), velocities[begin]
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        return *drawn, ()
+
+    def capacity(self, t1: Scalar) -> int:
+        return len(self.times)
+
+
+@partial(jax.jit, static_argnames=("capacity", "dtype"))
+def _sample(law: BangBangLaw, words: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
+    """Durations and velocities of the first `capacity` intervals."""
+    drawn = jax.vmap(lambda number: law.draw(words, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
+    return law.all_intervals(law.begin(words, dtype), drawn, capacity, dtype)
+
+
+def _choose(draw: Array, cumulative: Array) -> Array:
+    """Index of the cell of ``cumulative`` odds that holds the uniform ``draw``."""
+    return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
+
+
+def _floats(name: str, values: Any) -> tuple[float, ...]:
+    _checks.numeric(name, values, ndim=1)
+    return tuple(float(value) for value in values)
+
+
+def _array(name: str, values: Any) -> AnyArray:
+    _checks.numeric(name, values, ndim=1)
+    return values if isinstance(values, jax.Array) else np.asarray(values, float)

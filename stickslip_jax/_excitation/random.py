@@ -1,0 +1,78 @@
+"""Random phases and random initial states."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._numerics.random_bits import key_words, random_words, uniform
+from .._types import Array, KeyWords, Scalar
+from .smooth import Harmonic, Signal, SumOfHarmonics
+from .voltage import SourceVoltage
+
+_FIRST_PHASE, _FIRST_STATE = 0xFFFFFF00, 0xFFFFFE00  # the numbers of the random words that settle them
+
+
+class RandomPhase(eqx.Module):
+    """A signal whose phase is uniform on ``[0, 2 pi]``; each harmonic of a sum has its own, independent of the others.
+
+    `signal`: a `Harmonic`, a `SumOfHarmonics` or a `SourceVoltage` (Lima and Sampaio 2022, section 6); its own phases
+    are ignored. Raises ValueError for anything else.
+    """
+
+    signal: Signal
+
+    def __check_init__(self):
+        if not isinstance(self.signal, (Harmonic, SumOfHarmonics, SourceVoltage)):
+            raise ValueError(
+                "Argument signal must be a Harmonic, a SumOfHarmonics or a SourceVoltage, but "
+                f"{_checks.show(self.signal)} was given."
+            )
+
+    def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
+        """The signal with phases drawn by `key`, from ``jax.random.key(seed)``; `t1` does not matter."""
+        return self.realised(key_words(key), jnp.result_type(float))
+
+    def realised(self, words: KeyWords, dtype) -> Signal:
+        """The signal with phases drawn by the two key words."""
+        if isinstance(self.signal, SumOfHarmonics):
+            first = jnp.asarray(_FIRST_PHASE, jnp.uint32)
+            numbers = first + jnp.arange(len(self.signal.amplitudes), dtype=jnp.uint32)
+            phases = _angle(random_words(words, numbers)[0], dtype)
+            return SumOfHarmonics(self.signal.amplitudes, self.signal.angular_frequencies, phases, self.signal.offset)
+        phase = _angle(random_words(words, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
+        return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
+
+
+class Uniform(eqx.Module):
+    """An initial value that is uniform on ``[low, high]``, independent in every sample of an ensemble.
+
+    Raises ValueError unless `low` and `high` are finite and ``low < high``.
+    """
+
+    low: Scalar
+    high: Scalar
+
+    def __check_init__(self):
+        _checks.numeric("low", self.low)
+        _checks.numeric("high", self.high)
+        if not (_checks.is_traced(self.low) or _checks.is_traced(self.high)) and not self.low < self.high:
+            raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
+
+
+def realised_state(y0: tuple[Any, ...], words: KeyWords, dtype) -> tuple[Array, ...]:
+    """The initial state of the sample whose key has the two words `words`."""
+
+    def draw(index, value):
+        if not isinstance(value, Uniform):
+            return jnp.asarray(value, dtype)
+        high, _ = random_words(words, jnp.asarray(_FIRST_STATE + index, jnp.uint32))
+        return value.low + (value.high - value.low) * uniform(high, dtype)
+
+    return tuple(draw(index, value) for index, value in enumerate(y0))
+
+
+def _angle(words: Array, dtype) -> Array:
+    return 2 * np.pi * uniform(words, dtype)

@@ -1,0 +1,79 @@
+"""Recorded motions: values at given times, joined by straight lines."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._types import AnyArray, FloatArray
+from .segments import PieceLaw
+
+
+class Recorded(PieceLaw):
+    """A recorded signal: `values` at `times`, linear in between.
+
+    - `times`: s, increasing, the first one 0, (points,), at least 2.
+    - `values`: as many; m/s for a base velocity, N for a force.
+
+    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    """
+
+    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
+    values: AnyArray = eqx.field(converter=lambda v: _array("values", v))
+    is_random = False
+    jumps = False
+
+    def __check_init__(self):
+        check_times("values", self.times, self.values)
+
+    @property
+    def duration(self):
+        """The last of `times`, s."""
+        return self.times[-1]
+
+    def value(self, t: AnyArray | float) -> FloatArray:
+        """The signal at times `t` (s, any shape)."""
+        return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.values))
+
+    def pieces(self, t1) -> int:
+        return len(self.times)
+
+    def begin(self, words, dtype):
+        return ()
+
+    def draw(self, words, number, dtype):
+        times, values = jnp.asarray(self.times, dtype), jnp.asarray(self.values, dtype)
+        last = len(self.times) - 2
+        here = jnp.minimum(number.astype(jnp.int32), last)
+        duration = times[here + 1] - times[here]
+        slope = (values[here + 1] - values[here]) / duration
+        return jnp.where(number <= last, duration, 0), values[here], slope
+
+    def next_piece(self, memory, drawn, dtype):
+        return *drawn, ()
+
+
+def check_times(name: str, times: AnyArray, values: AnyArray) -> None:
+    """Check that `times` increase from 0 and that `values`, called `name`, are as many, at least 2."""
+    if np.shape(times) != np.shape(values) or len(times) < 2:
+        raise ValueError(
+            f"Arguments times and {name} must have the same length of at least 2, but they have shapes "
+            f"{np.shape(times)} and {np.shape(values)}."
+        )
+    if _checks.is_traced(times):
+        return
+    times = np.asarray(times)
+    if times[0] != 0:
+        raise ValueError(
+            f"Argument times must begin with 0, but its first entry is {times[0]}; subtract it to start the record "
+            "there."
+        )
+    if np.any(np.diff(times) <= 0):
+        at = int(np.argmax(np.diff(times) <= 0)) + 1
+        raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
+
+
+def _array(name: str, values: object) -> AnyArray:
+    _checks.numeric(name, values, ndim=1)
+    return values if isinstance(values, jax.Array) else np.asarray(values, float)

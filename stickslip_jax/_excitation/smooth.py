@@ -1,0 +1,230 @@
+"""Smooth signals: base velocities, forces and voltages that are known functions of time."""
+
+import abc
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .. import _checks
+from .._numerics.sharing import sincos
+from .._types import AnyArray, FloatArray, Scalar
+
+# Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+
+
+class Signal(eqx.Module):
+    """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
+
+    `shortest_period`: the shortest time (s) in which the signal goes up and down once, infinity for one that does not;
+    None where it is not known, and the step of a simulation must then be given.
+    """
+
+    @abc.abstractmethod
+    def value(self, t: FloatArray) -> FloatArray:
+        """The signal at time `t` (s, a scalar): m/s for a base velocity, N for a force."""
+
+    def rate(self, t: FloatArray) -> FloatArray:
+        """Its derivative with respect to time."""
+        return jax.jvp(self.value, (t,), (jnp.ones_like(t),))[1]
+
+    def curvature(self, t: FloatArray) -> FloatArray:
+        """Its second derivative."""
+        return jax.jvp(self.rate, (t,), (jnp.ones_like(t),))[1]
+
+    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
+        """Its integral from `t` to ``t + h`` (by 10-point Gauss-Legendre quadrature unless overridden)."""
+        nodes = t + h * jnp.asarray((_NODES + 1) / 2, jnp.result_type(t))
+        return h * jnp.sum(jax.vmap(self.value)(nodes) * jnp.asarray(_WEIGHTS / 2, jnp.result_type(t)))
+
+    @property
+    def shortest_period(self) -> Any:
+        return None
+
+
+class _Tones(Signal):
+    """What a harmonic and a sum of harmonics have in common."""
+
+    @property
+    @abc.abstractmethod
+    def tones(self) -> tuple[Any, Any, Any]:
+        """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
+
+    @property
+    @abc.abstractmethod
+    def mean(self) -> Scalar:
+        """What the signal swings about."""
+
+    def value(self, t: FloatArray) -> FloatArray:
+        return self.mean + _motion(self.tones, t)[0]
+
+    def rate(self, t: FloatArray) -> FloatArray:
+        return _motion(self.tones, t)[1]
+
+    def curvature(self, t: FloatArray) -> FloatArray:
+        return _motion(self.tones, t)[2]
+
+    def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
+        def one(amplitude, w, phase):
+            # sin(b) - sin(a) as a product: no cancellation for short steps.
+            return (amplitude * 2 / w * sincos(angle(w, h / 2, 0))[0] * sincos(angle(w, t + h / 2, phase))[1],)
+
+        return self.mean * h + added_up(one, self.tones)[0]
+
+
+@jax.jit
+def _motion(tones: tuple[Any, Any, Any], t: FloatArray) -> tuple[FloatArray, ...]:
+    """Value, rate and curvature, without an offset."""
+
+    def one(amplitude, w, phase):
+        sine, cosine = sincos(angle(w, t, phase))
+        return amplitude * cosine, -amplitude * w * sine, -amplitude * w * w * cosine
+
+    return added_up(one, tones)
+
+
+def angle(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
+    """``w t + phase``, rad."""
+    return jnp.asarray(w * t + phase, jnp.result_type(float, t))
+
+
+def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, Any]) -> tuple[FloatArray, ...]:
+    """``one(amplitude, angular_frequency, phase)``, numbers, added up over all tones.
+
+    A loop, so that what is compiled does not grow with their number.
+    """
+    if jnp.ndim(tones[1]) == 0:
+        return one(*tones)
+    shapes = jax.eval_shape(one, *(tone[0] for tone in tones))
+    start = tuple(jnp.zeros(shape.shape, shape.dtype) for shape in shapes)
+
+    def add(sums, tone):
+        return tuple(a + b for a, b in zip(sums, one(*tone), strict=True)), None
+
+    return lax.scan(add, start, tones)[0]
+
+
+class Harmonic(_Tones):
+    """``offset + amplitude cos(angular_frequency t + phase)``.
+
+    - `amplitude`, `offset`: m/s for a base velocity, N for a force. `angular_frequency`: rad/s, positive.
+    - `phase`: rad.
+
+    Raises ValueError for numbers that are not finite, or a frequency that is not positive.
+    """
+
+    amplitude: Scalar
+    angular_frequency: Scalar
+    phase: Scalar = 0.0
+    offset: Scalar = 0.0
+
+    def __check_init__(self):
+        _checks.numeric("amplitude", self.amplitude)
+        _checks.positive("angular_frequency", self.angular_frequency, "rad/s")
+        _checks.numeric("phase", self.phase)
+        _checks.numeric("offset", self.offset)
+
+    @property
+    def tones(self) -> tuple[Any, Any, Any]:
+        return self.amplitude, self.angular_frequency, self.phase
+
+    @property
+    def mean(self) -> Scalar:
+        return self.offset
+
+    @property
+    def shortest_period(self) -> Scalar:
+        return 2 * math.pi / self.angular_frequency
+
+
+class SumOfHarmonics(_Tones):
+    """``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
+
+    - `amplitudes`, `angular_frequencies` (rad/s, positive), `phases` (rad; default zeros): arrays (harmonics,).
+    - `offset`: a number.
+
+    Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
+    """
+
+    amplitudes: AnyArray = eqx.field(converter=lambda v: _array("amplitudes", v))
+    angular_frequencies: AnyArray = eqx.field(converter=lambda v: _array("angular_frequencies", v))
+    phases: Any = eqx.field(default=None, converter=lambda v: None if v is None else _array("phases", v))
+    offset: Scalar = 0.0
+
+    def __check_init__(self):
+        shapes = [np.shape(self.amplitudes), np.shape(self.angular_frequencies)]
+        shapes += [] if self.phases is None else [np.shape(self.phases)]
+        if len(set(shapes)) > 1 or shapes[0][0] == 0:
+            raise ValueError(
+                "Arguments amplitudes, angular_frequencies and phases must have the same length of at least 1, but "
+                f"they have shapes {', '.join(map(str, shapes))}."
+            )
+        _checks.numeric("offset", self.offset)
+        if not _checks.is_traced(self.angular_frequencies) and np.any(np.asarray(self.angular_frequencies) <= 0):
+            raise ValueError(
+                "Argument angular_frequencies must be positive (in rad/s), but "
+                f"{_checks.show(np.asarray(self.angular_frequencies))} was given; a constant part is the offset."
+            )
+
+    @property
+    def tones(self) -> tuple[Any, Any, Any]:
+        amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
+        phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
+        return amplitudes, jnp.asarray(self.angular_frequencies), phases
+
+    @property
+    def mean(self) -> Scalar:
+        return self.offset
+
+    @property
+    def shortest_period(self) -> Scalar:
+        frequencies = self.angular_frequencies
+        fastest = jnp.max(frequencies) if _checks.is_traced(frequencies) else float(np.max(np.asarray(frequencies)))
+        return 2 * math.pi / fastest
+
+
+class UserMotion(Signal):
+    """A base motion of the user's: any object with ``velocity(t)`` and ``acceleration(t)``.
+
+    It may have ``shortest_period`` (s) too; without it, give the step of the simulation. To differentiate with respect
+    to its parameters, make it a pytree (an ``equinox.Module``, say); an object of another kind is a constant.
+    """
+
+    motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
+
+    def value(self, t: FloatArray) -> FloatArray:
+        return self.motion.velocity(t)
+
+    def rate(self, t: FloatArray) -> FloatArray:
+        return self.motion.acceleration(t)
+
+    @property
+    def shortest_period(self) -> Any:
+        return getattr(self.motion, "shortest_period", None)
+
+
+class _Constant(eqx.Module):
+    """An object that is no pytree, as a pytree without leaves."""
+
+    held: Any = eqx.field(static=True)
+
+    def velocity(self, t: FloatArray) -> FloatArray:
+        return jnp.asarray(self.held.velocity(t))
+
+    def acceleration(self, t: FloatArray) -> FloatArray:
+        return jnp.asarray(self.held.acceleration(t))
+
+    @property
+    def shortest_period(self) -> Any:
+        return getattr(self.held, "shortest_period", None)
+
+
+def _array(name: str, values: Any) -> AnyArray:
+    _checks.numeric(name, values, ndim=1)
+    return values if isinstance(values, jax.Array) else np.asarray(values, float)

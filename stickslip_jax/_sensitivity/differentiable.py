@@ -1,0 +1,152 @@
+"""A statistic as a function of parameters, for objectives of one's own: its derivative is the corrected one."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._dynamics.lanes import Job, summarise
+from .._status import Status
+from .._types import Array
+from .counting import IntervalCounting
+from .estimators import RATE, counting_engine, counting_paths
+from .first_look import problem_of, reach_of, require_precision
+from .parameters import Path, with_numbers
+from .problem import Pilot, Problem, room_for
+from .sequences import Room, features_of, record_sequences
+from .statistic import OfTotals
+from .traces import traced
+
+_LANES = 256
+
+
+def differentiable(
+    statistic: Any,
+    system: Any,
+    law: Any,
+    *,
+    wrt: str | tuple[str, ...] | list[str],
+    t1: float,
+    samples: int,
+    key: Array | None = None,
+    y0: Any = None,
+) -> Callable[[Any], Array]:
+    """A function of the values of the parameters `wrt` that estimates `statistic`, to use under ``jax.jit``.
+
+    Call it with one number (`wrt` a name) or an array (as many as names). Differentiating it, in forward or reverse
+    mode, gives the derivative of the expectation, corrected for sticks born and lost as `sensitivity` does, and not
+    that of the simulated mean, which is piecewise smooth and whose slope is another. The random numbers are the same in
+    every call, so that the function has no noise from call to call; it has small jumps. Second derivatives do not
+    exist.
+
+    Arguments and errors as for `sensitivity`; the windows of the kernels are settled here, by the parameters of
+    `system` and `law`. `samples` is rounded up to a multiple of 256. NaN where no sample has what the statistic is of,
+    or one has far more sticks than those of the parameters given here.
+    """
+    problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
+    require_precision(problem)
+    rows, reach = -(-problem.samples // _LANES), reach_of(problem, pilot)
+    means = (_counted if problem.is_counted else _recorded)(problem, pilot, reach, rows)
+    estimate = _ratio(means, reach if problem.has_sudden_switches else None)
+    number = len(problem.parameters)
+
+    def of(values: Any) -> Array:
+        values = jnp.asarray(values, problem.dtype)
+        if values.shape != (() if isinstance(wrt, str) else (number,)):
+            raise ValueError(
+                f"Argument values must hold {'one number' if isinstance(wrt, str) else f'{number} numbers'}, one for "
+                f"each of {wrt}, but an array of shape {values.shape} was given."
+            )
+        return estimate(values.reshape(number))
+
+    return of
+
+
+# Means of numerator and denominator at parameter values; with the same values again for second argument, to
+# differentiate by these.
+Means = Callable[..., Array]
+
+
+def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
+    """The ratio of both means, whose derivative comes from theirs, all in one pass; with a `step` (a share of each
+    value), from central differences.
+    """
+
+    def slopes(values: Array, units: Array) -> Array:
+        """Of both means, by every value in these units, (values, 2)."""
+
+        def along(direction):
+            if step is not None:
+                return (means(values + step * direction) - means(values - step * direction)) / (2 * step)
+            return jax.jvp(lambda varied: means(values, varied), (values,), (direction,))[1]
+
+        return jax.vmap(along)(jnp.diag(units))
+
+    @jax.custom_jvp
+    def estimate(values):
+        above, below = means(values)
+        return above / below
+
+    @estimate.defjvp
+    def _(primals, tangents):
+        (values,), (moves,) = primals, tangents
+        above, below = means(values)
+        units = jnp.where(values == 0, 1, jnp.abs(values))
+        by_unit = slopes(values, units)
+        slope = (by_unit[:, 0] - above / below * by_unit[:, 1]) / below / units
+        return above / below, jnp.sum(slope * moves)
+
+    return estimate
+
+
+def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
+    """By counting lanes."""
+    assert isinstance(problem.statistic, OfTotals)
+    # One window, as wide as may be: which is best cannot be asked inside a compiled function.
+    engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [reach]))
+    weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
+    paths = counting_paths(problem)
+    has_likelihood = isinstance(engine, IntervalCounting) and engine.likelihood is not None
+    by_score: tuple[Path, ...] = (("likelihood", "rate"),) if has_likelihood and RATE in paths else ()
+    by = tuple(by_score[0] if by_score and path == RATE else path for path in paths)
+
+    def means(values: Array, varied: Array | None = None) -> Array:
+        here = with_numbers(engine, paths, values)
+        if by_score:
+            here = with_numbers(here, by_score, (values[paths.index(RATE)],))
+        if varied is not None:
+            here = with_numbers(here, by, varied)
+        job = Job(here, problem.words, np.uint32(0), np.int32(rows))
+        counted = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
+        done = counted.status == Status.FINISHED
+        sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
+        totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]
+        return weights @ jnp.stack([jnp.sum(leaf, dtype=problem.dtype) for leaf in totals])
+
+    return means
+
+
+def _recorded(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
+    """By recorded sequences."""
+    engine, paths, room = problem.engine(), problem.paths(), room_for(problem, pilot)
+    room = Room(2 * room.blocks, 2 * room.slots, 0 if problem.has_sudden_switches else 2 * room.edges)
+    reaches = np.array([reach])
+
+    def means(values: Array, varied: Array | None = None) -> Array:
+        here = traced(with_numbers(engine, paths, values if varied is None else varied), problem.fixed_start)
+
+        def chunk(first):
+            recorded = record_sequences(here, problem.words, first, lanes=_LANES, room=room, dtype=problem.dtype)
+            features = features_of(problem.statistic, here, recorded, reaches)
+            done = (recorded.status == Status.FINISHED)[:, None]
+            lost = jnp.any((recorded.sticks >= room.slots) | (recorded.edges > room.edges))
+            parts = jnp.where(done, features.parts + features.events[:, 0], 0)
+            return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
+
+        firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(_LANES)
+        return jnp.sum(lax.map(chunk, firsts), axis=0)
+
+    return means

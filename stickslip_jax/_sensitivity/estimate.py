@@ -1,0 +1,124 @@
+"""From means over realisations to sensitivities with standard errors (delta method)."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from .._numerics.moments import Moments
+from .._statistics.estimate import format_with_error
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensitivity:
+    """The derivative of one statistic with respect to one parameter.
+
+    - `value`, `value_error`: the statistic and its standard error, in `unit`.
+    - `derivative`, `standard_error`: of the expectation; `unit` by the parameter's, a pure number if `is_elasticity`.
+    - `pathwise`: the part that automatic differentiation of each trajectory gives, `event` the part of sticks born and
+      lost; they add up to `derivative`. NaN for finite differences, which know no parts.
+    - `parameter_value`, `method`, `samples` (finished ones, of `asked`).
+    - `sticks_in_window`: how many sticks, and near misses, the event part rests on (of finite differences: in how many
+      trajectories the number of sticks differs); `reach`: the relative change of the parameter over which it looked (of
+      finite differences: the step).
+    """
+
+    statistic: str
+    parameter: str
+    parameter_value: float
+    unit: str
+    value: float
+    value_error: float
+    derivative: float
+    standard_error: float
+    pathwise: float
+    event: float
+    is_elasticity: bool
+    method: str
+    samples: int
+    asked: int
+    sticks_in_window: int
+    reach: float
+
+    @property
+    def lanes_used(self) -> float:
+        """The share of all trajectories that reached ``t1`` and so entered the estimate."""
+        return self.samples / self.asked
+
+    def __str__(self) -> str:
+        what = "d log / d log" if self.is_elasticity else "d / d"
+        number = format_with_error(self.derivative, self.standard_error)
+        how = f" (central differences of {self.reach:.2g})" if self.method == "finite-difference" else ""
+        return f"{what} {self.parameter} of {self.statistic}: {number}{how}"
+
+
+class Sensitivities(Mapping[str, Sensitivity]):
+    """The sensitivities of one statistic with respect to several parameters, by name."""
+
+    def __init__(self, results: dict[str, Sensitivity]):
+        self._results = dict(results)
+
+    def __getitem__(self, name: str) -> Sensitivity:
+        return self._results[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._results)
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def __repr__(self) -> str:
+        return "\n".join(str(result) for result in self._results.values())
+
+
+class Gradient(NamedTuple):
+    """Of one parameter: value, derivative and pathwise part of a ratio of means, and the errors of the first two."""
+
+    value: float
+    value_error: float
+    derivative: float
+    standard_error: float
+    pathwise: float
+
+
+def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: float | None) -> Gradient:
+    """The derivative of ``a / b`` by a parameter, from the `moments` of rows ``[a, b, ...]``.
+
+    Columns `column` and the next hold the derivatives of a and b, `path_column` and the next their pathwise parts.
+    `log_by`: the parameter's value, for elasticities. Numbers that are not defined are NaN.
+    """
+    mean, covariance = moments.mean, moments.covariance_of_mean
+    a, b = mean[:2]
+    if moments.number == 0 or not b > 0:
+        return Gradient(*[math.nan] * 5)
+    value = float(a / b)
+    of_value = np.zeros(len(mean))
+    of_value[:2] = 1 / b, -value / b
+    derivative, of_derivative = _ratio_derivative(mean, column)
+    pathwise, _ = _ratio_derivative(mean, path_column)
+    if log_by is not None:
+        if value == 0:
+            return Gradient(0.0, _error(of_value, covariance), math.nan, math.nan, math.nan)
+        factor = log_by / value
+        of_derivative = factor * (of_derivative - derivative / value * of_value)
+        derivative, pathwise = factor * derivative, factor * pathwise
+    return Gradient(value, _error(of_value, covariance), derivative, _error(of_derivative, covariance), pathwise)
+
+
+def _ratio_derivative(mean: np.ndarray, column: int) -> tuple[float, np.ndarray]:
+    """``d (a/b)`` and its gradient by all means."""
+    (a, b), (da, db) = mean[:2], mean[column : column + 2]
+    value = a / b
+    derivative = (da - value * db) / b
+    gradient = np.zeros(len(mean))
+    gradient[0] = -db / b**2
+    gradient[1] = -derivative / b + value * db / b**2
+    gradient[column] = 1 / b
+    gradient[column + 1] = -value / b
+    return float(derivative), gradient
+
+
+def _error(gradient: np.ndarray, covariance: np.ndarray) -> float:
+    return math.sqrt(max(float(gradient @ covariance @ gradient), 0.0)) if np.all(np.isfinite(covariance)) else math.nan

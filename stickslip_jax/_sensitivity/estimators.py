@@ -1,0 +1,276 @@
+"""How a sensitivity problem is treated: counting lanes, recorded sequences, differences."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._dynamics.chunks import chunks_of
+from .._dynamics.lanes import Engine, Job
+from .._dynamics.switched.lanes import SwitchedEngine
+from .._excitation.laws import PoissonSwitching
+from .._status import Status
+from .._systems.own import is_own
+from .counting import IntervalCounting, Likelihood
+from .parameters import Parameter, Path, check_numbers, with_numbers
+from .problem import Pilot, Problem, lanes_and_rows, room_for, sequence_lanes
+from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
+from .sequences import Room
+from .statistic import OfTotals
+from .step_counting import TurnCounting
+from .traces import traced
+
+RATE: Path = ("law", "rate")
+_MOST_DOUBLINGS = 6  # of the room for a realisation
+
+
+class Columns(NamedTuple):
+    """Where a tally's rows hold the derivatives of numerator and denominator by one parameter, and the pathwise parts.
+
+    Of several windows, `derivative` has one column each, the widest first.
+    """
+
+    derivative: tuple[int, ...]
+    pathwise: int
+
+
+def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | None = None) -> tuple[Columns, ...]:
+    """Of rows that hold, after the two parts, the derivatives (paths, windows, 2) and the pathwise parts (paths, 2).
+
+    The first paths are those of the parameters; `pathwise`: whose pathwise parts are meant.
+    """
+    return tuple(
+        Columns(
+            tuple(2 + 2 * (index * windows + window) for window in range(windows)),
+            2 + 2 * (paths * windows + (index if pathwise is None else pathwise[index])),
+        )
+        for index in range(parameters)
+    )
+
+
+def counted(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
+    """All parameters by counting lanes, with windows of all `reaches`; without any, one that sees no event."""
+    engine = counting_engine(problem, pilot, reaches)
+    paths, number = list(counting_paths(problem)), len(problem.parameters)
+    pathwise = list(range(number))
+    for index, path in enumerate(problem.paths()):
+        if path == RATE and isinstance(engine, IntervalCounting) and engine.likelihood is not None:
+            # Its derivative from the likelihood, and beside it the pathwise one.
+            paths[index] = ("likelihood", "rate")
+            pathwise[index] = len(paths)
+            paths.append(RATE)
+    tally = _run_counting(problem, engine, tuple(paths))
+    return tally, _columns(number, max(1, len(reaches)), len(paths), pathwise)
+
+
+def counting_engine(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> IntervalCounting | TurnCounting:
+    """The engine that counts; without `reaches`, for pathwise derivatives only."""
+    reaches = np.asarray(reaches, problem.dtype)
+    if not problem.by_intervals:
+        turns = problem.engine()
+        assert isinstance(turns, SwitchedEngine)
+        return TurnCounting(turns, reaches, problem.fixed_start)
+    likelihood = None
+    if type(problem.law) is PoissonSwitching:
+        likelihood = Likelihood(problem.law.rate, pilot.stick_time, pilot.sticks)
+    return IntervalCounting(
+        problem.system, problem.law, problem.t1, problem.y0, reaches, likelihood, problem.fixed_start
+    )
+
+
+def counting_paths(problem: Problem) -> tuple[Path, ...]:
+    """Where the parameters are in the engine that counts."""
+    return problem.paths() if problem.by_intervals else tuple(("turns", *path) for path in problem.paths())
+
+
+def _run_counting(problem: Problem, engine: IntervalCounting | TurnCounting, paths: tuple[Path, ...]) -> Tally:
+    """The problem's parts; columns: their derivatives by every path and window, and the pathwise parts of these."""
+    per_task, record = _counter(problem, engine, paths)
+
+    def simulate(first: int, number: int) -> Rows:
+        parts, slopes, pathwise, near, status = record(first, number)
+        return Rows.of(status, parts, slopes, pathwise, near[: len(problem.parameters)])
+
+    return run_chunks(simulate, problem.samples, per_task, problem.threads)
+
+
+def _counter(
+    problem: Problem, engine: IntervalCounting | TurnCounting, paths: tuple[Path, ...]
+) -> tuple[int, Callable[[int, int], Any]]:
+    """A function of a task's first sample and their number (at most the number given beside it).
+
+    It gives the parts (samples, 2), their derivatives (paths, samples, windows, 2), the pathwise parts of these
+    (paths, samples, 2), how many edges each window reached (paths, samples, windows), and status.
+    """
+    assert isinstance(problem.statistic, OfTotals)
+    lanes, rows, per_task = lanes_and_rows(problem)
+    weights = problem.statistic.weights(problem.t1)
+    units = units_of(engine, paths)[:, None]
+
+    def record(first: int, number: int) -> Any:
+        totals, (d_time, d_births, near), status = count_chunk[is_own(engine)](
+            engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)),
+            paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
+        )  # fmt: skip
+        totals = np.stack([_flat(leaf, number) for leaf in totals], axis=-1)
+        time, births = _flat(d_time, number) / units, [_flat(leaf, number) / units for leaf in d_births]
+        # The number of sticks of one trajectory does not change.
+        pathwise = time[..., None] * weights[:, 0]
+        slopes = [np.stack([time, born], axis=-1) @ weights[:, :2].T for born in births] or [pathwise]
+        slopes = np.stack(slopes, axis=2)
+        near = np.stack([_flat(leaf, number) for leaf in near], axis=-1) if near else np.zeros(slopes.shape[:3])
+        for index, path in enumerate(paths):
+            if path[0] == "likelihood":  # takes no window: it rests on all sticks
+                near[index] = totals[:, 1:]
+        parts = totals @ weights[:, :2].T + weights[:, 2]
+        return parts, slopes, pathwise, near, _flat(status, number).astype(int)
+
+    return per_task, record
+
+
+def recorded(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
+    """All parameters by recorded sequences, with windows of all `reaches`."""
+    parameters, units = len(problem.parameters), units_of(problem.engine(), problem.paths())[:, None, None]
+    record = _recorder(problem, room_for(problem, pilot), reaches)
+
+    def simulate(first: int, number: int) -> Rows:
+        features, slopes, status = record(first)
+        pathwise, events = (np.asarray(leaf, float)[:, :number] for leaf in (slopes.parts, slopes.events))
+        derivatives = (pathwise[:, :, None] + events) / units[..., None]
+        parts, near = np.asarray(features.parts, float)[:number], np.asarray(slopes.near, float)[:, :number]
+        return Rows.of(np.asarray(status)[:number], parts, derivatives, pathwise / units, near)
+
+    tally = run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
+    return tally, _columns(parameters, len(reaches), parameters)
+
+
+def _recorder(problem: Problem, room: Room, reaches: np.ndarray) -> Callable[[int], Any]:
+    """A function of a chunk's first sample: `Features`, their derivatives, status."""
+    engine = traced(problem.engine(), problem.fixed_start)
+
+    def record(first: int) -> Any:
+        def run(room: Room) -> Any:
+            features, slopes, (status, sticks, edges) = sequence_chunk(
+                problem.statistic, engine, np.asarray(reaches, problem.dtype), problem.words, np.uint32(first),
+                paths=problem.paths(), lanes=sequence_lanes(problem), room=room, dtype=problem.dtype,
+            )  # fmt: skip
+            return (features, slopes, status), status, sticks, edges
+
+        return _with_room(run, room)
+
+    return record
+
+
+def differenced(
+    problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool
+) -> tuple[Tally, tuple[Columns, ...]]:
+    """All parameters by central differences of every trajectory, of the given steps (shares of the parameter's size).
+
+    The same random numbers drive both ends. What the windows reached are trajectories whose number of sticks differs.
+    """
+    engine, paths = problem.engine(), problem.paths()
+    units = units_of(engine, paths)
+    values, per_task, pathwise_of = _by_totals(problem, pilot) if problem.is_counted else _by_sequences(problem, pilot)
+    pairs = [
+        (step * unit, *_ends(engine, path, parameter, step * unit))
+        for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
+        for step in steps
+    ]
+
+    def simulate(first: int, number: int) -> Rows:
+        def difference(length: float, *ends: Engine) -> Any:
+            (low, low_status, low_count), (high, high_status, high_count) = (values(end, first, number) for end in ends)
+            return (high - low) / (2 * length), np.maximum(low_status, high_status), low_count != high_count
+
+        parts, status, _ = values(engine, first, number)
+        differences, statuses, near = zip(*(difference(*pair) for pair in pairs), strict=True)
+        shape = (len(paths), len(steps), number)
+        slopes = np.moveaxis(np.reshape(differences, (*shape, 2)), 2, 1)
+        pathwise = pathwise_of(first, number) if with_pathwise else np.zeros((len(paths), number, 2))
+        near = np.moveaxis(np.reshape(near, shape), 2, 1).astype(float)
+        return Rows.of(np.max([status, *statuses], axis=0), parts, slopes, pathwise, near)
+
+    tally = run_chunks(simulate, problem.samples, per_task, problem.threads)
+    return tally, _columns(len(paths), len(steps), len(paths))
+
+
+# A function of an engine, a task's first sample and their number that gives the statistic's parts, status and number of
+# sticks; the largest number of samples of a task; a function of the other two that gives the pathwise derivatives.
+_Values = tuple[Callable[[Engine, int, int], Any], int, Callable[[int, int], np.ndarray]]
+
+
+def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
+    """What `differenced` calls, by lanes that keep totals."""
+    assert isinstance(problem.statistic, OfTotals)
+    lanes, rows, per_task = lanes_and_rows(problem)
+    weights = problem.statistic.weights(problem.t1)
+    _, pathwise_of = _counter(problem, counting_engine(problem, pilot, np.zeros(0)), counting_paths(problem))
+
+    def values(engine: Engine, first: int, number: int) -> Any:
+        job = Job(engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)))
+        results = chunks_of(engine).summarise(job, lanes=lanes, rows=rows, dtype=problem.dtype)
+        totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
+        return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
+
+    def pathwise(first: int, number: int) -> np.ndarray:
+        return pathwise_of(first, number)[2]
+
+    return values, per_task, pathwise
+
+
+def _by_sequences(problem: Problem, pilot: Pilot) -> _Values:
+    """The same by recorded sequences."""
+    lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
+    room = room_for(problem, pilot)._replace(edges=0)
+    record = _recorder(problem, room, np.zeros(0))
+
+    def values(engine: Engine, first: int, number: int) -> Any:
+        def run(room: Room) -> Any:
+            done = value_chunk(
+                problem.statistic, traced(engine, problem.fixed_start), problem.words, np.uint32(first),
+                lanes=lanes, room=room, dtype=problem.dtype,
+            )  # fmt: skip
+            return done, done[1], done[2], np.zeros(1)
+
+        parts, status, sticks = (np.asarray(leaf)[:number] for leaf in _with_room(run, room))
+        return parts.astype(float), status, sticks
+
+    def pathwise(first: int, number: int) -> np.ndarray:
+        return np.asarray(record(first)[1].parts, float)[:, :number] / units
+
+    return values, lanes, pathwise
+
+
+def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> list[Engine]:
+    """The engine with the parameter lower and higher. Raises ValueError where one of them is not allowed."""
+    ends = [with_numbers(engine, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
+    try:
+        for end in ends:
+            check_numbers(end)
+    except ValueError as error:
+        raise ValueError(
+            f"Argument step (or reach) must be smaller: {parameter.name} = {parameter.value:g} is to be varied by "
+            f"{length:g}, which it does not allow. {error}"
+        ) from error
+    return ends
+
+
+def _with_room(run: Callable[[Room], tuple[Any, Any, Any, Any]], room: Room) -> Any:
+    """What `run` gives with room for everything; it tells beside it status, sticks and edges of every sample."""
+    for _ in range(_MOST_DOUBLINGS):
+        done, status, sticks, edges = run(room)
+        cut = np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))
+        # One slot more than there are sticks: one may be put in.
+        needed = Room(room.blocks, 8 * -(-(int(np.max(sticks)) + 1) // 8), 8 * -(-int(np.max(edges)) // 8))
+        if needed.slots > room.slots or needed.edges > room.edges:
+            room = Room(room.blocks, max(needed.slots, room.slots), max(needed.edges, room.edges))
+        elif np.any(cut):
+            room = room._replace(blocks=2 * room.blocks)
+        else:
+            break
+    return done
+
+
+def _flat(leaf: Any, number: int) -> np.ndarray:
+    """The first samples of an array (..., rows, lanes)."""
+    return np.asarray(leaf, float).reshape(*np.shape(leaf)[:-2], -1)[..., :number]

@@ -1,0 +1,107 @@
+"""Where derivatives do not exist: all trajectories begin with an arc that exactly grazes; base speeds w = 1 and 2."""
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._dynamics.interval.engine import scales_of, start_motion
+from .._numerics.random_bits import random_words
+from .._types import Array
+from .edges import relative_excess
+from .parameters import Path, number_at, with_numbers
+from .problem import Problem
+
+_LANES = 64  # enough to meet every first velocity that is not rare
+_EXACTLY = 1e-9  # of the scale of the squared velocities, and of w
+
+
+def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
+    """Names of the parameters by which no derivative exists, with a RuntimeWarning about them."""
+    if not (problem.by_intervals and problem.fixed_start):
+        return ()
+    grazes, moved = _zeros(problem, _excess)
+    if moved:
+        warnings.warn(
+            f"The derivative with respect to {', '.join(moved)} does not exist: {np.mean(grazes):.0%} of the "
+            "trajectories begin with an arc that grazes the base velocity exactly, so that it makes a stick for "
+            "smaller changes of one sign and none for those of the other. It is given as NaN; change y0, or make it "
+            "random.",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+    return tuple(moved)
+
+
+def warn_at_special_speeds(problem: Problem, told: tuple[str, ...]) -> None:
+    """RuntimeWarning where a base speed is exactly ``a omega`` or twice that, and a parameter changes their ratio w.
+
+    There the circle on which the mass leaves a stick passes through special points of the phase plane, and the mean
+    number of sticks bends without end: differences grow as steps shrink. Not for parameters `told` of already.
+    """
+    if not problem.by_intervals:
+        return
+    found, moved = _zeros(problem, _from_special_speeds)
+    moved = [name for name in moved if name not in told]
+    if moved:
+        special = 1 if np.any(found[:, 0]) else 2
+        warnings.warn(
+            f"The dimensionless base speed w = speed / (a omega) is exactly {special}, where the mean number of "
+            f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
+            "is taken. The slope over about `reach` is given; see docs/sensitivity.md.",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _excess(engine: Any, words: Any, dtype: Any) -> Array:
+    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above. (lanes,)"""
+    scales = scales_of(engine.system, engine.t1, dtype)
+    motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
+    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(_velocities(engine, words, dtype))
+
+
+def _from_special_speeds(engine: Any, words: Any, dtype: Any) -> Array:
+    """``w - 1`` and ``w - 2`` of the first base speed, (lanes, 2); 1 for a base at rest."""
+    scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, words, dtype)[:, None]
+    w = jnp.abs(velocity) * scales.per_omega / scales.half_width
+    return jnp.where(velocity == 0, 1.0, w - jnp.array([1.0, 2.0], dtype))
+
+
+def _velocities(engine: Any, words: Any, dtype: Any) -> Array:
+    """The first base velocity of each lane, m/s."""
+
+    def of(high, low):
+        memory = engine.law.begin((high, low), dtype)
+        drawn = engine.law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
+        return engine.law.next_interval(memory, drawn, dtype)[1]
+
+    return jax.vmap(of)(*words)
+
+
+def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray, list[str]]:
+    """Where a function of the engine is exactly 0, and which parameters move it there."""
+    engine, dtype = problem.engine(), problem.dtype
+    words = random_words(problem.words, jnp.arange(_LANES, dtype=jnp.uint32))
+    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
+    # Compiled once, not launched operation by operation, which would take longer than the derivative.
+    found, slopes = _with_slopes(engine, words, values, function=function, paths=problem.paths(), dtype=dtype)
+    zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
+    moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
+    return zero, moved
+
+
+@partial(jax.jit, static_argnames=("function", "paths", "dtype"))
+def _with_slopes(
+    engine: Any, words: Any, values: Array, *, function: Callable[..., Array], paths: tuple[Path, ...], dtype: Any
+) -> tuple[Array, Array]:
+    """The function, and its derivatives by the parameters along a last axis."""
+
+    def of(values: Array) -> Array:
+        return function(with_numbers(engine, paths, values), words, dtype)
+
+    return of(values), jax.jacfwd(of)(values)

@@ -1,0 +1,135 @@
+"""One sensitivity problem: what to vary of which motion, and what a first look at it tells."""
+
+from typing import Any, NamedTuple
+
+from .._dynamics.engine_choice import ByIntervals, engine_for
+from .._dynamics.lanes import BLOCK, Engine
+from .._dynamics.method import EXACT
+from .._dynamics.switched.run import turns_for
+from .._dynamics.validation import checked_step
+from .._excitation.excitation import WithJumps
+from .._excitation.ground import GroundMotion
+from .._excitation.laws import BangBangLaw
+from .._excitation.random import RandomPhase, Uniform
+from .._excitation.smooth import Signal
+from .._types import Array
+from .parameters import Parameter, Path
+from .sequences import Room
+from .statistic import OfTotals, StickStatistic
+
+
+class Pilot(NamedTuple):
+    """What a first look at the motion tells: means of total stick time (s) and number of sticks; the largest number,
+    where single sticks matter.
+    """
+
+    stick_time: float
+    sticks: float
+    most: int | None
+
+
+class Problem(NamedTuple):
+    """What to find: the statistic of the system's motion under the law, and the parameters to vary."""
+
+    statistic: StickStatistic
+    system: Any
+    law: Any
+    t1: float
+    y0: tuple[Any, ...]
+    exact: Any
+    words: Array
+    parameters: tuple[Parameter, ...]
+    samples: int
+    threads: int
+    chunk: int | None
+    dtype: Any
+
+    @property
+    def fixed_start(self) -> bool:
+        """Whether all samples begin in the same state."""
+        return not any(isinstance(value, Uniform) for value in self.y0)
+
+    @property
+    def by_intervals(self) -> bool:
+        """Whether the closed forms over whole base intervals hold."""
+        return isinstance(engine_for(self.system, self.law, self.exact, self.t1), ByIntervals)
+
+    def in_closed_form(self) -> "Problem":
+        """The same problem without a solver, where none is needed.
+
+        Closed forms know which arcs cannot graze: those after a stick that a reversal of the base cut short.
+        """
+        closed = self._replace(exact=EXACT)
+        return closed if closed.by_intervals else self
+
+    @property
+    def has_sudden_switches(self) -> bool:
+        """Whether friction can hold more than slipping meets.
+
+        A mass that just touches the base velocity is then caught for a while or not at all: all that follows differs,
+        the state included, and there is no stick of no length.
+        """
+        return self.system.holds_more
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether nothing need be recorded."""
+        return self.statistic.is_of_totals
+
+    @property
+    def is_blind_to_events(self) -> bool:
+        """Whether sticks of no length change nothing: then there is no event part, unless switches are sudden."""
+        return isinstance(self.statistic, OfTotals) and self.statistic.is_blind_to_events
+
+    def engine(self) -> Engine:
+        """What simulates it, the fastest."""
+        engine = engine_for(self.system, self.law, self.exact, self.t1).lanes(self.y0, self.dtype)
+        assert isinstance(engine, Engine)
+        return engine
+
+    def paths(self) -> tuple[Path, ...]:
+        """Where the parameters are in the engine."""
+        return tuple(self._path(parameter.path) for parameter in self.parameters)
+
+    def _path(self, path: Path) -> Path:
+        if path[0] != "law" or self.by_intervals:
+            return path
+        where, rest = ("drive", "smooth"), path[1:]
+        if isinstance(self.law, BangBangLaw):
+            where = ("drive", "base", 0)
+        elif isinstance(self.law, GroundMotion):
+            where = ("drive", "ground", 0)
+        elif isinstance(self.law, WithJumps):  # of its two the smooth one is the drive's, and the jumps come last
+            where, rest = (where if path[1] == "motion" else ("drive", "base", -1)), path[2:]
+        elif not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
+            where = (*where, "motion")
+        return (*where, *rest)
+
+
+def room_for(problem: Problem, pilot: Pilot) -> Room:
+    """Enough for nearly every realisation; of others there is more when they come."""
+    assert pilot.most is not None
+    if problem.by_intervals:
+        intervals = problem.law.checked_capacity(problem.t1)
+    else:
+        drive, step = checked_step(problem.system, problem.law, problem.exact, problem.t1, "law")
+        intervals = turns_for(problem.system, drive, problem.t1, step)
+    slots = 8 * -(-pilot.most // 8) + 8
+    return Room(-(-intervals // BLOCK), slots, 2 * slots)
+
+
+def lanes_and_rows(problem: Problem) -> tuple[int, int, int]:
+    """In how many lanes and rows totals are found, as in an ensemble (`ensemble.py`), and the samples of a task."""
+    lanes, rows = 256, 32
+    fair = -(-_share(problem) // lanes) * lanes
+    return lanes, rows, min(fair, lanes * rows)
+
+
+def sequence_lanes(problem: Problem) -> int:
+    """In how many lanes a chunk is recorded."""
+    return min(512, max(64, 1 << (_share(problem) - 1).bit_length()))
+
+
+def _share(problem: Problem) -> int:
+    share = -(-problem.samples // problem.threads)
+    return share if problem.chunk is None else min(share, problem.chunk)

@@ -1,0 +1,176 @@
+"""Chunks of realisations with derivatives: compiled functions, and the threads that call them."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._dynamics.lanes import Job, summarise
+from .._numerics.compiling import CompiledNatively
+from .._numerics.moments import Moments
+from .._status import Status
+from .._types import AnyInteger, Array
+from .counting import IntervalCounting
+from .parameters import Path, number_at, with_numbers
+from .sequences import Room, features_of, record_sequences
+from .statistic import StickStatistic
+from .step_counting import TurnCounting
+from .traces import TracedIntervals, TracedTurns
+
+
+class Rows(NamedTuple):
+    """Of each sample: status (samples,); what moments are taken of (samples, columns); how many edges each window
+    reached (parameters, samples, windows).
+    """
+
+    status: np.ndarray
+    columns: np.ndarray
+    near: np.ndarray
+
+    @classmethod
+    def of(
+        cls, status: np.ndarray, parts: np.ndarray, slopes: np.ndarray, pathwise: np.ndarray, near: np.ndarray
+    ) -> "Rows":
+        """Columns: numerator and denominator `parts` (samples, 2), their derivatives `slopes` (parameters, samples,
+        windows, 2), the pathwise parts of these (parameters, samples, 2).
+        """
+        columns = (np.moveaxis(leaf, 1, 0).reshape(len(parts), -1) for leaf in (slopes, pathwise))
+        return cls(status, np.concatenate([parts, *columns], axis=1), near)
+
+
+class Tally(NamedTuple):
+    """Sums over samples: moments of the columns of the finished ones, of both halves of them (every other one), and
+    what the windows reached (parameters, windows).
+    """
+
+    halves: tuple[Moments, Moments]
+    near: np.ndarray
+
+    @classmethod
+    def of(cls, rows: Rows) -> "Tally":
+        """The sums of one chunk."""
+        done = rows.status == Status.FINISHED
+        first, second = (Moments.of(rows.columns[half::2][done[half::2]]) for half in (0, 1))
+        return cls((first, second), rows.near[:, done].sum(axis=1))
+
+    @property
+    def moments(self) -> Moments:
+        """Of all."""
+        return self.halves[0].merge(self.halves[1])
+
+    def merge(self, other: "Tally") -> "Tally":
+        """The sums of both."""
+        first, second = (one.merge(two) for one, two in zip(self.halves, other.halves, strict=True))
+        return Tally((first, second), self.near + other.near)
+
+
+def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Tally:
+    """Call ``simulate(first, number)`` for all samples; what comes out does not depend on `threads`."""
+    firsts = range(0, samples, per_chunk)
+    with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
+        tallies = pool.map(lambda first: Tally.of(simulate(first, min(per_chunk, samples - first))), firsts)
+        total = next(tallies)
+        for tally in tallies:
+            total = total.merge(tally)
+    return total
+
+
+def derivatives_of(
+    function: Callable[[Array], tuple[Any, Any]], engine: Any, paths: tuple[Path, ...], dtype: Any
+) -> Any:
+    """Value of `function` of the engine's numbers at `paths`, its derivatives by each, along a first axis, and its
+    other output. All in one pass: the motion is followed once.
+
+    The numbers are varied in units of their own size (1 where it is 0), so that kernels reach as far for large
+    parameters as for small ones.
+    """
+    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
+    units = jnp.where(values == 0, 1, jnp.abs(values))
+
+    def along(direction):
+        return jax.jvp(function, (values,), (direction,), has_aux=True)
+
+    return jax.vmap(along, out_axes=(None, 0, None))(jnp.diag(units))
+
+
+def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
+    """What `derivatives_of` varies the numbers at `paths` in."""
+    return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
+
+
+def _count(
+    engine: IntervalCounting | TurnCounting,
+    words: Array,
+    first: AnyInteger,
+    used_rows: AnyInteger,
+    *,
+    paths: tuple[Path, ...],
+    lanes: int,
+    rows: int,
+    dtype: Any,
+) -> tuple[Any, Any, Any]:
+    """Total stick time and number of sticks (rows, lanes); the derivatives by the numbers at `paths` of stick time,
+    births and what was near (paths, rows, lanes), the last two for each window; status (rows, lanes).
+    """
+
+    def run(values):
+        job = Job(with_numbers(engine, paths, values), words, first, used_rows)
+        counted = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
+        return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
+
+    (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
+    return (time, sticks), slopes, status
+
+
+def _sequence(
+    statistic: StickStatistic,
+    engine: TracedIntervals | TracedTurns,
+    reaches: Array,
+    words: Array,
+    first: Array,
+    *,
+    paths: tuple[Path, ...],
+    lanes: int,
+    room: Room,
+    dtype: Any,
+) -> Any:
+    """`Features`; their derivatives by the numbers at `paths`, along a first axis: pathwise parts, event parts and what
+    the windows reached; status, number of sticks, number of edges (lanes,).
+    """
+
+    def run(values):
+        varied = with_numbers(engine, tuple(("engine", *path) for path in paths), values)
+        recorded = record_sequences(varied, words, first, lanes=lanes, room=room, dtype=dtype)
+        features = features_of(statistic, varied, recorded, reaches)
+        return features, (recorded.status, recorded.sticks, recorded.edges)
+
+    return derivatives_of(run, engine.engine, paths, dtype)
+
+
+def _values(
+    statistic: StickStatistic,
+    engine: TracedIntervals | TracedTurns,
+    words: Array,
+    first: Array,
+    *,
+    lanes: int,
+    room: Room,
+    dtype: Any,
+) -> Any:
+    """Parts (lanes, 2), status and number of sticks (lanes,). `room` has none for edges."""
+    recorded = record_sequences(engine, words, first, lanes=lanes, room=room, dtype=dtype)
+    return features_of(statistic, engine, recorded, np.zeros(0)).parts, recorded.status, recorded.sticks
+
+
+_COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
+# Native loops and wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
+count_chunk = {
+    True: CompiledNatively(_count, _COUNT_STATIC, compiler_options={"xla_cpu_prefer_vector_width": 512}),
+    False: jax.jit(_count, static_argnames=_COUNT_STATIC),
+}
+_ROOM = ("statistic", "lanes", "room", "dtype")
+value_chunk = jax.jit(_values, static_argnames=_ROOM)
+sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_ROOM))

@@ -1,0 +1,109 @@
+"""Sticks counted while any motion is followed turn by turn: what `counting.py` does where closed forms are known.
+
+In most turns nothing is near. Those in which something may be are set aside for a block, and looked at together.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from .._dynamics.lanes import Engine
+from .._dynamics.switched.lanes import SwitchedEngine
+from .._events.records import StickRecord
+from .._status import Ending
+from .._types import AnyArray, Array, BoolArray, FloatArray
+from .counting import Counted, Flux
+from .kernels import crossing, ending, hits, through
+from .traces import Trace, TracedTurns
+
+
+class _Lanes(NamedTuple):
+    """The state of every lane; `certain` (s): until when nothing in it is random."""
+
+    turns: Any
+    certain: FloatArray
+    flux: Flux
+
+
+class TurnCounting(Engine):
+    """What `turns` simulates, counted; `reaches` and `fixed_start` as for `IntervalCounting`.
+
+    Without `reaches` only the pathwise derivatives are found.
+    """
+
+    turns: SwitchedEngine
+    reaches: AnyArray
+    fixed_start: bool = eqx.field(static=True)
+
+    @property
+    def _traced(self) -> TracedTurns:
+        return TracedTurns(self.turns, self.fixed_start)
+
+    def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
+        turns, certain = self._traced.begin(words, dtype)
+        return _Lanes(turns, certain, Flux.none(len(self.reaches), dtype))
+
+    def advance(self, state: _Lanes, dtype, room: Any, slot: Array | int) -> tuple[_Lanes, Any]:
+        turns, trace = self._traced.advance(state.turns, dtype, with_edges=len(self.reaches) > 0)
+        flux = state.flux if trace.moments is None else self._with_flux(state, trace)
+        return _Lanes(turns, state.certain, flux), room
+
+    def ended(self, state: _Lanes) -> BoolArray:
+        return self._traced.ended(state.turns)
+
+    def results(self, state: _Lanes) -> Counted:
+        totals = self.turns.results(state.turns.turns)
+        return Counted(totals.status, totals.stick_time, totals.sticks, *state.flux)
+
+    def _with_flux(self, state: _Lanes, trace: Trace) -> Flux:
+        """The flux with what came through the edges of a block."""
+        reaches = jnp.asarray(self.reaches, state.certain.dtype)
+        flux = self._from_start(state, trace.sticks, reaches)
+        assert trace.may_be_near is not None
+        turns, lanes = trace.may_be_near.shape
+        found = jnp.cumsum(trace.may_be_near.reshape(-1))
+        moments = jax.tree.map(lambda leaf: leaf.reshape(turns * lanes, *leaf.shape[2:]), trace.moments)
+
+        def some_more(carry):
+            done, flux = carry
+            wanted = done + jnp.arange(1, lanes + 1)
+            at = jnp.minimum(jnp.searchsorted(found, wanted), turns * lanes - 1)
+            lane, exists = at % lanes, wanted <= found[-1]
+            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], (state.turns.turns.smooth, state.certain))
+            edges = self._traced.edges_of(jax.tree.map(lambda leaf: leaf[at], moments), smooth)
+            edges = edges.only(exists & (edges.time >= certain), exists)
+
+            def add(kept, both_sides, one_side):
+                return tuple(_put(so_far, lane, through(edges, reach, both_sides, one_side))
+                             for so_far, reach in zip(kept, reaches, strict=True))  # fmt: skip
+
+            return done + lanes, Flux(add(flux.births, crossing, ending), add(flux.near, hits, hits))
+
+        return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), flux))[1]
+
+    def _from_start(self, state: _Lanes, sticks: StickRecord, reaches: Array) -> Flux:
+        """The flux with what sticks from t = 0 that may fall to nothing add."""
+
+        def add(flux, stick):
+            is_random = (state.certain == 0) | (stick.ending == Ending.BASE_SWITCHED)
+            may_vanish = (stick.ending >= 0) & (stick.start == 0) & (stick.ending != Ending.HORIZON) & is_random
+            duration = stick.end - stick.start
+            births, near = (
+                tuple(kernel(duration, reach, may_vanish) for reach in reaches) for kernel in (ending, hits)
+            )
+            return jax.tree.map(jnp.add, flux, Flux(births, near)), None
+
+        return lax.scan(add, state.flux, sticks)[0]
+
+
+def _put(so_far: Array, lane: Array, more: Array) -> Array:
+    """`so_far` (lanes,) with each of `more` added to its lane. (XLA makes no native loop of a scatter.)"""
+
+    def one(i, kept):
+        new = lax.dynamic_index_in_dim(kept, lane[i], keepdims=False) + more[i]
+        return lax.dynamic_update_index_in_dim(kept, new, lane[i], 0)
+
+    return lax.fori_loop(0, len(lane), one, so_far)

@@ -1,0 +1,346 @@
+"""The edges of a stick's existence for any system, one turn of the switched engine's loop at a time.
+
+While a mode lasts its guard is positive (`dynamics.switched_engine`). Where the guard falls and turns up again it has
+a lowest value, which tells how far the arc was from touching zero; where it does fall through zero, following the same
+flow beyond tells the same, with the other sign. So the lowest value is smooth through 0 and known on both sides.
+
+What is looked for is found without derivatives (`_places`); the derivatives come from one look at what is there
+(`_at`).
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._dynamics.switched.engine import Lane, Streams, next_feeds
+from .._excitation.segments import Feed
+from .._numerics.primal import without_derivatives
+from .._numerics.roots import steepest_fall
+from .._numerics.sharing import sharing
+from .._systems.switched_model import Pieces, State, SwitchedModel
+from .._types import BoolArray, FloatArray
+from .edges import Edges, Number
+
+_NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a lowest value nearer to 0 is 0 by construction
+_FAR = 0.5  # of the guard's scale: no kernel reaches so far
+# How a flow is followed, in time steps: so far altogether, then a few tries between the last two places.
+_STEPS, _TRIES = np.linspace(0.5, 1.5, 12), 5
+_JUST_AFTER, _SOON = 0.05, 4.0  # time steps; no kernel reaches further in time either
+
+
+class Moment(NamedTuple):
+    """A turn of the loop: time, state, sign and pieces under way at its beginning; the first three at its end.
+
+    `crossed`: when the slip began, if it began as the mass crossed the base velocity; else negative (s).
+    """
+
+    t: FloatArray
+    y: State
+    sign: FloatArray
+    feeds: tuple[Feed, ...]
+    end: FloatArray
+    y_end: State
+    sign_end: FloatArray
+    crossed: FloatArray
+
+    @classmethod
+    def of(cls, before: Lane, after: Lane, crossed: FloatArray) -> "Moment":
+        """The turn that led from `before` to `after`."""
+        return cls(before.t, before.y, before.sign, before.feeds, after.t, after.y, after.sign, crossed)
+
+
+class _Turn(NamedTuple):
+    """What happened in a turn, its length, and when the piece of the drive under way ends, or the time (both s)."""
+
+    tau: FloatArray
+    stop: FloatArray
+    has_event: BoolArray  # the mode was switched, by nothing from outside
+    crosses: BoolArray  # the mass crossed the base velocity, and friction nearly held it, or could have
+    dips: BoolArray  # what tells of a graze fell and turned up again
+    fall: FloatArray  # where it fell then, a fraction of the turn
+    falls: BoolArray  # the guard was falling when the piece ended, and soon to be zero
+    rise: FloatArray  # the slope at the end
+
+    @property
+    def may_be_near(self) -> BoolArray:
+        """Whether anything can be: in all other turns nothing is."""
+        return self.has_event | self.crosses | self.dips | self.falls
+
+
+class _Place(NamedTuple):
+    """A place on a flow, s after its beginning; whether it is what was looked for; how fast that changes there."""
+
+    tau: FloatArray
+    found: BoolArray
+    rate: FloatArray
+
+
+class _Look(NamedTuple):
+    """What a look at a place shows: the time and state there, the guard and its slope."""
+
+    t: FloatArray
+    y: State
+    value: FloatArray
+    slope: FloatArray
+
+
+def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
+    """`Moment.crossed` for the turn after `moment`."""
+    ends = [(law.jumps, feed.piece.end) for law, feed in zip(streams.all, moment.feeds, strict=True)]
+    crosses = (moment.sign != 0) & (moment.sign_end == -moment.sign) & (moment.end < _stop(t1, moment))
+    jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(moment.end >= end for jumps, end in ends if jumps)]))
+    goes_on = (moment.sign_end == moment.sign) & ~jumped
+    return jnp.where(crosses, moment.end, jnp.where(goes_on, moment.crossed, -1))
+
+
+@sharing
+def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> BoolArray:
+    """Whether the turn has edges to look for."""
+    return _turn(*without_derivatives((model, streams, t1, step, moment))).may_be_near
+
+
+@sharing
+def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> Edges:
+    """The edges of one turn that may have some."""
+    still, calm, fixed = without_derivatives((model, streams, moment))
+    turn, sticking = _turn(still, calm, lax.stop_gradient(t1), lax.stop_gradient(step), fixed), moment.sign == 0
+    pieces = streams.pieces(moment.feeds)
+    # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
+    start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
+    places = _places(still, calm.pieces(fixed.feeds), without_derivatives(start), fixed, turn, lax.stop_gradient(step))
+    looks = _at(model, pieces, start, places.tau)
+
+    def of(flow: int) -> Any:
+        return jax.tree.map(lambda leaf: leaf[flow], (places, looks))
+
+    (here, then), (across, then_across) = of(0), of(1)
+    grazing, nearest = _grazing(model, pieces, moment, turn, here, then)
+    would, is_late = _late(model, pieces, fixed, turn, here, then)
+    happens, is_undone = jnp.where(turn.has_event, moment.end, would), _is_undone(still, calm, fixed, turn)
+    at_horizon = turn.stop >= t1
+    # No stick begins after t1; a slip after t1 parts none.
+    horizon = Number(t1 - happens, (turn.has_event | (is_late & at_horizon)) & ~sticking)
+    # Times at which pieces end move with the parameters, unlike `turn`.
+    race = Number(_stop(t1, moment) - happens, (turn.has_event | is_late) & is_undone & ~at_horizon)
+    time = jnp.where(turn.has_event | turn.crosses, fixed.end, jnp.where(is_late, turn.stop, nearest))
+    return Edges(
+        time=lax.stop_gradient(time),
+        exists=turn.has_event,
+        is_slip=sticking,
+        grazing=grazing,
+        race=race,
+        horizon=horizon,
+        crossing=_crossing(model, pieces, moment, turn, across, then_across),
+    )
+
+
+def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> _Turn:
+    sticking = moment.sign == 0
+    tau = moment.end - moment.t
+    stop = _stop(t1, moment)
+    inputs = model.inputs(moment.t, streams.pieces(moment.feeds))
+
+    def measured(tau, y):
+        s, d = model.guard(inputs, tau, y, moment.sign)
+        return s, d, *_measure(s, d, tau + _lag(moment), _after_crossing(moment))
+
+    s, d, q, dq = jax.vmap(measured)(*_stacked((jnp.zeros_like(tau), moment.y), (tau, moment.y_end)))
+    fall = steepest_fall(q[0], dq[0] * tau, q[1], dq[1] * tau)
+    fall = jnp.where(_after_crossing(moment) & (moment.t <= moment.crossed), _JUST_AFTER, fall)
+    taken = (moment.t < t1) & (tau > 0)
+    inside = taken & (moment.end < stop)
+    has_event = inside & ((moment.sign_end == 0) != sticking)
+    crosses = inside & ~sticking & (moment.sign_end == -moment.sign)
+    held, _ = model.guard(model.inputs(moment.end, streams.pieces(moment.feeds)), 0 * tau, moment.y_end, 0 * tau)
+    crosses = crosses & (jnp.abs(held) < _FAR)
+    dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
+    falls = taken & (moment.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step * d[1])
+    return _Turn(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
+
+
+def _stop(t1: FloatArray, moment: Moment) -> FloatArray:
+    return jnp.min(jnp.stack([t1, *(feed.piece.end for feed in moment.feeds)]), axis=0)
+
+
+def _after_crossing(moment: Moment) -> BoolArray:
+    """Whether the turn is of a slip that began as the mass crossed the base velocity."""
+    return (moment.crossed >= 0) & (moment.sign != 0)
+
+
+def _lag(moment: Moment) -> FloatArray:
+    """How long ago that was when the turn began, s."""
+    return jnp.where(_after_crossing(moment), moment.t - moment.crossed, 0)
+
+
+def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """What is lowest where the guard `s`, of slope `d`, grazes, and its slope: itself, or its ratio to its `age`.
+
+    A slip that has just begun grazes, and is over, in a place that soon becomes an inflection and is lost if things are
+    a little different. The ratio has its lowest value there still; both fall through zero together.
+    """
+    age = jnp.where(is_ratio & (age > 0), age, 1)
+    return jnp.where(is_ratio, s / age, s), jnp.where(is_ratio, (d * age - s) / (age * age), d)
+
+
+def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign: FloatArray) -> State:
+    # What is not chosen must stay finite: see `advance`.
+    slid = model.slip(inputs, y, jnp.where(sign == 0, 0, length), sign)
+    return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
+
+
+def _places(model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, turn: _Turn, step: FloatArray) -> _Place:
+    """The places (2,) that tell how near something was, on both flows.
+
+    On that of the turn: where the guard (see `_measure`) turns up, in the turn or beyond the event that ended it; of a
+    turn that was cut short by the end of a piece, where the guard would have come to zero. On that of a mass which
+    crosses the base velocity: the same, for the slip that begins there.
+    """
+
+    def look(t0, y0, sign, is_across):
+        lag, is_ratio = jnp.where(is_across, 0, _lag(moment)), is_across | _after_crossing(moment)
+
+        def goal(tau, s, d):
+            """Negative before the place, positive after it."""
+            return jnp.where(turn.falls & ~is_across, -s, _measure(s, d, lag + tau, is_ratio)[1])
+
+        first = jnp.where(is_across, _JUST_AFTER * step, jnp.where(turn.dips, turn.fall, 1) * turn.tau)
+        longest = jnp.where(sign == 0, step, model.step_limit(jnp.full_like(step, jnp.inf), step, y0, sign))
+
+        @sharing
+        def go_on(carry, share):
+            before, after, y = carry
+            # Beyond: a step further. Between two places: where the line through their values is zero.
+            to = before.tau + jnp.where(after.found, _between(before, after), jnp.nan_to_num(share) * longest)
+            to = jnp.where(jnp.isnan(share), first, to)
+            inputs = model.inputs(t0 + before.tau, pieces)
+            ahead = _flow(model, inputs, y, to - before.tau, sign)
+            value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
+            # What is over at the first place cannot come to an end after it.
+            new, is_before = _Side(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
+            before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
+            return (before, after, _either(is_before, ahead, y)), None
+
+        none, no, yes = jnp.zeros_like(step), jnp.zeros((), bool), jnp.ones((), bool)
+        inside = turn.dips & ~is_across
+        ends = _Side(none, -(none + 1), none + 1, no), _Side(turn.tau, turn.rise, none + 1, inside & yes)
+        shares = jnp.asarray([np.nan, *_STEPS, *[0.0] * _TRIES], step.dtype)
+        (before, after, _), _ = lax.scan(go_on, (*ends, y0), shares)
+        length = after.tau - before.tau
+        rate = (after.value - before.value) / jnp.where(length > 0, length, 1)
+        found = before.found & after.found & (length > 0)
+        return _Place(jnp.where(found, before.tau + _between(before, after), before.tau), found, rate)
+
+    t0, y0, sign = start
+    return jax.vmap(look)(t0, y0, sign, jnp.array([False, True]))
+
+
+class _Side(NamedTuple):
+    """A place on one side of what is looked for, and the value there; its weight by the Illinois rule."""
+
+    tau: FloatArray
+    value: FloatArray
+    weight: FloatArray
+    found: BoolArray
+
+
+def _between(before: _Side, after: _Side) -> FloatArray:
+    """How far after the first of two places to look next: where the line through their weighted values is zero."""
+    a, b = before.value * before.weight, after.value * after.weight
+    return jnp.clip(a / jnp.where(a == b, 1, a - b), 0, 1) * (after.tau - before.tau)
+
+
+def _replaced(side: _Side, new: _Side, by_new: BoolArray) -> _Side:
+    """A side, or what is new there. One that stays counts for half from then on, so that both close in."""
+    stays = side._replace(weight=side.weight / 2)
+    return _Side(*(jnp.where(by_new, a, b) for a, b in zip(new, stays, strict=True)))
+
+
+def _at(model: SwitchedModel, pieces: Pieces, start: Any, tau: FloatArray) -> _Look:
+    """A look at the places `tau` (2,) on both flows."""
+    # A solver is not to be asked for steps longer than it takes.
+    steps = 1 if model.steps_may_be_long else len(_STEPS)
+
+    def look(t0, y0, sign, tau):
+        length = tau / steps
+
+        @sharing
+        def go_on(carry, _):
+            t, y = carry
+            return (t + length, _flow(model, model.inputs(t, pieces), y, length, sign)), None
+
+        (t, y), _ = lax.scan(go_on, (t0, y0), None, length=steps)
+        return _Look(t, y, *model.guard(model.inputs(t, pieces), jnp.zeros_like(t), y, sign))
+
+    t0, y0, sign = start
+    return jax.vmap(look)(t0, y0, sign, lax.stop_gradient(tau))
+
+
+def _grazing(
+    model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, here: _Place, then: _Look
+) -> tuple[Number, FloatArray]:
+    """Minus the lowest value, and when it is reached."""
+    fixed, is_ratio = lax.stop_gradient(moment), _after_crossing(moment)
+    # A Newton step more, along a parabola; where the lowest point is does not matter to first order.
+    bend = jnp.where(here.rate > 0, here.rate, 1)
+    shift = jnp.where(is_ratio, 0, -lax.stop_gradient(then.slope) / bend)
+    lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
+    when = lax.stop_gradient(then.t) + shift
+    scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(pieces)), fixed.y, fixed.sign)
+    size = jnp.abs(lowest)
+    near = (size > _NOISE[size.dtype.itemsize] * scale) & (size < _FAR * scale)
+    turns = (turn.dips | turn.has_event) & here.found & (here.rate > 0)
+    age = jnp.where(is_ratio & here.found, then.t - moment.crossed, 1)
+    return Number(-lowest / age, turns & near & (when < turn.stop)), when
+
+
+def _late(
+    model: SwitchedModel, pieces: Pieces, fixed: Moment, turn: _Turn, here: _Place, then: _Look
+) -> tuple[FloatArray, BoolArray]:
+    """When the mode would have been switched, had the piece not ended; whether it would."""
+    falls = turn.falls & here.found & (then.slope < 0)
+    slope = lax.stop_gradient(jnp.where(falls, then.slope, -1))
+    # The Newton step carries the derivative.
+    would = then.t - then.value / slope
+    there = model.inputs(lax.stop_gradient(would), lax.stop_gradient(pieces))
+    sticks = model.can_stick(there, model.on_base(there, lax.stop_gradient(then.y)))
+    return would, falls & ((fixed.sign == 0) | sticks)
+
+
+def _is_undone(model: SwitchedModel, streams: Streams, fixed: Moment, turn: _Turn) -> BoolArray:
+    """Whether what follows in the drive undoes a switch that comes just before it."""
+    if not streams.all:
+        return jnp.zeros_like(turn.falls)
+    following, jumped = next_feeds(streams, fixed.feeds, turn.stop, jnp.ones((), bool))
+    now = jnp.where(turn.has_event, fixed.end, turn.stop)
+    inputs = model.inputs(now, streams.pieces(following))
+    y = model.on_base(inputs, fixed.y_end)
+    _, rate = model.guard(inputs, jnp.zeros_like(now), y, jnp.zeros_like(now))
+    return jnp.where(fixed.sign == 0, ~jumped & (rate > 0), jumped | ~model.can_stick(inputs, y))
+
+
+def _crossing(model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, across: _Place, then: _Look) -> Number:
+    """How far friction is from being unable to hold an arrival near the far edge of what it can.
+
+    Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and soon
+    comes back, to stick, or does not: of one that is held, how nearly it would not is told by the slip that it would
+    begin. Of others their own slips tell.
+    """
+    fixed = lax.stop_gradient(moment)
+    inputs, nothing = model.inputs(moment.end, pieces), jnp.zeros_like(moment.end)
+    guard, rate = model.guard(inputs, nothing, moment.y_end, nothing)
+    other = model.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
+    near = (turn.has_event | turn.crosses) & (fixed.sign != 0) & other & (jnp.abs(guard) < _FAR)
+    returns = rate > 0
+    down = -then.value / jnp.where(across.found, across.tau, 1)
+    return Number(jnp.where(returns, down, guard), near & (~returns | (turn.has_event & across.found)))
+
+
+def _stacked(*trees: Any) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _either(first: BoolArray, one: State, other: State) -> State:
+    return tuple(jnp.where(first, a, b) for a, b in zip(one, other, strict=True))

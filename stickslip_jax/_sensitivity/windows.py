@@ -1,0 +1,72 @@
+"""Which of several windows to take: the widest that agrees with the narrower ones (Lepski's rule).
+
+An estimate that chooses its own window has a standard error too small. So each half of the samples chooses for the
+other: given the choice, the error is that of a fixed window.
+"""
+
+import math
+
+import numpy as np
+
+from .._numerics.moments import Moments
+from .estimate import Gradient, gradient_of_ratio
+from .estimators import Columns
+from .runs import Tally
+
+FEW = 100  # sticks: a window that holds no more tells too little to judge others by
+_AGREE = 2.0  # standard errors
+_TORN = 4.0  # standard errors: chance alone takes two windows so far apart once in 16,000 times
+
+
+def estimate(tally: Tally, where: Columns, near: np.ndarray, log_by: float | None) -> tuple[Gradient, int]:
+    """The derivative by one parameter, and the number of its window, the narrower one where both halves differ.
+
+    `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities.
+    """
+
+    def derivative(moments: Moments, window: int) -> Gradient:
+        return gradient_of_ratio(moments, where.derivative[window], where.pathwise, log_by)
+
+    halves = tally.halves
+    for_second, for_first = (_widest(half, where, near, _AGREE) for half in halves)
+    whole = derivative(tally.moments, max(for_first, for_second))
+    if for_first == for_second:
+        return whole, for_first
+    first, second = derivative(halves[0], for_first), derivative(halves[1], for_second)
+    share = halves[0].number / tally.moments.number
+    mixed = share * first.derivative + (1 - share) * second.derivative
+    error = math.hypot(share * first.standard_error, (1 - share) * second.standard_error)
+    return whole._replace(derivative=mixed, standard_error=error), max(for_first, for_second)
+
+
+def is_torn(tally: Tally, where: Columns, near: np.ndarray) -> bool:
+    """Whether even the two narrowest windows that hold enough disagree, by more than chance allows."""
+    usable = _usable(where, near)
+    return len(usable) > 1 and _widest(tally.moments, where, near, _TORN) == usable[-1]
+
+
+def _usable(where: Columns, near: np.ndarray) -> list[int]:
+    """The widest window, and all others that hold enough."""
+    return [window for window in range(len(where.derivative)) if window == 0 or near[window] >= FEW]
+
+
+def _widest(moments: Moments, where: Columns, near: np.ndarray, agree: float) -> int:
+    """The number of the widest window whose derivative is within so many standard errors of those of all narrower
+    ones.
+    """
+    usable = _usable(where, near)
+    mean, covariance = moments.mean, moments.covariance_of_mean
+    a, b = mean[:2]
+    if moments.number < 2 or not b > 0:
+        return usable[0]
+
+    def weights(window: int) -> np.ndarray:
+        of, column = np.zeros(len(mean)), where.derivative[window]
+        of[column : column + 2] = 1 / b, -a / b**2
+        return of
+
+    for number, window in enumerate(usable):
+        differences = [weights(window) - weights(narrower) for narrower in usable[number + 1 :]]
+        if all(abs(of @ mean) <= agree * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
+            return window
+    return usable[-1]

@@ -1,0 +1,118 @@
+"""One simulated trajectory: `Simulation`."""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .. import _checks
+from .._dynamics.method import Exact, Regularized
+from .._dynamics.path import Path
+from .._events.records import Totals
+from .._events.sticks import Slips, Sticks, slips_between
+from .._status import Status
+from .._systems.system import System
+from .._types import AnyArray, FloatArray, Scalar
+
+
+class Simulation(eqx.Module):
+    """One simulated trajectory on ``[0, t1]``.
+
+    - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).
+    - `stick_time`, `slip_time`: total, s. `stick_fraction`: share of ``[0, t1]``.
+    - `final_state`: (position m, velocity m/s), of a `MotorCart` (angle rad, angular velocity rad/s, current A), at
+      `time_reached`, which is ``t1`` if the trajectory is FINISHED.
+    - `status`: a `Status` code; 0 is FINISHED. Anything else: do not use the numbers.
+    - `doubts`: how often the last digits decided whether there was an event: the relative velocity (or the force that a
+      stick needs) turned round close to the edge, or just beyond it; the mass came to rest where friction could just
+      hold it; a jump of the base or the horizon came just before or after an event. Close means about 1e-9 of the scale
+      (float32: 1e-3). 0 where no time steps were made.
+    - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
+    - `switching_times`: the instants at which the base velocity jumps (or may; of a trajectory in time steps: at which
+      its steps begin), s.
+    - `system`, `base`, `t1`, `method`: what was simulated, and how; a `Regularized` method has its options filled in.
+    """
+
+    system: System
+    base: Any
+    t1: Scalar
+    method: Exact | Regularized
+    sticks: Sticks
+    totals: Totals
+    status: Int[Array, "*batch"]
+    time_reached: Float[Array, "*batch"]
+    final_state: tuple[Float[Array, "*batch"], ...]
+    doubts: Int[Array, "*batch"]
+    _path: Path
+
+    @property
+    def slips(self) -> Slips:
+        return slips_between(self.sticks, self.time_reached)
+
+    @property
+    def stick_time(self) -> Float[Array, "*batch"]:
+        return self.totals.stick_time
+
+    @property
+    def slip_time(self) -> Float[Array, "*batch"]:
+        return self.time_reached - self.totals.stick_time
+
+    @property
+    def stick_fraction(self) -> Float[Array, "*batch"]:
+        return self.totals.stick_time / self.t1
+
+    @property
+    def switching_times(self) -> Float[Array, "*batch intervals"]:
+        """The instants at which the base's intervals begin, s, as the simulation added them up; spare slots hold t1."""
+        return self._path.times
+
+    def evaluate(self, times: AnyArray | float) -> tuple[FloatArray, ...]:
+        """The state at `times` (s, any shape): position (m) and velocity (m/s), of a `MotorCart` angle (rad), angular
+        velocity (rad/s) and current (A). As exact as the simulation.
+
+        NaN outside ``[0, time_reached]``. Under ``jax.jit`` write ``jax.jit(lambda t: one.evaluate(t))``.
+        """
+        times = self._checked(times)
+        return _evaluate(self, times, len(self.final_state))
+
+    def base_velocity(self, times: AnyArray | float) -> FloatArray:
+        """Velocity of the base at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
+        times = self._checked(times)
+        return jax.vmap(self._path.base_velocity)(times.reshape(-1)).reshape(times.shape)
+
+    def _checked(self, times: AnyArray | float) -> Array:
+        _checks.numeric("times", times, ndim=None)
+        if np.ndim(self.status) > 0:
+            raise ValueError(
+                f"This is a batch of {np.shape(self.status)} simulations; evaluate one, or jax.vmap over them."
+            )
+        return jnp.asarray(times, self.sticks.start.dtype)
+
+    def __repr__(self) -> str:
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)) or np.ndim(self.status) > 0:
+            return f"Simulation(status={self.status}, sticks={self.sticks!r})"
+        status = Status(int(self.status))
+        if status != Status.FINISHED:
+            stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
+            return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
+        fraction = 100 * float(self.stick_fraction)
+        doubts = f", {int(self.doubts)} in doubt" if self.doubts else ""
+        return (
+            f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
+            f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{doubts}, "
+            f"stick fraction {fraction:.4g} %, {status.meaning}"
+        )
+
+
+@partial(jax.jit, static_argnums=2)
+def _evaluate(one: Simulation, times: FloatArray, size: int) -> tuple[FloatArray, ...]:
+    def at(time):
+        inside = (time >= 0) & (time <= one.time_reached)
+        return tuple(jnp.where(inside, value, jnp.nan) for value in one._path.state(time))
+
+    states = jax.vmap(at)(times.reshape(-1))
+    return tuple(value.reshape(times.shape) for value in states[:size])

@@ -1,0 +1,250 @@
+"""How one quantity is distributed: moments, quantiles, histogram, entropy, each with its standard error."""
+
+import dataclasses
+import math
+from functools import cached_property
+
+import numpy as np
+
+from .. import _checks
+from .._numerics.dyadic import DyadicCounts, joined_bins
+from .._numerics.power_sums import PowerSums
+from .clusters import Clusters
+from .estimate import Estimate
+
+DEFAULT_BINS = 50
+_REPEATS = 10  # neighbours at the same place that make an atom: chance does not bring so many together
+_WIDER, _DENSER = 32, 10  # nor so many more than around; where a density grows like the root's inverse it is 7 times
+_FAR_DENSER = 1000
+_MOST_SPACINGS = 100_000  # values that the entropy without bins is estimated from: its error is small by then
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Histogram:
+    """How many of `number` values fell between consecutive `edges`, (bins + 1,), and the density that this tells.
+
+    - `counts`, `density` (1/unit), `error`: its standard error; (bins,). The density times the bin width sums to 1.
+    """
+
+    edges: np.ndarray
+    counts: np.ndarray
+    density: np.ndarray
+    error: np.ndarray
+    number: int
+    unit: str
+
+    @property
+    def centres(self) -> np.ndarray:
+        """The middle of each bin, (bins,)."""
+        return (self.edges[1:] + self.edges[:-1]) / 2
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Distribution:
+    """How a quantity is distributed over `number` values of `samples` finished samples.
+
+    Sums and histograms are those of all values, merged exactly while they streamed by. Standard errors treat samples as
+    independent, not the values of one sample; they are measured on the samples retained. Where there is no value, or
+    (for errors) only one sample, a number is NaN.
+    """
+
+    name: str
+    unit: str
+    number: int
+    samples: int
+    smallest: float
+    largest: float
+    sums: PowerSums  # of this quantity alone: mean (1,)
+    bins: DyadicCounts
+    clusters: Clusters
+    round_off: float = 0.0  # values closer than this may be equal
+    is_whole: bool = False  # whether the values are whole numbers
+
+    @property
+    def mean(self) -> Estimate:
+        """The mean of all values."""
+        if self.number == 0:
+            return self._estimate("mean", math.nan, math.nan)
+        value = float(self.sums.mean[0])
+        return self._estimate("mean", value, self.clusters.error(self.clusters.values - value))
+
+    @property
+    def variance(self) -> Estimate:
+        """The variance of all values (over ``number - 1``), unit squared."""
+        value = float(self.sums.variance[0])
+        if math.isnan(value):
+            return self._estimate("variance", value, value, self._power(2))
+        deviation = self.clusters.values - self.sums.mean[0]
+        return self._estimate("variance", value, self.clusters.error(deviation**2 - value), self._power(2))
+
+    @property
+    def standard_deviation(self) -> Estimate:
+        """The root of the variance."""
+        variance = self.variance
+        value = math.sqrt(variance.value) if variance.value >= 0 else math.nan
+        error = variance.standard_error / (2 * value) if value > 0 else math.nan
+        return self._estimate("standard deviation", value, error)
+
+    @property
+    def skewness(self) -> Estimate:
+        """The third central moment over the cube of the standard deviation; NaN where all values are equal."""
+        value = float(self.sums.skewness[0])
+        if math.isnan(value):
+            return self._estimate("skewness", value, value, "1")
+        spread = math.sqrt(float(self.sums.scatter[0, 0]) / self.number)
+        z = (self.clusters.values - self.sums.mean[0]) / spread
+        influence = z**3 - value - 3 * z - 1.5 * value * (z**2 - 1)
+        return self._estimate("skewness", value, self.clusters.error(influence), "1")
+
+    def quantile(self, share: float) -> Estimate:
+        """The value that a `share` of all values does not exceed.
+
+        Read off a histogram of up to 8192 bins (1024 of a single order), linearly within a bin, so it is accurate to
+        `resolution`; of whole numbers it is exact. Its error comes from that of the share (Woodruff 1952).
+
+        Raises ValueError unless ``0 <= share <= 1``.
+        """
+        _checks.numeric("share", share)
+        if not 0 <= share <= 1:
+            raise ValueError(f"Argument share must lie between 0 and 1, such as 0.5, but {share} was given.")
+        name = "median" if share == 0.5 else f"{share:.6g}-quantile"
+        if self.number == 0:
+            return self._estimate(name, math.nan, math.nan)
+        value = self._value_at(share)
+        reach = self.clusters.error((self.clusters.values <= value) - share)
+        if math.isnan(reach):
+            return self._estimate(name, value, reach)
+        high, low = self._value_at(min(share + reach, 1.0)), self._value_at(max(share - reach, 0.0))
+        return self._estimate(name, value, (high - low) / 2)
+
+    @property
+    def median(self) -> Estimate:
+        """The value that half of all values do not exceed; see `quantile`."""
+        return self.quantile(0.5)
+
+    @property
+    def resolution(self) -> float:
+        """The width of the finest bins, unit; NaN without values."""
+        return math.ldexp(1.0, self.bins.exponent[0]) if self.number else math.nan
+
+    def histogram(self, bins: int = DEFAULT_BINS) -> Histogram:
+        """The histogram in at most so many bins of equal width, which hold all values.
+
+        The edges are chosen so that nothing is lost: each bin joins whole ones of the finest histogram. Raises
+        ValueError unless `bins` is a whole number of at least 1.
+        """
+        edges, counts = self._joined(_checks.whole_number("bins", bins))
+        place = np.searchsorted(edges, self.clusters.values, side="right") - 1
+        error = self.clusters.errors_of_shares(place, len(counts))
+        width = np.diff(edges)
+        return Histogram(edges, counts, counts / max(self.number, 1) / width, error / width, self.number, self.unit)
+
+    def entropy(self, bins: int = DEFAULT_BINS) -> Estimate:
+        """Shannon entropy of the normalised histogram in at most `bins` bins, ``-sum p log p``, nats.
+
+        The estimate is too low by about (bins - 1) / (2 number). Raises ValueError as `histogram`.
+        """
+        edges, counts = self._joined(_checks.whole_number("bins", bins))
+        name = f"entropy of the histogram in {len(counts)} bins"
+        if self.number == 0:
+            return self._estimate(name, math.nan, math.nan, "nat")
+        surprise, value = self._surprise(edges, counts)
+        return self._estimate(name, value, self.clusters.error(surprise - value), "nat")
+
+    @cached_property
+    def repeated_share(self) -> Estimate:
+        """Share of values that repeat others to the last digits: atoms of the distribution.
+
+        There are some: a mass released at the edge of the stick band and turned round in time comes back to the same
+        point, whatever happened before. Of the retained values.
+        """
+        if len(self.clusters.values) == 0:
+            return self._estimate("share of repeated values", math.nan, math.nan, "1")
+        repeated = self._repeated
+        value = float(repeated.mean())
+        return self._estimate("share of repeated values", value, self.clusters.error(repeated - value), "1")
+
+    @cached_property
+    def differential_entropy(self) -> Estimate:
+        """Entropy of the density, ``-integral f log f``, nats (of values in `unit`), estimated without bins.
+
+        From the spacings of the first 100,000 retained values (Vasicek 1976; `scipy.stats.differential_entropy`).
+        Values that repeat (`repeated_share`) have no density and are left out. NaN for whole numbers, and for fewer
+        than 10 values.
+        """
+        from scipy import stats  # noqa: PLC0415 - slow to load
+
+        name = "differential entropy"
+        chosen = np.flatnonzero(~self._repeated)[:_MOST_SPACINGS]
+        values = self.clusters.values[chosen]
+        if len(values) < 10 or self.is_whole:
+            return self._estimate(name, math.nan, math.nan, "nat")
+        with np.errstate(divide="ignore"):
+            value = float(stats.differential_entropy(values))
+        surprise = self._surprise(*self._joined(DEFAULT_BINS))[0][chosen]
+        own = Clusters(values, self.clusters.owner[chosen], self.clusters.realisations, self.clusters.realisations)
+        return self._estimate(name, value, own.error(surprise - surprise.mean()), "nat")
+
+    @cached_property
+    def _repeated(self) -> np.ndarray:
+        """Which of the retained values lie with `_REPEATS` others within the round-off of one point, (number,).
+
+        And with many more than the density around would bring there: in float32 millions of values are close anyway.
+        Or with so many that no density does: motion that settles leaves atoms side by side.
+        """
+        values = self.clusters.values
+        within, ranked = max(self.round_off, 1e-9 * (self.largest - self.smallest)), np.sort(values)
+
+        def close(reach: float) -> np.ndarray:
+            below = np.searchsorted(ranked, values - reach, side="left")
+            return np.searchsorted(ranked, values + reach, side="right") - below
+
+        near = close(within)
+        around = (close(_WIDER * within) - near) / (_WIDER - 1)
+        usual = len(values) * 2 * within / max(self.largest - self.smallest, within)  # if all were spread evenly
+        return (near > _REPEATS) & ((near > _DENSER * around) | (near > _FAR_DENSER * usual))
+
+    def _surprise(self, edges: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
+        """Minus the logarithm of the share of each retained value's bin, and the mean of that over all values."""
+        share = counts / self.number
+        each = -np.log(np.where(counts > 0, share, 1.0))
+        place = np.searchsorted(edges, self.clusters.values, side="right") - 1
+        return each[place], float(share @ each)
+
+    def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray]:
+        """Edges and counts of at most so many bins of equal width, joined from the finest."""
+        if self.number == 0:
+            return np.array([0.0, 1.0]), np.zeros(1, np.int64)
+        fine = self.bins.counts
+        together = joined_bins(len(fine), bins)
+        pieces = -(-len(fine) // together)
+        counts = np.add.reduceat(fine, np.arange(0, len(fine), together))
+        numbers = self.bins.first[0] + together * np.arange(pieces + 1)
+        return numbers * math.ldexp(1.0, self.bins.exponent[0]), counts
+
+    def _value_at(self, share: float) -> float:
+        counts, edges = self.bins.counts, self.bins.edges()
+        below = np.concatenate([[0], np.cumsum(counts)])
+        target = share * self.number
+        place = min(int(np.searchsorted(below[1:], target, side="left")), len(counts) - 1)
+        if self.is_whole and self.bins.exponent[0] <= 0:
+            return float(edges[place])
+        inside = (target - below[place]) / max(counts[place], 1)
+        value = edges[place] + inside * (edges[place + 1] - edges[place])
+        return float(np.clip(value, self.smallest, self.largest))
+
+    def _power(self, power: int) -> str:
+        return self.unit if self.unit == "1" else f"{self.unit}^{power}"
+
+    def _estimate(self, name: str, value: float, error: float, unit: str | None = None) -> Estimate:
+        return Estimate(f"{name} of {self.name}", value, error, self.unit if unit is None else unit, self.samples)
+
+    def __repr__(self) -> str:
+        if self.number == 0:
+            return f"{self.name}: no values in {self.samples} samples"
+        lines = [f"{self.name}: {self.number:,} values in {self.samples:,} samples"]
+        shown = (self.mean, self.standard_deviation, self.median, self.skewness, self.entropy())
+        if not self.is_whole:
+            shown = (*shown, self.differential_entropy, self.repeated_share)
+        lines += ["  " + str(estimate).replace(f" of {self.name}", "") for estimate in shown]
+        return "\n".join([*lines, f"  from {self.smallest:.6g} to {self.largest:.6g} {self.unit}".removesuffix(" 1")])

@@ -1,0 +1,229 @@
+"""How two quantities are distributed together: histogram, correlations, mutual information, conditional means."""
+
+import dataclasses
+import math
+from functools import cached_property
+
+import numpy as np
+
+from .. import _checks
+from .._numerics.dyadic import DyadicCounts, joined_bins
+from .._numerics.power_sums import PowerSums
+from .clusters import Clusters
+from .estimate import Estimate
+
+_MOST_BINS = 128
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class JointHistogram:
+    """How many of `number` pairs fell into each cell; `density` per unit of x and of y.
+
+    `x_edges` (x bins + 1,), `y_edges` (y bins + 1,); `counts`, `density` and its standard `error` (x bins, y bins).
+    """
+
+    x_edges: np.ndarray
+    y_edges: np.ndarray
+    counts: np.ndarray
+    density: np.ndarray
+    error: np.ndarray
+    number: int
+    names: tuple[str, str]
+    units: tuple[str, str]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ConditionalMeans:
+    """The mean of y where x is in each bin, with its standard `error`; `counts` of pairs; (bins,).
+
+    NaN in empty bins; an error needs two pairs.
+
+    `edges`: of the bins of x, (bins + 1,).
+    """
+
+    edges: np.ndarray
+    mean: np.ndarray
+    error: np.ndarray
+    counts: np.ndarray
+    names: tuple[str, str]
+    units: tuple[str, str]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class JointDistribution:
+    """The joint distribution of two quantities x and y, `names`, in `units`.
+
+    Histogram, Pearson's correlation and mutual information come from all pairs where these were summed while they
+    streamed by, else from those retained; ranks and conditional means from those retained. NaN stands for what the
+    pairs do not tell. Errors treat samples as independent, not the pairs of one sample.
+    """
+
+    names: tuple[str, str]
+    units: tuple[str, str]
+    x: Clusters
+    y: Clusters
+    bins: DyadicCounts | None
+    streamed_correlation: float | None
+
+    @property
+    def number(self) -> int:
+        """How many pairs the histogram holds."""
+        return int(self._fine.counts.sum())
+
+    @property
+    def retained(self) -> int:
+        """How many pairs are retained."""
+        return len(self.x.values)
+
+    @cached_property
+    def _fine(self) -> DyadicCounts:
+        if self.bins is not None:
+            return self.bins
+        if self.retained == 0:
+            return DyadicCounts.none(2, _MOST_BINS)
+        return DyadicCounts.of_columns((self.x.values, self.y.values), _MOST_BINS)
+
+    def histogram(self, bins: int = 40) -> JointHistogram:
+        """The histogram in at most so many bins of equal width along each axis, which hold all pairs.
+
+        At most 128. Raises ValueError unless `bins` is a whole number from 1 to 128.
+        """
+        x_edges, y_edges, counts = self._joined(self._checked(bins))
+        cell, _ = self._cells(x_edges, y_edges)
+        errors = self.x.errors_of_shares(cell, counts.size).reshape(counts.shape)
+        area = np.diff(x_edges)[:, None] * np.diff(y_edges)
+        density = counts / max(counts.sum(), 1) / area
+        return JointHistogram(
+            x_edges, y_edges, counts, density, errors / area, int(counts.sum()), self.names, self.units
+        )
+
+    @property
+    def correlation(self) -> Estimate:
+        """Pearson's correlation coefficient."""
+        value = self.streamed_correlation
+        if value is None:
+            value = pearson_of(PowerSums.of(self.x.values, self.y.values), 0, 1)
+        if math.isnan(value) or self.retained < 2:
+            return self._estimate("Pearson correlation", value, math.nan)
+        x, y = (_standardised(column.values) for column in (self.x, self.y))
+        return self._estimate("Pearson correlation", value, self.x.error(x * y - value / 2 * (x**2 + y**2)))
+
+    @property
+    def rank_correlation(self) -> Estimate:
+        """Spearman's rank correlation coefficient of the pairs retained."""
+        from scipy import stats  # noqa: PLC0415 - slow to load
+
+        name = "Spearman rank correlation"
+        x, y = self.x.values, self.y.values
+        if len(x) < 2 or x.min() == x.max() or y.min() == y.max():
+            return self._estimate(name, math.nan, math.nan)
+        number = len(x)
+        ranks = [(stats.rankdata(column) - 0.5) / number for column in (x, y)]
+        value = float(np.corrcoef(*ranks)[0, 1])
+        # The influence of a pair is its own product of ranks, and its part in the ranks of all others.
+        influence = ranks[0] * ranks[1] + _mean_above(x, ranks[1]) + _mean_above(y, ranks[0])
+        return self._estimate(name, value, 12 * self.x.error(influence - influence.mean()))
+
+    def mutual_information(self, bins: int = 20) -> Estimate:
+        """Mutual information of the histogram in at most `bins` x `bins` cells, nats.
+
+        Never negative; of independent quantities the estimate is about (x bins - 1)(y bins - 1) / (2 number), not 0.
+        Raises ValueError as `histogram`.
+        """
+        x_edges, y_edges, counts = self._joined(self._checked(bins))
+        name = f"mutual information in {counts.shape[0]} x {counts.shape[1]} bins"
+        if counts.sum() == 0:
+            return self._estimate(name, math.nan, math.nan, "nat")
+        share = counts / counts.sum()
+        product = share.sum(axis=1, keepdims=True) * share.sum(axis=0)
+        gain = np.log(np.where(share > 0, share, 1.0) / np.where(share > 0, product, 1.0))
+        value = float((share * gain).sum())
+        cell, inside = self._cells(x_edges, y_edges)
+        return self._estimate(name, value, self.x.error(np.where(inside, gain.reshape(-1)[cell] - value, 0)), "nat")
+
+    def conditional_mean(self, bins: int = 20) -> ConditionalMeans:
+        """The mean of y for x in each of so many bins of equal width, of the pairs retained.
+
+        Raises ValueError unless `bins` is a whole number of at least 1.
+        """
+        _checks.whole_number("bins", bins)
+        x, y = self.x.values, self.y.values
+        span = (x.min(), x.max()) if len(x) else (0.0, 1.0)
+        edges = np.linspace(span[0], span[1] if span[1] > span[0] else span[0] + 1, bins + 1)
+        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
+        counts = np.bincount(place, minlength=bins)
+        filled = counts > 0
+        mean = np.full(bins, np.nan)
+        mean[filled] = np.bincount(place, weights=y, minlength=bins)[filled] / counts[filled]
+        error = np.full(bins, np.nan)
+        for index in np.flatnonzero(counts > 1):
+            here = place == index
+            # A mean over the pairs of one bin: the influence, relative to the share of pairs in the bin.
+            error[index] = self.x.error(np.where(here, y - mean[index], 0) * (len(x) / counts[index]))
+        return ConditionalMeans(edges, mean, error, counts, self.names, self.units)
+
+    def cells_of_retained(self, bins: int) -> tuple[np.ndarray, int]:
+        """The cell of each retained pair in a histogram of at most `bins` x `bins` cells, and how many cells there are.
+
+        Raises ValueError as `histogram`.
+        """
+        x_edges, y_edges, counts = self._joined(self._checked(bins))
+        return self._cells(x_edges, y_edges)[0], counts.size
+
+    def _checked(self, bins: int) -> int:
+        if _checks.whole_number("bins", bins) > _MOST_BINS:
+            raise ValueError(f"Argument bins must be at most {_MOST_BINS}, but {bins} was given.")
+        return bins
+
+    def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Edges along x and y, and counts, of at most so many bins along each axis, joined from the finest."""
+        counts, edges = self._fine.counts, []
+        if counts.size == 0:
+            return np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((1, 1), np.int64)
+        for axis in (0, 1):
+            size = counts.shape[axis]
+            together = joined_bins(size, bins)
+            counts = np.add.reduceat(counts, np.arange(0, size, together), axis=axis)
+            numbers = self._fine.first[axis] + together * np.arange(counts.shape[axis] + 1)
+            edges.append(numbers * math.ldexp(1.0, self._fine.exponent[axis]))
+        return *edges, counts
+
+    def _cells(self, x_edges: np.ndarray, y_edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The cell of each retained pair as one number, and whether it lies in one."""
+        x = np.searchsorted(x_edges, self.x.values, side="right") - 1
+        y = np.searchsorted(y_edges, self.y.values, side="right") - 1
+        inside = (x >= 0) & (x < len(x_edges) - 1) & (y >= 0) & (y < len(y_edges) - 1)
+        return np.where(inside, x * (len(y_edges) - 1) + y, 0), inside
+
+    def _estimate(self, name: str, value: float, error: float, unit: str = "1") -> Estimate:
+        samples = self.x.of_all
+        return Estimate(f"{name} of {self.names[0]} and {self.names[1]}", value, error, unit, samples)
+
+    def __repr__(self) -> str:
+        if self.number == 0:
+            return f"{self.names[0]} and {self.names[1]}: no pairs"
+        lines = [f"{self.names[0]} and {self.names[1]}: {self.number:,} pairs"]
+        shown = (self.correlation, self.rank_correlation, self.mutual_information())
+        return "\n".join([*lines, *("  " + str(one).partition(" of ")[0] + _after_name(one) for one in shown)])
+
+
+def pearson_of(sums: PowerSums, x: int, y: int) -> float:
+    """Pearson's correlation of two components; NaN where one does not vary."""
+    return float(sums.correlation[x, y])
+
+
+def _after_name(estimate: Estimate) -> str:
+    return str(estimate)[len(estimate.name) :]
+
+
+def _standardised(values: np.ndarray) -> np.ndarray:
+    spread = values.std()
+    return (values - values.mean()) / spread if spread > 0 else np.zeros_like(values)
+
+
+def _mean_above(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """For each value, the sum of `others` over all pairs whose value is no less, over the number of pairs."""
+    order = np.argsort(values, kind="stable")
+    ranked = values[order]
+    tail = np.concatenate([np.cumsum(others[order][::-1])[::-1], [0.0]])
+    return tail[np.searchsorted(ranked, values, side="left")] / len(values)

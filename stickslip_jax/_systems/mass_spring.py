@@ -1,0 +1,399 @@
+"""A mass on a spring, rubbing on a moving base: what it is, and how it moves.
+
+``m x'' + c x' + k x = F(t) - sign mu n`` in a slip: a damped rotation about the response to the force, which is known
+for constant, linear and harmonic forces (any book on vibration). Under other forces and friction laws each step is one
+step of a solver.
+"""
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .. import _checks
+from .._excitation.excitation import Drive
+from .._excitation.recorded import Recorded
+from .._excitation.segments import added
+from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
+from .._numerics.rotation import damped_rotation
+from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
+from .._numerics.sharing import sincos
+from .._types import Array, BoolArray, FloatArray, Scalar
+from .friction import Coulomb, FrictionLaw
+from .own import is_own
+from .resonance import check_no_resonance
+from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
+
+_PASSED = StepCount(6.0, 1.0)
+
+
+class MassSpring(System):
+    """A mass held to the ground by a spring and pressed on a base that moves with velocity ``v(t)``.
+
+    While slipping, ``mass x'' + damping x' + stiffness x = force(t) + mu normal_force sign(v - x')``; while sticking,
+    ``x' = v``, which lasts as long as ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``
+    (Lima and Sampaio 2017, "Construction of a statistical model", eq. 1, where damping and force are zero).
+
+    - `mass` in kg, `stiffness` in N/m, `normal_force` in N: positive numbers.
+    - `friction`: the friction law, such as `Coulomb(mu)`.
+    - `damping` in N s/m, zero or positive: of a viscous damper to the ground. None is zero.
+    - `force`: external force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
+
+    Raises ValueError if a number is out of its range or not finite, or `friction` or `force` is of another kind.
+    """
+
+    mass: Scalar
+    stiffness: Scalar
+    normal_force: Scalar
+    friction: FrictionLaw
+    # None rather than zero, so that what needs neither is told apart by its structure when numbers are traced.
+    damping: Scalar | None = eqx.field(default=None, converter=lambda v: None if _is_zero(v) else v)
+    force: Signal | Recorded | None = None
+
+    def __check_init__(self):
+        _checks.positive("mass", self.mass, "kg")
+        _checks.positive("stiffness", self.stiffness, "N/m")
+        _checks.positive("normal_force", self.normal_force, "N")
+        if not isinstance(self.friction, FrictionLaw):
+            raise ValueError(
+                f"Argument friction must be a friction law such as Coulomb(mu=0.3), but {self.friction!r} was given."
+            )
+        if self.damping is not None:
+            _checks.non_negative("damping", self.damping, "N s/m")
+        if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
+            raise ValueError(
+                "Argument force must be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, "
+                f"values), but {_checks.show(self.force)} was given."
+            )
+
+    @property
+    def angular_frequency(self) -> Scalar:
+        """Natural angular frequency ``omega = sqrt(stiffness / mass)``, rad/s."""
+        return jnp.sqrt(self.stiffness / self.mass)
+
+    @property
+    def stick_half_width(self) -> Scalar:
+        """Largest displacement at which the mass can stick on a base of constant velocity, without force and damping.
+
+        ``a = mu_static * normal_force / stiffness``, m.
+        """
+        return self.friction.static * self.normal_force / self.stiffness
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return Coordinate("position", "m", "x"), Coordinate("velocity", "m/s", r"\dot x")
+
+    @property
+    def stick_position(self) -> Coordinate:
+        return Coordinate("position of the mass when the stick starts", "m", "x")
+
+    @property
+    def natural_frequency(self) -> Scalar:
+        return self.angular_frequency
+
+    @property
+    def holds_more(self) -> bool:
+        return self.friction.holds_more
+
+    @property
+    def recorded_loads(self) -> tuple[Recorded, ...]:
+        return (self.force,) if isinstance(self.force, Recorded) else ()
+
+    @property
+    def rides_base(self) -> bool:
+        return True
+
+    @property
+    def has_interval_form(self) -> bool:
+        plain = isinstance(self.friction, Coulomb) and self.friction.mu_static is None
+        return plain and self.damping is None and self.force is None
+
+    @property
+    def has_closed_form(self) -> bool:
+        """Whether its slips have a closed form: constant kinetic friction, and a force that is constant, linear in
+        time from instant to instant, or harmonic.
+        """
+        harmonic = isinstance(self.force, (Harmonic, SumOfHarmonics)) or not isinstance(self.force, Signal)
+        return self.friction.constant and harmonic
+
+    def switched_model(self, smooth: Signal | None, solver: Any) -> "OscillatorModel":
+        if solver is None and self.has_closed_form:
+            return OscillatorModel(self, smooth)
+        return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
+
+    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+        steps = PERIOD if self.has_closed_form and solver is None else SOLVED
+        natural = 2 * math.pi * (self.mass / self.stiffness) ** 0.5
+        force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
+        return {
+            "natural period": TimeScale(natural, steps),
+            "time in which the slip speed passes the scale of the friction law": TimeScale(
+                self._passing_time(), _PASSED
+            ),
+            "shortest period of the force": TimeScale(force, steps),
+            "shortest period of the base motion": TimeScale(shortest_period(drive), steps),
+        }
+
+    def _passing_time(self) -> Any:
+        """How long the largest friction takes to change the speed by the scale of the friction law, s."""
+        scale, held = self.friction.speed_scale, self.friction.static * self.normal_force
+        if scale is None or _is(scale, math.inf) or _is(held, 0):
+            return math.inf
+        return scale * self.mass / held
+
+    @property
+    def contact_scales(self) -> tuple[Any, Any]:
+        held = self.friction.static * self.normal_force
+        return held / jnp.sqrt(jnp.asarray(self.mass * self.stiffness, float)), held / self.mass
+
+    def state_scales(self, drive: Drive) -> tuple[Any, ...]:
+        speed, _ = self.contact_scales
+        return speed / self.angular_frequency, speed
+
+    def check_solver(self, solver: Any) -> None:
+        traced = any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self))
+        if solver is None and self.damping is None and isinstance(self.force, Signal) and not traced:
+            check_no_resonance(self.force, (float(self.stiffness) / float(self.mass)) ** 0.5)
+
+    @property
+    def body_name(self) -> str:
+        return "mass"
+
+    @property
+    def slip_centre(self) -> Scalar | None:
+        if not self.friction.constant or self.force is not None:
+            return None
+        return self.friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
+
+    @property
+    def band_symbols(self) -> str:
+        mu = r"\mu_\mathrm{s}" if self.friction.holds_more or not isinstance(self.friction, Coulomb) else r"\mu"
+        return rf"|x| \leq {mu} n/k"
+
+    def stick_band(
+        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: Any
+    ) -> tuple[Array, Array]:
+        """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m."""
+        force: Any = 0.0
+        if self.force is not None:
+            force = self.force.value(times) if isinstance(self.force, Recorded) else jax.vmap(self.force.value)(times)
+        load = force - self.mass * (acceleration + ground)
+        if self.damping is not None:
+            load = load - self.damping * velocity
+        centre = load / self.stiffness
+        return centre - self.stick_half_width, centre + self.stick_half_width
+
+
+class OscillatorInputs(NamedTuple):
+    """From time `t` on: what comes in pieces, linear in time. Base velocity in m/s, load in N."""
+
+    t: FloatArray
+    base: FloatArray
+    base_slope: FloatArray
+    load: FloatArray
+    load_slope: FloatArray
+
+
+class OscillatorModel(SwitchedModel):
+    """A `MassSpring` on a base that moves with ``smooth(t)`` plus what comes in pieces. State: x (m), x' (m/s)."""
+
+    system: MassSpring
+    smooth: Signal | None
+    steps_may_be_long: ClassVar[bool] = True
+
+    def inputs(self, t: FloatArray, pieces: Pieces) -> OscillatorInputs:
+        base, base_slope = added(t, pieces.base)
+        ground, ground_slope = added(t, pieces.ground)
+        force, force_slope = added(t, pieces.force)
+        mass = self.system.mass
+        return OscillatorInputs(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
+
+    def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+        m, k, c = self._constants()
+        rub = sign * self.system.friction.kinetic(jnp.zeros_like(h)) * self.system.normal_force
+        beta = 0 if c is None else c / (2 * m)
+        omega_squared = k / m
+        before, after = (self._response(inputs, tau, rub) for tau in (jnp.zeros_like(h), h))
+        u, w = y[0] - before[0], y[1] - before[1]
+        cosine, sine = damped_rotation(beta, omega_squared, h)
+        x = after[0] + cosine * u + sine * (w + beta * u)
+        p = after[1] + cosine * w - sine * (omega_squared * u + beta * w)
+        return x, p
+
+    def stick(self, inputs: OscillatorInputs, y: State, h: FloatArray) -> State:
+        travel = h * (inputs.base + 0.5 * h * inputs.base_slope)
+        if self.smooth is not None:
+            travel = travel + self.smooth.integral(inputs.t, h)
+        return y[0] + travel, self.base_motion(inputs, h)[0]
+
+    def rates(self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        m, k, c = self._constants()
+        velocity, acceleration = self.base_motion(inputs, tau)
+        rub = sign * self._coefficient(sign * (y[1] - velocity)) * self.system.normal_force
+        slip = (self.load_at(inputs, tau) - _times(c, y[1]) - k * y[0] - rub) / m
+        return y[1], jnp.where(sign == 0, acceleration, slip)
+
+    def at_rest(self, inputs: OscillatorInputs, y: State) -> BoolArray:
+        r = y[1] - self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
+        noise = NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[0]))
+        return jnp.abs(r) <= noise
+
+    def slip_sign(self, inputs: OscillatorInputs, y: State) -> FloatArray:
+        return jnp.sign(y[1] - self.base_motion(inputs, jnp.zeros_like(y[0]))[0])
+
+    def guard(
+        self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        m, k, c = self._constants()
+        velocity, acceleration = self.base_motion(inputs, tau)
+        holds = self._holds()
+        per_held = jnp.where(holds > 0, 1 / jnp.where(holds > 0, holds, 1), 0)
+        share = self._needed(inputs, tau, y) * per_held
+        t = inputs.t + tau
+        jerk = 0 if self.smooth is None else self.smooth.curvature(t)
+        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - self._force_rate(inputs, tau)) * per_held
+        slip_rate = self.rates(inputs, tau, y, sign)[1] - acceleration
+        sticking = sign == 0
+        guard = jnp.where(sticking, 1 - share * share, sign * (y[1] - velocity))
+        return guard, jnp.where(sticking, -2 * share * share_rate, sign * slip_rate)
+
+    def guard_scale(self, inputs: OscillatorInputs, y: State, sign: FloatArray) -> FloatArray:
+        m, k, _ = self._constants()
+        velocity = self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
+        omega = jnp.sqrt(k / m)
+        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + self._holds() / k)
+        return jnp.where(sign == 0, 2.0, slip)
+
+    def on_base(self, inputs: OscillatorInputs, y: State) -> State:
+        return y[0], self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
+
+    def can_stick(self, inputs: OscillatorInputs, y: State) -> BoolArray:
+        return jnp.abs(self._needed(inputs, jnp.zeros_like(y[0]), y)) <= self._holds()
+
+    def release_sign(self, inputs: OscillatorInputs, y: State) -> FloatArray:
+        # The base pulls harder than friction can hold: the mass falls behind.
+        return jnp.where(self._needed(inputs, jnp.zeros_like(y[0]), y) > 0, -1, 1).astype(y[0].dtype)
+
+    @property
+    def friction(self) -> FrictionLaw:
+        return self.system.friction
+
+    def rates_under(self, inputs: OscillatorInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
+        m, k, c = self._constants()
+        drag = 0 if c is None else c * y[1]
+        force = self.load_at(inputs, tau) - drag - k * y[0] - grip * self.system.normal_force
+        return y[1], force / m
+
+    def relative_velocity(self, inputs: OscillatorInputs, tau: FloatArray, y: State) -> FloatArray:
+        return y[1] - self.base_motion(inputs, tau)[0]
+
+    def relative_acceleration(self, inputs: OscillatorInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
+        return rates[1] - self.base_motion(inputs, tau)[1]
+
+    def _constants(self):
+        return self.system.mass, self.system.stiffness, self.system.damping
+
+    def _coefficient(self, speed: FloatArray) -> Any:
+        """The friction coefficient of a slip, continued with the same slope to where the slip is over.
+
+        The stages of a Runge-Kutta step that ends an arc may lie slightly beyond; a kink there would cost its order.
+        """
+        friction = self.system.friction
+        coefficient = friction.kinetic(jnp.abs(speed))
+        if friction.constant:
+            return coefficient
+        return jnp.where(speed < 0, 2 * friction.kinetic(jnp.zeros_like(speed)) - coefficient, coefficient)
+
+    def _holds(self) -> FloatArray:
+        return jnp.asarray(self.system.friction.static * self.system.normal_force)
+
+    def base_motion(self, inputs: OscillatorInputs, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Velocity and acceleration of the base."""
+        velocity, acceleration = inputs.base + tau * inputs.base_slope, inputs.base_slope
+        if self.smooth is None:
+            return velocity, acceleration
+        t = inputs.t + tau
+        return velocity + self.smooth.value(t), acceleration + self.smooth.rate(t)
+
+    def load_at(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
+        load = inputs.load + tau * inputs.load_slope
+        return load + self.system.force.value(inputs.t + tau) if isinstance(self.system.force, Signal) else load
+
+    def _force_rate(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
+        force = self.system.force
+        return inputs.load_slope + (force.rate(inputs.t + tau) if isinstance(force, Signal) else 0)
+
+    def _needed(self, inputs: OscillatorInputs, tau: FloatArray, y: State) -> FloatArray:
+        """The friction force that a stick needs, ``m v' + c v + k x - F``, N (Lima and Sampaio 2017, eq. 3)."""
+        m, k, c = self._constants()
+        velocity, acceleration = self.base_motion(inputs, tau)
+        return m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(inputs, tau)
+
+    def _response(self, inputs: OscillatorInputs, tau: FloatArray, rub: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The particular solution, position and velocity, for the load and the rubbing force."""
+        m, k, c = self._constants()
+        c = 0 if c is None else c
+        x = (inputs.load + tau * inputs.load_slope - rub - c / k * inputs.load_slope) / k
+        p = inputs.load_slope / k
+        force = self.system.force
+        if isinstance(force, (Harmonic, SumOfHarmonics)):
+
+            def answer(amplitude, w, phase):
+                elastic, viscous = k - m * w * w, c * w
+                gain = amplitude / (elastic * elastic + viscous * viscous)
+                sine, cosine = sincos(angle(w, inputs.t + tau, phase))
+                return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
+
+            position, velocity = added_up(answer, force.tones)
+            x, p = x + force.offset / k + position, p + velocity
+        return x, p
+
+
+class SolverOscillatorModel(OscillatorModel):
+    """An `OscillatorModel` whose slips are integrated by `solver`: any friction law, any smooth force."""
+
+    solver: diffrax.AbstractERK
+    steps_may_be_long: ClassVar[bool] = False
+
+    def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+        return self.slip_and_error(inputs, y, h, sign)[0]
+
+    def slip_and_error(
+        self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
+    ) -> tuple[State, FloatArray | None]:
+        y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        if is_own(self):  # then all is known that the step depends on (`time_scales.py`)
+            return y1, None
+        m, k, c = self._constants()
+        none = jnp.zeros_like(h)
+        rub = self._coefficient(sign * self.relative_velocity(inputs, none, y)) * self.system.normal_force
+        by_state = ((none, none + 1), (none + k / m, none + (0 if c is None else c / m)))
+        way = ways(h, y, (none, self.load_at(inputs, none) / m), by_state, (none, rub / m))
+        return y1, relative_error(error, y, y1, way)
+
+
+class _Slip(eqx.Module):
+    """The rates of a slip, a function of the time since the step began and of the state."""
+
+    model: OscillatorModel
+    inputs: OscillatorInputs
+    sign: FloatArray
+
+    def __call__(self, tau: FloatArray, state: State) -> State:
+        return self.model.rates(self.inputs, tau, state, self.sign)
+
+
+def _times(c: Any, value: Any) -> Any:
+    return 0 if c is None else c * value
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
+
+
+def _is(number: Any, value: Any) -> bool:
+    return not _checks.is_traced(number) and bool(number == value)

@@ -1,0 +1,332 @@
+"""A cart on a rail with dry friction, driven by a DC motor through a scotch yoke (Lima and Sampaio 2022, eqs 1, 2, 5).
+
+State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). What rubs is the cart; its velocity is
+``-d sin(alpha) alpha'``, and ``r = sin(alpha) alpha'`` stands for it. It passes through zero when the motor stops and
+at dead centre (``sin alpha = 0``), where the cart turns round; at fixed sign of r the friction torque
+``-sign mu m g d sin(alpha)`` is smooth, so both are events of one kind.
+
+In a stick the current is known in closed form. A slip is integrated by the eighth-order Runge-Kutta method of Prince
+and Dormand, all three states together. Exponential integrators that treat the fast current apart were tried and are far
+less accurate at the same step: the transient of the current turns the motor by an amount that a Runge-Kutta method
+keeps exactly (it is a linear invariant), and an exponential one only to its order.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._excitation.excitation import Drive
+from .._excitation.smooth import Signal
+from .._excitation.voltage import SourceVoltage
+from .._numerics.elementary import sincos_of_small
+from .._numerics.runge_kutta import runge_kutta_step
+from .._numerics.sharing import sincos
+from .._types import AnyArray, Array, BoolArray, FloatArray, Scalar
+from .friction import Coulomb, FrictionLaw
+from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
+
+_SOLVER = diffrax.Dopri8()
+_LONGEST_TURN = 0.4  # of the motor in a step, rad
+_CONSTANT = StepCount(7.0, 4.0)  # the mechanical time constant is no period
+_DECAY = StepCount(1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
+
+
+class MotorCart(System):
+    """The motor-driven cart of Lima and Sampaio 2022; the defaults are its Table 1.
+
+    State: motor angle ``alpha`` (rad), angular velocity ``alpha'`` (rad/s), current ``c`` (A). With
+    ``m = cart_mass`` and ``d = eccentricity``,
+
+    ``alpha'' (motor_inertia + m d^2 sin^2) + motor_damping alpha' + m d^2 sin cos alpha'^2 - motor_constant c
+    = -mu m gravity d |sin| sign(alpha')``, ``inductance c' + resistance c + motor_constant alpha' = voltage``.
+
+    The mass sticks while ``alpha' = 0`` and ``|motor_constant c| <= mu m gravity d |sin alpha|``; at ``sin alpha = 0``
+    (dead centre) friction has no leverage and nothing sticks.
+
+    - `mu`: friction coefficient of cart and rail, zero or positive.
+    - `cart_mass` kg, `eccentricity` m, `gravity` m/s^2, `motor_inertia` kg m^2, `motor_constant` V s/rad (also N m/A),
+      `resistance` ohm, `inductance` H: positive. `motor_damping` N m s/rad: zero or positive.
+    - `equation`: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
+      ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
+
+    Raises ValueError for numbers out of range and for another `equation`.
+    """
+
+    mu: Scalar = 0.2
+    cart_mass: Scalar = 5.0
+    eccentricity: Scalar = 0.01
+    gravity: Scalar = 9.81
+    motor_inertia: Scalar = 1.21e-4
+    motor_damping: Scalar = 1.545e-4
+    motor_constant: Scalar = 5.33e-2
+    resistance: Scalar = 0.307
+    inductance: Scalar = 1.88e-4
+    equation: str = eqx.field(static=True, default="physical")
+
+    def __check_init__(self):
+        _checks.non_negative("mu", self.mu)
+        units = {"cart_mass": "kg", "eccentricity": "m", "gravity": "m/s^2", "motor_inertia": "kg m^2",
+                 "motor_constant": "V s/rad", "resistance": "ohm", "inductance": "H"}  # fmt: skip
+        for name, unit in units.items():
+            _checks.positive(name, getattr(self, name), unit)
+        _checks.non_negative("motor_damping", self.motor_damping, "N m s/rad")
+        if self.equation not in ("physical", "printed"):
+            raise ValueError(f"Argument equation must be 'physical' or 'printed', but {self.equation!r} was given.")
+
+    @property
+    def largest_friction_torque(self) -> Scalar:
+        """``mu m gravity d``, N m: what friction can hold at ``|sin alpha| = 1``."""
+        return self.mu * self.cart_mass * self.gravity * self.eccentricity
+
+    @property
+    def shortest_time(self) -> Scalar:
+        """The mechanical time constant at dead centre, ``motor_inertia resistance / motor_constant^2``, s."""
+        return self.motor_inertia * self.resistance / self.motor_constant**2
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return (
+            Coordinate("angle", "rad", r"\alpha", 2 * math.pi),
+            Coordinate("angular velocity", "rad/s", r"\dot\alpha"),
+            Coordinate("current", "A", "c"),
+        )
+
+    @property
+    def stick_position(self) -> Coordinate:
+        return Coordinate("motor angle during the stick", "rad", r"\alpha", 2 * math.pi)
+
+    def switched_model(self, smooth: Signal | None, solver: Any) -> "CartModel":
+        assert isinstance(smooth, SourceVoltage)
+        return CartModel(self, smooth)
+
+    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+        return {
+            "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
+            "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
+            "period of the voltage": TimeScale(shortest_period(drive), SOLVED),
+        }
+
+    @property
+    def contact_scales(self) -> tuple[Any, Any]:
+        torque, arm = self.largest_friction_torque, self.eccentricity
+        return arm * torque * self.resistance / self.motor_constant**2, arm * torque / self.motor_inertia
+
+    def state_scales(self, drive: Drive) -> tuple[Any, ...]:
+        voltage = voltage_of(drive)
+        most = abs(voltage.mean) + abs(voltage.amplitude)
+        return 1.0, most / self.motor_constant, most / self.resistance
+
+    def check_drive(self, drive: Drive) -> None:
+        if not isinstance(voltage_of(drive), SourceVoltage) or drive.base or drive.ground:
+            raise ValueError(
+                "Argument base of a MotorCart must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), but another "
+                "motion was given."
+            )
+
+    def check_solver(self, solver: Any) -> None:
+        if solver is not None:
+            raise ValueError("Argument solver must be None for a MotorCart, which has an integrator of its own.")
+
+    @property
+    def body_name(self) -> str:
+        return "motor"
+
+    @property
+    def band_coordinate(self) -> int:
+        return 2
+
+    def longest_stick(self, smooth: Signal, position: AnyArray) -> Array | None:
+        return stick_duration_bound(self, smooth, position) if isinstance(smooth, SourceVoltage) else None
+
+    def stick_band(
+        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: Any
+    ) -> tuple[Array, Array]:
+        """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A."""
+        most = self.largest_friction_torque / self.motor_constant * jnp.abs(jnp.sin(state[0]))
+        return -most, most
+
+
+def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
+    """The longest that the cart can stick at motor angles `angle` (rad, any shape), s; infinity where for ever.
+
+    It is how long the steady current stays below what friction can hold in one period of the voltage,
+    ``(pi + 2 asin s) / angular_frequency`` with ``s = (mu m g d |sin angle| / motor_constant - mean / resistance) / A``
+    and ``A`` the amplitude of the steady current; 0 where ``s <= -1`` (Lima and Sampaio 2022, section 4, whose eqs 7
+    and 8 lack the angular frequency in some places). The current that a stick begins with decays in the time
+    ``inductance / resistance``; it can prolong a stick by about that much.
+
+    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind.
+    """
+    if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
+        raise ValueError(
+            "Arguments system and voltage must be a MotorCart and a SourceVoltage, but "
+            f"{_checks.show(system)} and {_checks.show(voltage)} were given."
+        )
+    _checks.numeric("angle", angle, ndim=None)
+    held = system.largest_friction_torque * jnp.abs(jnp.sin(jnp.asarray(angle, float))) / system.motor_constant
+    reactance = system.inductance * voltage.angular_frequency
+    amplitude = jnp.abs(voltage.amplitude) / jnp.sqrt(system.resistance**2 + reactance**2)
+    spare = held - voltage.mean / system.resistance
+    some = (amplitude > 0) & (jnp.abs(spare) < amplitude)
+    s = jnp.where(some, spare, 0) / jnp.where(some, amplitude, 1)
+    bound = (math.pi + 2 * jnp.arcsin(s)) / voltage.angular_frequency
+    return jnp.where(some, bound, jnp.where(spare >= amplitude, jnp.inf, 0.0))
+
+
+class CartInputs(NamedTuple):
+    """The phase of the voltage at the time the step begins, rad."""
+
+    phase: FloatArray
+
+
+class CartModel(SwitchedModel):
+    """A `MotorCart` under a `SourceVoltage`."""
+
+    system: MotorCart
+    smooth: SourceVoltage
+
+    def inputs(self, t: FloatArray, pieces: Pieces) -> CartInputs:
+        return CartInputs(self.smooth.angular_frequency * t + self.smooth.phase)
+
+    def slip(self, inputs: CartInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+        # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
+        field = _Slip(self, sincos(y[0]), sincos(inputs.phase), sign)
+        (angle, speed, current), _ = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=_SOLVER)
+        return y[0] + angle, speed, current
+
+    def stick(self, inputs: CartInputs, y: State, h: FloatArray) -> State:
+        rho = self.system.resistance / self.system.inductance
+        rest = (y[2] - self._steady(inputs, jnp.zeros_like(h))) * jnp.exp(-rho * h)
+        return y[0], jnp.zeros_like(h), rest + self._steady(inputs, h)
+
+    def rates(self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        system = self.system
+        sticking = sign == 0
+        speed = jnp.where(sticking, 0, y[1])
+        sine, _ = sincos(inputs.phase + self.smooth.angular_frequency * tau)
+        voltage = self.smooth.mean + self.smooth.amplitude * sine
+        current_rate = (voltage - system.resistance * y[2] - system.motor_constant * speed) * (1 / system.inductance)
+        return speed, jnp.where(sticking, 0, self._torque(sign)(sincos(y[0]), *y[1:])), current_rate
+
+    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+        # A jump of the torque sends the current through a transient, which calls for shorter steps while it lasts: in a
+        # slip for the integrator, in a stick so that no step holds both the transient's extremum and others.
+        transient = self.system.inductance / self.system.resistance
+        slip = jnp.minimum(step, _LONGEST_TURN / jnp.maximum(jnp.abs(y[1]), 1e-9))
+        slip = slip * jnp.minimum(1, 0.1 + age / (6 * transient))
+        stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
+        return jnp.where(sign == 0, stick, slip)
+
+    def at_rest(self, inputs: CartInputs, y: State) -> BoolArray:
+        noise = NOISE_ULPS * jnp.finfo(y[1].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[1]))
+        return jnp.abs(y[1]) <= noise
+
+    def slip_sign(self, inputs: CartInputs, y: State) -> FloatArray:
+        sine, cosine = sincos(y[0])
+        # Exactly at dead centre, what comes next: r' = cos(alpha) alpha'^2.
+        at_dead_centre = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
+        return jnp.where(at_dead_centre, jnp.sign(cosine), jnp.sign(sine * y[1]))
+
+    def guard(self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        sine, cosine = sincos(y[0])
+        _, turn, current_rate = self.rates(inputs, tau, y, sign)
+        rate = turn * sine + y[1] * y[1] * cosine
+        held = self.system.largest_friction_torque * jnp.abs(sine)
+        per_held = jnp.where(held > 0, self.system.motor_constant / jnp.where(held > 0, held, 1), 0)
+        share, share_rate = y[2] * per_held, current_rate * per_held
+        sticking = sign == 0
+        guard = jnp.where(sticking, 1 - share * share, sign * sine * y[1])
+        return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
+
+    def guard_scale(self, inputs: CartInputs, y: State, sign: FloatArray) -> FloatArray:
+        ideal = (jnp.abs(self.smooth.mean) + jnp.abs(self.smooth.amplitude)) / self.system.motor_constant
+        return jnp.where(sign == 0, 2.0, ideal + jnp.abs(y[1]))
+
+    def on_base(self, inputs: CartInputs, y: State) -> State:
+        return y[0], jnp.zeros_like(y[1]), y[2]
+
+    def can_stick(self, inputs: CartInputs, y: State) -> BoolArray:
+        held = self.system.largest_friction_torque * jnp.abs(sincos(y[0])[0])
+        return (jnp.abs(self.system.motor_constant * y[2]) <= held) & (held > 0)
+
+    def release_sign(self, inputs: CartInputs, y: State) -> FloatArray:
+        # The motor turns the way its current drives it.
+        return jnp.where(y[2] * sincos(y[0])[0] > 0, 1, -1).astype(y[0].dtype)
+
+    @property
+    def friction(self) -> FrictionLaw:
+        return Coulomb(self.system.mu)
+
+    def rates_under(self, inputs: CartInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
+        system, voltage = self.system, self.smooth
+        angle, speed, current = y
+        sine, cosine = sincos(angle)
+        inertia = system.cart_mass * system.eccentricity**2
+        carried = speed * speed if system.equation == "physical" else speed
+        rub = grip * system.cart_mass * system.gravity * system.eccentricity * jnp.abs(sine)
+        torque = (
+            system.motor_constant * current - system.motor_damping * speed - rub - inertia * sine * cosine * carried
+        )
+        phase, _ = sincos(inputs.phase + voltage.angular_frequency * tau)
+        drop = system.resistance * current + system.motor_constant * speed
+        rise = (voltage.mean + voltage.amplitude * phase - drop) / system.inductance
+        return speed, torque / (system.motor_inertia + inertia * sine * sine), rise
+
+    def relative_velocity(self, inputs: CartInputs, tau: FloatArray, y: State) -> FloatArray:
+        # That of the pin which drives the cart, ``eccentricity alpha'``: zero in sticks only.
+        return self.system.eccentricity * y[1]
+
+    def relative_acceleration(self, inputs: CartInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
+        return self.system.eccentricity * rates[1]
+
+    def _torque(self, sign: FloatArray):
+        """``alpha''`` as a function of sine and cosine of the angle, angular velocity and current."""
+        system = self.system
+        inertia = system.cart_mass * system.eccentricity**2
+        rub = sign * system.largest_friction_torque
+
+        def turn(direction: tuple[FloatArray, FloatArray], speed: FloatArray, current: FloatArray) -> FloatArray:
+            sine, cosine = direction
+            carried = speed * speed if system.equation == "physical" else speed
+            driving = system.motor_constant * current - system.motor_damping * speed - rub * sine
+            return (driving - inertia * sine * cosine * carried) / (system.motor_inertia + inertia * sine * sine)
+
+        return turn
+
+    def _steady(self, inputs: CartInputs, tau: FloatArray) -> FloatArray:
+        """The current after a long stick: the steady answer to the voltage, A."""
+        system, voltage = self.system, self.smooth
+        reactance = system.inductance * voltage.angular_frequency
+        gain = voltage.amplitude / (system.resistance**2 + reactance**2)
+        sine, cosine = sincos(inputs.phase + voltage.angular_frequency * tau)
+        return voltage.mean / system.resistance + gain * (system.resistance * sine - reactance * cosine)
+
+
+class _Slip(eqx.Module):
+    """The rates of a slip: a function of the time since the step began and of the state, its angle from there."""
+
+    model: CartModel
+    start: tuple[FloatArray, FloatArray]
+    phase: tuple[FloatArray, FloatArray]
+    sign: FloatArray
+
+    def __call__(self, tau: FloatArray, state: State) -> State:
+        angle, speed, current = state
+        system, voltage = self.model.system, self.model.smooth
+        sine, _ = _turned(self.phase, voltage.angular_frequency * tau)
+        drop = system.resistance * current + system.motor_constant * speed
+        current_rate = (voltage.mean + voltage.amplitude * sine - drop) * (1 / system.inductance)
+        return speed, self.model._torque(self.sign)(_turned(self.start, angle), speed, current), current_rate
+
+
+def _turned(direction: tuple[FloatArray, FloatArray], angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sine and cosine after a turn by a small angle."""
+    sine, cosine = direction
+    small_sine, small_cosine = sincos_of_small(angle)
+    return sine * small_cosine + cosine * small_sine, cosine * small_cosine - sine * small_sine

@@ -1,0 +1,122 @@
+"""One system and what drives it, as the engines follow it: how it slips and sticks, and when each is over.
+
+Exact dynamics needs the slips, the sticks and the guards; regularised dynamics the rates under any friction and the
+relative velocity.
+"""
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+
+from .._excitation.segments import Piece
+from .._types import BoolArray, FloatArray
+from .friction import FrictionLaw
+
+State = tuple[FloatArray, ...]
+NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
+
+
+class Pieces(NamedTuple):
+    """The piece under way of every part that comes in pieces: of base velocity, ground acceleration and force."""
+
+    base: tuple[Piece, ...]
+    ground: tuple[Piece, ...]
+    force: tuple[Piece, ...]
+
+
+class Base(NamedTuple):
+    """The base at one instant: velocity in m/s (or rad/s) and acceleration; zeros for a base at rest."""
+
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+class SwitchedModel(eqx.Module):
+    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t.
+
+    `steps_may_be_long`: whether `slip` and `stick` are as exact over long times as over a step.
+    """
+
+    steps_may_be_long: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def inputs(self, t: FloatArray, pieces: Pieces) -> Any:
+        """What the drive does from time t on, until a piece ends."""
+
+    @abc.abstractmethod
+    def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
+        """The state after slipping for the time `h` with relative velocity of this sign."""
+
+    def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray | None]:
+        """The same, and its relative error as far as it comes from the length of the step; None where that is known
+        to be short enough.
+        """
+        return self.slip(inputs, y, h, sign), None
+
+    @abc.abstractmethod
+    def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
+        """The state after sticking for the time `h`."""
+
+    def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray | None]:
+        """The same, and its relative error or None."""
+        return self.stick(inputs, y, h), None
+
+    @abc.abstractmethod
+    def rates(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        """The time derivative of the state; `sign` is 0 in a stick."""
+
+    @abc.abstractmethod
+    def at_rest(self, inputs: Any, y: State) -> BoolArray:
+        """Whether the mass has the velocity of what it rubs on, but for round-off, at `tau` 0."""
+
+    @abc.abstractmethod
+    def slip_sign(self, inputs: Any, y: State) -> FloatArray:
+        """The sign of the relative velocity at `tau` 0 and right after it, for a mass that is not at rest."""
+
+    @abc.abstractmethod
+    def guard(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A number that is positive while the mode lasts, and its time derivative.
+
+        In a slip: ``sign`` times the relative velocity. In a stick: ``1 - (needed friction / largest friction)^2``.
+        """
+
+    @abc.abstractmethod
+    def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
+        """The size of the terms that cancel in the guard, to judge round-off by."""
+
+    @abc.abstractmethod
+    def on_base(self, inputs: Any, y: State) -> State:
+        """The state at `tau` 0 with the relative velocity made exactly zero."""
+
+    @abc.abstractmethod
+    def can_stick(self, inputs: Any, y: State) -> BoolArray:
+        """Whether friction can hold the mass on the base, at `tau` 0 and relative velocity zero."""
+
+    @abc.abstractmethod
+    def release_sign(self, inputs: Any, y: State) -> FloatArray:
+        """The sign of the relative velocity with which a mass leaves a stick, at `tau` 0."""
+
+    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+        """The longest step to take from `y`, `age` s after the last event at rest.
+
+        Transients may call for shorter ones at first, and a stick may allow longer ones.
+        """
+        return step
+
+    @property
+    @abc.abstractmethod
+    def friction(self) -> FrictionLaw:
+        """The friction law of the contact."""
+
+    @abc.abstractmethod
+    def rates_under(self, inputs: Any, tau: FloatArray, y: State, grip: FloatArray) -> State:
+        """The time derivative of the state under the signed friction coefficient `grip`; affine in it."""
+
+    @abc.abstractmethod
+    def relative_velocity(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
+        """The relative velocity, m/s."""
+
+    @abc.abstractmethod
+    def relative_acceleration(self, inputs: Any, tau: FloatArray, y: State, rates: State) -> FloatArray:
+        """Its time derivative, where the state changes with `rates`."""

@@ -1,0 +1,394 @@
+"""Systems of the user's: any ordinary differential equations with one dry-friction contact, and how they move.
+
+Slips and sticks are integrated; all switches follow from the rates. With the relative velocity ``sigma(t, y, base)``
+and ``rates = a + b friction``, friction changes ``sigma'`` by
+``gain = grad sigma . b`` (negative). In a stick it is the share u of the kinetic force that keeps ``sigma' = 0``
+(Filippov's sliding field), which lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma
+(``gain = 0``) nothing sticks.
+"""
+
+import abc
+from functools import partial
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._excitation.excitation import Drive
+from .._excitation.segments import added
+from .._excitation.smooth import Signal
+from .._numerics.primal import without_derivatives
+from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
+from .._types import BoolArray, FloatArray, Scalar
+from .friction import Coulomb, FrictionLaw
+from .own_checks import check_fields, check_motion
+from .switched_model import NOISE_ULPS, Base, Pieces, State, SwitchedModel
+from .system import OWN_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+
+_NEWTON_STEPS = 2  # to the relative velocity zero; where it is linear in the state, the first one arrives
+_LEAST_GAIN = 64  # units in the last place of the terms of the gain; what is smaller has no effect
+
+
+class SwitchedSystem(System):
+    """One dry-friction contact in any system of ordinary differential equations. Subclass it and write three things.
+
+    - `state_names`: what each number of the state is, and its unit; there are two or more.
+    - `rates(t, y, base, friction)`: the time derivative of the state.
+    - `relative_velocity(t, y, base)`: the velocity of one side of the contact relative to the other.
+
+    Two masses in a row, the second of which rubs on the base::
+
+        class TwoMasses(ss.SwitchedSystem):
+            stiffness: float  # N/m, of the spring from the wall to the first mass, and of that between the masses
+            mass: float  # kg, of each
+            normal_force: float  # N
+            mu: float
+            mu_static: float
+
+            @property
+            def state_names(self):
+                return "position 1 in m", "velocity 1 in m/s", "position 2 in m", "velocity 2 in m/s"
+
+            def rates(self, t, y, base, friction):
+                x1, v1, x2, v2 = y
+                pull = self.stiffness * (x2 - x1)
+                rub = friction * self.mu * self.normal_force
+                return v1, (pull - self.stiffness * x1) / self.mass, v2, (-pull - rub) / self.mass
+
+            def relative_velocity(self, t, y, base):
+                return y[3] - base.velocity
+
+            @property
+            def static_ratio(self):
+                return self.mu_static / self.mu
+
+            @property
+            def shortest_time(self):  # the shorter one of the two natural periods
+                return 2 * math.pi / (1.618 * (self.stiffness / self.mass) ** 0.5)
+
+
+        system = TwoMasses(stiffness=1.0, mass=1.0, normal_force=1.0, mu=0.3, mu_static=0.4)
+        one = ss.simulate(system, ss.Harmonic(1.0, 0.8), t1=50.0, y0=(0.0, 0.0, 1.0, 0.0))
+
+    Fields hold numbers and arrays, or signals such as `Harmonic` for a force, ``self.force.value(t)``: what JAX can
+    differentiate with respect to. Anything else, such as a name or a function, is declared
+    ``field: str = equinox.field(static=True)``. `position` of a stick is the first number of the state. Figures name
+    their axes by `state_names`; `coordinates`, `body_name`, `stick_band` and others of `System` may be given for what
+    else figures show.
+
+    `simulate` and `simulate_ensemble` raise ValueError where an instance breaks these rules, as far as can be seen in
+    the initial state with the base at rest. A base velocity of any kind drives the system, not a ground acceleration.
+    """
+
+    @property
+    @abc.abstractmethod
+    def state_names(self) -> tuple[str, ...]:
+        """What each number of the state is, with its unit: ``("angle in rad", "angular velocity in rad/s")``."""
+
+    @abc.abstractmethod
+    def rates(self, t: FloatArray, y: tuple[FloatArray, ...], base: Base, friction: FloatArray) -> tuple[Any, ...]:
+        """The time derivatives of the state `y` (a tuple of scalars) at time `t` (s), as many scalars, by JAX.
+
+        - `base`: velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
+        - `friction`: the share of the kinetic friction force that acts: +1 while the relative velocity is positive, -1
+          while it is negative, what it takes in a stick, at most `static_ratio`. The friction force is ``friction``
+          times the kinetic one, and positive values act against a positive relative velocity. So rates are affine in
+          `friction`: ``a + b friction``, where a and b depend on time, state and base.
+
+        Of a kinetic force that depends on the relative velocity r, write ``friction * force(jnp.abs(r))``. Rates must
+        be smooth, but for their dependence on ``jnp.abs(r)``.
+        """
+
+    @abc.abstractmethod
+    def relative_velocity(self, t: FloatArray, y: tuple[FloatArray, ...], base: Base) -> FloatArray:
+        """The relative velocity in the contact, m/s (or rad/s): a smooth scalar function of the state.
+
+        It may depend on the base's velocity, not on its acceleration.
+        """
+
+    @property
+    def static_ratio(self) -> Scalar:
+        """What a stick holds over what a slip meets at its beginning, ``mu_static / mu``; at least 1."""
+        return 1.0
+
+    @property
+    def shortest_time(self) -> Any:
+        """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
+
+        The default time step is 1/48 of it, and no step may be longer than 1/12 of it. None where it is not known; the
+        step must be given then, ``method=Exact(step=...)``.
+        """
+        return None
+
+    @property
+    def speed_scale(self) -> Any:
+        """The scale of relative velocities, m/s (or rad/s): the speed that friction takes away in one `shortest_time`.
+
+        A smoothed friction law takes its width from it. None where it is not known.
+        """
+        return None
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(map(Coordinate.of, self.state_names))
+
+    @property
+    def holds_more(self) -> bool:
+        return float(self.static_ratio) > 1
+
+    def switched_model(self, smooth: Signal | None, solver: Any) -> "GeneralModel":
+        return GeneralModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
+
+    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+        return {
+            OWN_TIME: TimeScale(self.shortest_time, SOLVED),
+            "shortest period of the base motion": TimeScale(shortest_period(drive), SOLVED),
+        }
+
+    @property
+    def contact_scales(self) -> tuple[Any, Any]:
+        speed, time = self.speed_scale, self.shortest_time
+        return speed, None if speed is None or time is None else speed / time
+
+    def check_numbers(self) -> None:
+        check_fields(self)
+
+    def check_state(self, y0: tuple[Any, ...]) -> None:
+        check_motion(self, y0)
+
+    def check_drive(self, drive: Drive) -> None:
+        super().check_drive(drive)
+        if drive.ground:
+            raise ValueError(
+                f"Argument base of a {type(self).__name__} must be a base velocity, but a ground acceleration was "
+                "given; write what the acceleration of the ground does into rates, as a function of time."
+            )
+
+
+class GeneralInputs(NamedTuple):
+    """From time `t` on: what of the base velocity comes in pieces, m/s, linear in time."""
+
+    t: FloatArray
+    base: FloatArray
+    base_slope: FloatArray
+
+
+class _Contact(NamedTuple):
+    """How friction acts at one instant.
+
+    `idle`, `push`: rates without friction, and what one unit of friction adds. `drift`: the rate of the relative
+    velocity without friction. `grips`: whether friction acts on it; `per_gain`: by ``1 / gain``, 0 where it does not.
+    """
+
+    idle: State
+    push: State
+    drift: FloatArray
+    grips: BoolArray
+    gain: FloatArray
+    per_gain: FloatArray
+
+    @property
+    def share(self) -> FloatArray:
+        """The share of the kinetic friction that holds the relative velocity."""
+        return -self.drift * self.per_gain
+
+
+class GeneralModel(SwitchedModel):
+    """A `SwitchedSystem` on a base that moves with ``smooth(t)`` plus what comes in pieces."""
+
+    system: SwitchedSystem
+    smooth: Signal | None
+    solver: diffrax.AbstractERK
+
+    def inputs(self, t: FloatArray, pieces: Pieces) -> GeneralInputs:
+        return GeneralInputs(t, *added(t, pieces.base))
+
+    def slip(self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+        return self.slip_and_error(inputs, y, h, sign)[0]
+
+    def slip_and_error(
+        self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray
+    ) -> tuple[State, FloatArray]:
+        slid, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        return slid, relative_error(error, y, slid, self._way(inputs, y, h))
+
+    def stick(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
+        return self.stick_and_error(inputs, y, h)[0]
+
+    def stick_and_error(self, inputs: GeneralInputs, y: State, h: FloatArray) -> tuple[State, FloatArray]:
+        held, error = runge_kutta_step(_Stick(self, inputs), y, h, solver=self.solver)
+        return self._held(inputs, h, held), relative_error(error, y, held, self._way(inputs, y, h))
+
+    def rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        slid, held = self.slip_rates(inputs, tau, y, sign), self.stick_rates(inputs, tau, y)
+        return tuple(jnp.where(sign == 0, a, b) for a, b in zip(held, slid, strict=True))
+
+    def slip_rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
+        """The rates of a slip of this sign, continued smoothly to where the slip is over.
+
+        The stages of a Runge-Kutta step that ends an arc may lie slightly beyond. Friction that depends on the absolute
+        relative velocity has a kink there, which would cost the order; so what lies beyond is told by the mirror image.
+        """
+        t, base, _ = self.base_at(inputs, tau)
+        sigma, gradient = self._gradient(t, y, base)
+        steep = sum(part * part for part in gradient)
+        beyond = (sign * sigma < 0) & (steep > 0)
+        way = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
+        edge, image = (tuple(v - k * way * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
+        here, there = self._rates(t, edge, base, sign), self._rates(t, image, base, sign)
+        return tuple(jnp.where(beyond, 2 * a - b, b) for a, b in zip(here, there, strict=True))
+
+    def stick_rates(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> State:
+        """The sliding field: the rates under the friction that keeps the relative velocity."""
+        contact = self._contact(*self.base_at(inputs, tau)[:2], y)
+        return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.push, strict=True))
+
+    def at_rest(self, inputs: GeneralInputs, y: State) -> BoolArray:
+        noise = NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[0]))
+        return jnp.abs(self._sigma_now(inputs, y)) <= noise
+
+    def slip_sign(self, inputs: GeneralInputs, y: State) -> FloatArray:
+        return jnp.sign(self._sigma_now(inputs, y))
+
+    def guard(
+        self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        t, base, jerk = self.base_at(inputs, tau)
+        base_rates = Base(base.acceleration, jerk)
+        one = jnp.ones_like(t)
+
+        slid = self.slip_rates(inputs, tau, y, sign)
+        sigma, sigma_rate = jax.jvp(self._sigma, (t, y, base), (one, slid, base_rates))
+
+        def share_of(t, y, base):
+            contact = self._contact(t, base, y)
+            ratio = jnp.asarray(self.system.static_ratio, t.dtype)
+            return contact.share / ratio, contact.grips
+
+        held = self.stick_rates(inputs, tau, y)
+        share, share_rate, grips = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
+        sticking = sign == 0
+        stick, stick_rate = jnp.where(grips, 1 - share * share, -1), jnp.where(grips, -2 * share * share_rate, 0)
+        return jnp.where(sticking, stick, sign * sigma), jnp.where(sticking, stick_rate, sign * sigma_rate)
+
+    def guard_scale(self, inputs: GeneralInputs, y: State, sign: FloatArray) -> FloatArray:
+        t, base, _ = self.base_at(inputs, jnp.zeros_like(y[0]))
+        sigma, gradient = self._gradient(t, y, base)
+        by_base = jax.grad(lambda v: self._sigma(t, y, Base(v, base.acceleration)))(base.velocity)
+        slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
+        slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
+        if self.system.shortest_time is not None:
+            # What the forces change in the time of one radian: all of a velocity about a base at rest comes from that.
+            contact = self._contact(t, base, y)
+            change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
+            slip = slip + self.system.shortest_time / (2 * np.pi) * (change + jnp.abs(contact.gain))
+        return jnp.where(sign == 0, 2.0, slip)
+
+    def on_base(self, inputs: GeneralInputs, y: State) -> State:
+        return self._held(inputs, jnp.zeros_like(y[0]), y)
+
+    def can_stick(self, inputs: GeneralInputs, y: State) -> BoolArray:
+        contact = self._contact(*self.base_at(inputs, jnp.zeros_like(y[0]))[:2], y)
+        return contact.grips & (jnp.abs(contact.share) <= self.system.static_ratio)
+
+    def release_sign(self, inputs: GeneralInputs, y: State) -> FloatArray:
+        # What drives the relative velocity without friction is more than friction can hold.
+        contact = self._contact(*self.base_at(inputs, jnp.zeros_like(y[0]))[:2], y)
+        return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
+
+    @property
+    def friction(self) -> FrictionLaw:
+        """Its friction coefficient is the share of the kinetic force."""
+        holds_more = type(self.system).static_ratio is not SwitchedSystem.static_ratio
+        return Coulomb(1.0, self.system.static_ratio if holds_more else None)
+
+    def rates_under(self, inputs: GeneralInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
+        t, base, _ = self.base_at(inputs, tau)
+        return self._rates(t, y, base, grip)
+
+    def relative_velocity(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> FloatArray:
+        t, base, _ = self.base_at(inputs, tau)
+        return self._sigma(t, y, base)
+
+    def relative_acceleration(self, inputs: GeneralInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
+        t, base, jerk = self.base_at(inputs, tau)
+        return jax.jvp(self._sigma, (t, y, base), (jnp.ones_like(t), rates, Base(base.acceleration, jerk)))[1]
+
+    def base_at(self, inputs: GeneralInputs, tau: FloatArray) -> tuple[FloatArray, Base, FloatArray]:
+        """The time, the base and the rate of its acceleration, `tau` later."""
+        t = inputs.t + tau
+        velocity, acceleration = inputs.base + tau * inputs.base_slope, inputs.base_slope
+        if self.smooth is None:
+            return t, Base(velocity, acceleration), jnp.zeros_like(t)
+        velocity, acceleration = velocity + self.smooth.value(t), acceleration + self.smooth.rate(t)
+        return t, Base(velocity, acceleration), jnp.asarray(self.smooth.curvature(t), t.dtype)
+
+    def _rates(self, t: FloatArray, y: State, base: Base, friction: FloatArray) -> State:
+        return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
+
+    def _way(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
+        """How far each number of the state goes in the time `h` by each term of its rate alone, their sum."""
+        model, inputs, y, h = without_derivatives((self, inputs, y, h))
+        t, base, _ = model.base_at(inputs, jnp.zeros_like(h))
+        none = jnp.zeros_like(t)
+        slopes = jax.jacfwd(partial(model._rates, t), argnums=(0, 2))(y, base, none)
+        return ways(h, y, model._rates(t, y, base, none), *zip(*slopes, strict=True))
+
+    def _sigma(self, t: FloatArray, y: State, base: Base) -> FloatArray:
+        return jnp.asarray(self.system.relative_velocity(t, y, base), t.dtype)
+
+    def _sigma_now(self, inputs: GeneralInputs, y: State) -> FloatArray:
+        t, base, _ = self.base_at(inputs, jnp.zeros_like(y[0]))
+        return self._sigma(t, y, base)
+
+    def _gradient(self, t: FloatArray, y: State, base: Base) -> tuple[FloatArray, State]:
+        """The relative velocity and its gradient with respect to the state."""
+        return jax.value_and_grad(lambda y: self._sigma(t, y, base))(y)
+
+    def _contact(self, t: FloatArray, base: Base, y: State) -> _Contact:
+        # Rates are affine in friction: their derivative is what friction adds, without cancellation.
+        idle, push = jax.jvp(
+            lambda friction: self._rates(t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
+        )
+        _, gradient = self._gradient(t, y, base)
+        # The relative velocity depends on the base's velocity only, whose rate is its acceleration.
+        moving = (jnp.ones_like(t), idle, Base(base.acceleration, jnp.zeros_like(t)))
+        _, drift = jax.jvp(self._sigma, (t, y, base), moving)
+        terms = [part * rate for part, rate in zip(gradient, push, strict=True)]
+        gain, size = sum(terms, jnp.zeros_like(t)), sum(map(jnp.abs, terms), jnp.zeros_like(t))
+        grips = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
+        per_gain = jnp.where(grips, 1 / jnp.where(grips, gain, -1), 0)
+        return _Contact(idle, push, drift, grips, gain, per_gain)
+
+    def _held(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> State:
+        """`y`, moved the way friction acts until the relative velocity is zero."""
+        t, base, _ = self.base_at(inputs, tau)
+        for _ in range(_NEWTON_STEPS):
+            contact = self._contact(t, base, y)
+            way = self._sigma(t, y, base) * contact.per_gain
+            y = tuple(value - way * push for value, push in zip(y, contact.push, strict=True))
+        return y
+
+
+class _Slip(eqx.Module):
+    """The rates of a slip, a function of the time since the step began and of the state."""
+
+    model: GeneralModel
+    inputs: GeneralInputs
+    sign: FloatArray
+
+    def __call__(self, tau: FloatArray, state: State) -> State:
+        return self.model.slip_rates(self.inputs, tau, state, self.sign)
+
+
+class _Stick(eqx.Module):
+    """The rates of a stick, a function of the time since the step began and of the state."""
+
+    model: GeneralModel
+    inputs: GeneralInputs
+
+    def __call__(self, tau: FloatArray, state: State) -> State:
+        return self.model.stick_rates(self.inputs, tau, state)

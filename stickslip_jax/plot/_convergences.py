@@ -1,0 +1,81 @@
+"""How estimates settle as the number of samples grows."""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from .._statistics.convergence import Convergence, HistogramConvergence
+from .._statistics.estimate import check_level
+from . import _parts, _style
+
+_SETTLED = 10  # samples: intervals from fewer reach so far that they would hide all others
+
+
+def convergence(result: Convergence | HistogramConvergence, ax: Axes | None = None, *, level: float = 0.9) -> Axes:
+    """Draw an estimate, or how far two joint histograms are apart, against the number of samples.
+
+    - `result`: a `Convergence`: the estimate with its confidence interval on a logarithmic axis of the number, and a
+      line at the estimate from all samples. Intervals from fewer than 10 samples may leave the axes. Or a
+      `HistogramConvergence`: the distance of two histograms with independent samples, both axes logarithmic, and the
+      slope -1/2 that it has once every cell is filled often; distances of 0 are left out.
+    - `ax`: where to draw; by default the axes of a new figure.
+    - `level`: of the confidence intervals, by Student's t.
+
+    Returns the axes, with a note in them where nothing is defined. Raises ValueError for arguments of another kind.
+    """
+    if not isinstance(result, (Convergence, HistogramConvergence)):
+        raise ValueError(
+            f"Argument result must be a Convergence or a HistogramConvergence, but {_checks.show(result)} was given; "
+            "give the result of convergence or of histogram_convergence."
+        )
+    check_level(level)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    ax.set_xscale("log")
+    if isinstance(result, Convergence):
+        _draw_estimates(ax, result, level)
+    else:
+        _draw_distances(ax, result)
+    if _parts.has_labels(ax):
+        _style.legend_above(ax, columns=1)
+    return ax
+
+
+def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
+    ax.set_xlabel("number of samples")
+    ax.set_ylabel(_parts.quantity_label(result.name, result.unit))
+    known = np.isfinite(result.values)
+    if not np.any(known):
+        _parts.note(ax, f"not defined in {result.numbers[-1]:,} samples")
+        return
+    numbers, values = result.numbers[known], result.values[known]
+    low, high = (ends[known] for ends in result.band(level))
+    ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--",
+               label=f"from all {result.final.samples:,} samples: {_parts.told(result.final)}")  # fmt: skip
+    ax.fill_between(
+        numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=f"{100 * level:.4g} % confidence interval"
+    )
+    ax.plot(
+        numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
+    )
+    settled = np.isfinite(low) & (numbers >= min(_SETTLED, numbers[-1]))
+    shown = np.concatenate([values, low[settled], high[settled], [result.final.value]])
+    margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
+    ax.set_ylim(shown.min() - margin, shown.max() + margin)
+
+
+def _draw_distances(ax: Axes, result: HistogramConvergence) -> None:
+    ax.set_yscale("log")
+    ax.set_xlabel("number of samples of each of the two histograms")
+    ax.set_ylabel("distance of the histograms\n(total variation)")
+    known = np.isfinite(result.distances) & (result.distances > 0)
+    if not np.any(known):
+        _parts.note(ax, "no distance could be told")
+        return
+    numbers, distances = result.numbers[known], result.distances[known]
+    fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
+    label = f"distance in {result.cells:,} cells with pairs{fitted}"
+    ax.plot(numbers, distances, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=4, label=label)
+    # The line begins where it comes down to the largest distance that there is, 1.
+    ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
+    line = distances[-1] * np.sqrt(numbers[-1] / ends)
+    ax.plot(ends, line, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="slope -1/2 through the last")

@@ -1,0 +1,77 @@
+"""Means of the first, second, ... stick."""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from .._statistics.ensemble_statistics import EnsembleStatistics
+from .._statistics.estimate import check_level
+from .._statistics.stick_sums import QUANTITIES
+from . import _parts, _style
+
+_ROOM = 0.3  # of the height of the axes, for the shares
+
+
+def means_by_order(
+    statistics: EnsembleStatistics, quantity: str = "duration", ax: Axes | None = None, *, level: float = 0.9
+) -> Axes:
+    """Draw the mean over the samples of the i-th stick's duration, start or position, against i.
+
+    The i-th stick is that of the samples that have so many. Where not all samples have it, gray bars at the bottom,
+    with an axis of their own on the right, tell the share of those that do; orders that no sample has are left out.
+
+    - `statistics`: ``ensemble.statistics``.
+    - `quantity`: "duration", "start" or "position".
+    - `ax`: where to draw; by default the axes of a new figure.
+    - `level`: of the confidence intervals, by Student's t. There are none from a single sample.
+
+    Returns the axes, with a note in them if there are no sticks. Raises ValueError for arguments of another kind.
+    """
+    _parts.require("statistics", statistics, EnsembleStatistics, "ensemble.statistics")
+    if not (isinstance(quantity, str) and quantity in QUANTITIES):
+        raise ValueError(
+            f"Argument quantity must be one of {', '.join(map(repr, QUANTITIES))}, but {_checks.show(quantity)} was "
+            "given."
+        )
+    check_level(level)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
+    present = [order for order in orders if order.share.value > 0]
+    unit = getattr(statistics, quantity).unit
+    ax.set_xlabel("order $i$ of the stick in its sample")
+    ax.set_ylabel(_parts.quantity_label(f"mean {quantity} of the $i$-th stick", unit))
+    if not present:
+        _parts.note(ax, "no sticks")
+        return ax
+    numbers = np.array([order.number for order in present])
+    means = [getattr(order, quantity).mean for order in present]
+    values = np.array([mean.value for mean in means])
+    low, high = np.array([mean.interval(level) for mean in means]).T
+    label = f"mean, {100 * level:.4g} % confidence interval"
+    look = {"color": _style.STICK, "lw": _style.SLIP_WIDTH}
+    known = np.isfinite(low)
+    if np.any(known):
+        errors = (values - low)[known], (high - values)[known]
+        ax.errorbar(numbers[known], values[known], errors, ls="none", capsize=3, **look)
+    else:
+        label = "mean (no interval from one sample)"
+    ax.plot(numbers, values, ls="none", marker="o", ms=4, label=label, **look)
+    _parts.whole_numbers(ax.xaxis)
+    ax.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
+    shares = np.array([order.share.value for order in present])
+    others = () if np.all(shares == 1) else (_draw_shares(ax, numbers, shares),)
+    _style.legend_above(ax, *others, columns=2)
+    return ax
+
+
+def _draw_shares(ax: Axes, numbers: np.ndarray, shares: np.ndarray) -> Axes:
+    """Bars at the bottom, below all that `ax` shows so far. Returns their axes."""
+    low, high = ax.get_ylim()
+    ax.set_yticks([tick for tick in ax.get_yticks() if low <= tick <= high])
+    ax.set_ylim(high - (high - low) / (1 - _ROOM), high)
+    below = ax.twinx()
+    below.bar(numbers, 100 * shares, width=0.8, color=_style.FORWARD, alpha=0.5, lw=0, label="share of samples")
+    below.set_ylim(0, 100 / (_ROOM - 0.06))
+    below.set_yticks([0, 50, 100])
+    below.set_ylabel("samples that have an $i$-th stick (%)", loc="bottom", fontsize="small")
+    return below

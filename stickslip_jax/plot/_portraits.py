@@ -1,0 +1,140 @@
+"""The path of the mass in the plane of position and velocity, of the motor in that of angle and angular velocity."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .._excitation.ground import GroundMotion
+from .._simulation.result import Simulation
+from .._systems.system import Coordinate
+from . import _style
+from ._trajectory import Piece, check_simulation, check_window, has_steady_base, joined, pieces_of
+
+_POSITION, _SCALED = "position", "position_times_omega"
+
+Group = tuple[str, Callable[[Piece], bool], dict[str, Any]]
+"""Label of some pieces, which they are, and how they look."""
+
+
+def _slip(sign: int) -> Callable[[Piece], bool]:
+    return lambda piece: not piece.sticks and np.sign(piece.base_velocity[0]) == sign
+
+
+# On a base at rest a stick is a point: markers at its ends, as wide as the line, make it seen.
+_STICK: Group = (
+    "stick",
+    lambda piece: piece.sticks,
+    {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
+)
+_BY_BASE: tuple[Group, ...] = (
+    ("slip, base forward", _slip(1), {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
+    ("slip, base backward", _slip(-1), {"color": _style.BACKWARD, "lw": _style.SLIP_WIDTH}),
+    ("slip, base at rest", _slip(0), {"color": _style.AT_REST, "lw": _style.SLIP_WIDTH}),
+    _STICK,
+)
+_ALIKE: tuple[Group, ...] = (
+    ("slip", lambda piece: not piece.sticks, {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
+    _STICK,
+)
+
+
+def phase_portrait(
+    one: Simulation,
+    ax: Axes | None = None,
+    *,
+    window: tuple[float, float] | None = None,
+    abscissa: str = _POSITION,
+) -> Axes:
+    """Draw velocity against position, as in Lima and Sampaio (conference paper), figures 3 to 5.
+
+    Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray where the base moves forward,
+    black where it moves backward (pale blue where it rests); elsewhere it is gray. Crosses mark the two centres of the
+    slip arcs, ``x = +- mu n / k`` at rest, where there are any: with a constant friction coefficient, no force, and no
+    ground motion. Of a `MotorCart`, the angular velocity is drawn against the angle modulo 2 pi; its sticks are points.
+    Of a system of your own, the second number of the state is drawn against the first.
+
+    - `one`: a finished result of `simulate`, one trajectory.
+    - `ax`: where to draw; by default the axes of a new figure.
+    - `window`: first and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
+    - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
+      which undamped slip arcs are circles, as in the paper.
+
+    Returns the axes. Raises ValueError for anything else than the above.
+    """
+    check_simulation(one)
+    window = check_window(one, window)
+    first, second = one.system.coordinates[:2]
+    choices = (_POSITION,) if first.period or one.system.natural_frequency is None else (_POSITION, _SCALED)
+    if abscissa not in choices:
+        names = " or ".join(map(repr, choices))
+        raise ValueError(
+            f"Argument abscissa must be {names} for a {type(one.system).__name__}, but {abscissa!r} was given."
+        )
+    ax = _style.axes_or_new(ax, (5.0, 4.6))
+    pieces = pieces_of(one, window)
+    if first.period:
+        _draw_turning(ax, pieces, first, second)
+    else:
+        _draw_plane(ax, one, pieces, abscissa)
+    _style.legend_above(ax, columns=2)
+    return ax
+
+
+def _draw_plane(ax: Axes, one: Simulation, pieces: list[Piece], abscissa: str) -> None:
+    """The second coordinate against the first, the latter times omega if `abscissa` says so."""
+    first, second = one.system.coordinates[:2]
+    scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
+    for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
+        chosen = [piece for piece in pieces if belongs(piece)]
+        if chosen:
+            ends = np.cumsum([len(piece.times) + 1 for piece in chosen]) - 2
+            starts = ends + 1 - [len(piece.times) for piece in chosen]
+            marked = np.union1d(starts, ends).tolist()
+            ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
+    centre = one.system.slip_centre
+    if centre is not None and not isinstance(one.base, GroundMotion):
+        look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
+        ax.plot(scale * float(centre) * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
+    whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
+    scaled = f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)"
+    ax.set_xlabel(scaled if abscissa == _SCALED else first.labelled(whose))
+    ax.set_ylabel(second.labelled(whose))
+    if abscissa == _SCALED:
+        ax.set_aspect("equal", adjustable="datalim")
+
+
+def _draw_turning(ax: Axes, pieces: list[Piece], first: Coordinate, second: Coordinate) -> None:
+    """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
+    assert first.period is not None
+    period = first.period
+    still = [piece for piece in pieces if piece.sticks and np.ptp(piece.state[:2], axis=1).max() == 0]
+    points = set(map(id, still))
+    for label, belongs, look in _ALIKE:
+        chosen = [piece for piece in pieces if belongs(piece) and id(piece) not in points]
+        if chosen:
+            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1), period), label=label, **look)
+    if still:
+        angles, speeds = np.transpose([[values[0] for values in piece.state[:2]] for piece in still])
+        look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
+        ax.plot(np.mod(angles, period), speeds, label="stick", **look)
+    turn = _style.angle_axis(ax, period)
+    ax.set_xlabel(first.labelled(f" modulo {turn}"))
+    ax.set_ylabel(second.label)
+
+
+def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """A line with its angle modulo `period`, led up to the edge, and broken, where it goes from one turn to another."""
+    turn = np.floor(angle / period)
+    at = np.flatnonzero(np.abs(np.diff(turn)) > 0)  # NaN, where the line is broken already, compares false
+    edge = period * np.maximum(turn[at], turn[at + 1])
+    part = (edge - angle[at]) / (angle[at + 1] - angle[at])
+    between = speed[at] + part * (speed[at + 1] - speed[at])
+    forward = turn[at + 1] > turn[at]
+    leaving, entering = np.where(forward, period, 0), np.where(forward, 0, period)
+    x = np.insert(
+        angle - period * turn, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
+    )
+    y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
+    return x, y

@@ -1,0 +1,85 @@
+"""The figures of a study, drawn by `stickslip_jax.plot`."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from .._ensemble.result import Ensemble
+from .._excitation.random import RandomPhase
+from .._excitation.voltage import SourceVoltage
+from .._simulation.call import simulate
+from .._simulation.result import Simulation
+from .._statistics.first_sticks import FirstSticks
+from .._status import Status
+from ._config import StudyConfig
+from ._folder import DURATION_AND_POSITION, PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
+
+_PERIODS_SHOWN = 16  # of the free oscillation: more would run into each other
+_VOLTAGE_PERIODS_SHOWN = 6
+
+
+def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSticks | None, folder: Path) -> None:
+    """Draw the beginning of sample 0 and, unless only totals were kept, what `_of_all_sticks` tells, as PNG files.
+
+    `first_sticks`: of every sample of a `MotorCart`; else None.
+    """
+    from .. import plot  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
+
+    one = beginning_of_sample_0(config, ensemble)
+    if int(one.status) == Status.FINISHED:
+        title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
+        plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
+        plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
+    if ensemble.tally is not None:
+        for file, (title, draw) in _of_all_sticks(ensemble, first_sticks).items():
+            plot.save(draw(), folder / file, title=f"{title} in {ensemble.samples} samples")
+
+
+def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict[str, tuple[str, Callable[[], Any]]]:
+    """The figures of the sticks of all samples, by file (one of `RESULT_FILES`): title, and what draws it."""
+    from .. import plot  # noqa: PLC0415 - as above
+
+    def joint():
+        return plot.joint_histogram(ensemble.statistics.joint("duration", "position"))[0]
+
+    shown: dict[str, tuple[str, Callable[[], Any]]] = {
+        STICK_DURATIONS: ("Stick durations", lambda: plot.stick_durations(ensemble)),
+        DURATION_AND_POSITION: ("Duration and position of sticks", joint),
+    }
+    if first_sticks is not None:
+        about = "Duration and position of first sticks"
+        shown[DURATION_AND_POSITION] = (
+            about,
+            lambda: plot.stick_map(first_sticks, system=ensemble.system, bound=_voltage(ensemble)),
+        )
+    return shown
+
+
+def _voltage(ensemble: Ensemble) -> Any:
+    """The voltage whose bound of stick durations is known in closed form; None for any other."""
+    law = ensemble.law
+    known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
+    return law if known else None
+
+
+def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
+    """Sample 0 of the ensemble with all its events, up to an instant that a figure can show."""
+    t1 = min(ensemble.t1, _time_shown(ensemble.system, ensemble.law))
+    method = dataclasses.replace(config.run.method(), max_steps=None)
+    for covered in (t1, 2 * t1, 4 * t1):
+        # A base motion up to another time begins likewise: only the beginning need be drawn, and more if need be.
+        base, y0 = dataclasses.replace(ensemble, t1=covered).realisation(0)
+        one = simulate(ensemble.system, base, t1=t1, y0=y0, method=method)
+        if int(one.status) != Status.BASE_TOO_SHORT:
+            break
+    return one
+
+
+def _time_shown(system: Any, law: Any) -> float:
+    """How long a time a figure can show, s."""
+    if system.natural_frequency is None:
+        signal = law.signal if isinstance(law, RandomPhase) else law
+        return _VOLTAGE_PERIODS_SHOWN * float(signal.shortest_period)
+    return _PERIODS_SHOWN * 2 * math.pi / float(system.natural_frequency)

@@ -1,0 +1,122 @@
+"""The folder of a result: nothing in it is overwritten unasked, and nothing is left in it half written."""
+
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ._errors import StudyError
+
+DATA = "study.nc"
+CONFIG = "study.toml"
+SUMMARY = "summary.txt"
+TIME_HISTORY = "time_history.png"
+PHASE_PORTRAIT = "phase_portrait.png"
+STICK_DURATIONS = "stick_durations.png"
+DURATION_AND_POSITION = "duration_and_position.png"
+RESULT_FILES = (CONFIG, SUMMARY, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DURATION_AND_POSITION, DATA)
+"""What a result may consist of, in the order in which files are put in place: the data, last, marks it complete."""
+
+
+@contextmanager
+def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
+    """A folder to write `RESULT_FILES` into, which become the result in `directory` if the block succeeds.
+
+    The files are moved there together at the end; an old result is replaced then, and only with `force`. Other files
+    in `directory` are left alone. If the block fails or is interrupted, everything is as it was before.
+
+    Raises StudyError, before the block runs, if `directory` holds a result and `force` is False, or cannot be written.
+    """
+    _refuse_to_overwrite(directory, force)
+    made: list[Path] = []
+    try:
+        staging = _staging_in(directory, made)
+        try:
+            yield staging
+            with _uninterrupted():
+                _refuse_to_overwrite(directory, force)  # another run may have finished meanwhile
+                _publish(staging, directory)
+        finally:
+            with _uninterrupted():
+                shutil.rmtree(staging, ignore_errors=True)
+    except BaseException:
+        for folder in reversed(made):
+            _remove_if_empty(folder)
+        raise
+
+
+def _refuse_to_overwrite(directory: Path, force: bool) -> None:
+    found = [name for name in RESULT_FILES if _exists(directory / name)]
+    if found and not force:
+        raise StudyError(
+            f"{directory} holds a result already ({found[-1]}); choose another folder with --out, or replace it with "
+            "--force."
+        )
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists() or path.is_symlink()
+    except OSError:  # not even to be looked at; making the folder will say why
+        return False
+
+
+def _staging_in(directory: Path, made: list[Path]) -> Path:
+    """Make `directory`, noting in `made` what did not exist before, and a temporary folder in it."""
+    try:
+        for folder in reversed([directory, *directory.parents]):
+            if not folder.exists():
+                folder.mkdir()
+                made.append(folder)
+        return Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
+    except NotADirectoryError:
+        raise StudyError(f"{directory} cannot hold a result, because it is, or lies below, a file.") from None
+    except (OSError, ValueError) as error:  # ValueError: not even a path, because it holds a null character
+        reason = getattr(error, "strerror", None) or error
+        raise StudyError(f"{directory} cannot be written ({reason}); choose another folder.") from None
+
+
+def _publish(staging: Path, directory: Path) -> None:
+    """Move the new files into place, after the old ones are moved aside; if that fails, move all of them back."""
+    aside = staging / "replaced"
+    aside.mkdir()
+    moved: list[tuple[Path, Path]] = []
+
+    def move(source: Path, target: Path) -> None:
+        source.replace(target)
+        moved.append((source, target))
+
+    try:
+        for name in reversed(RESULT_FILES):
+            if _exists(directory / name):
+                move(directory / name, aside / name)
+        for name in RESULT_FILES:
+            if _exists(staging / name):
+                move(staging / name, directory / name)
+    except BaseException:
+        for source, target in reversed(moved):
+            target.replace(source)
+        raise
+
+
+def _remove_if_empty(folder: Path) -> None:
+    try:
+        folder.rmdir()
+    except OSError:
+        return
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C for the few milliseconds that moving or removing files takes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if usual is None else usual)

@@ -1,0 +1,185 @@
+"""What is wrong with a study's file, in one sentence that names section and key."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from ._config import RUNS, StudyConfig
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, one_of, tables_of, tag_key, tag_of, toml_value
+from ._systems_config import MassSpringConfig
+
+Options = Mapping[tuple[str, str], str]
+"""The command's option, if there was one, that each section and key come from."""
+_SETTLED = None
+
+
+def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Options) -> str:
+    """One sentence for the first problem that pydantic found in `table`."""
+    # A misspelt key shows as unknown and, often, also as missing: the first says more.
+    problem: Any = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+    run = _run_kind(table)
+    place = _place_of(problem["loc"], run)
+    if problem["type"] == "extra_forbidden":
+        return _unknown_key(place) if place.section else _unknown_section(place.key, problem["input"])
+    if problem["type"] in ("model_type", "model_attributes_type"):
+        return f"{place.name} must be a section [{place.section}] of keys, but {_show(problem['input'])} was given."
+    if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        return _wrong_tag(place, problem["input"])
+    if problem["type"] == "missing":
+        return _missing(place, _place_of(problem["loc"][:-1], run))
+    if problem["type"] == "value_error":
+        said = str(problem["ctx"]["error"]).removeprefix("Argument ").removeprefix("Arguments ")
+        return f"in [{place.section}], {said}" if place.section else said
+    option = options.get((place.section, place.key))
+    subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
+    return f"{subject} {_demand(problem)}, but {_show(problem['input'])} was given."
+
+
+# --- where it is
+
+
+class _Place(NamedTuple):
+    """The section ("base.jumps", or "" outside all), what it may be made of by name, and the key ("" for the whole)."""
+
+    section: str
+    kinds: Mapping[str | None, type[Section]]
+    key: str = ""
+
+    @property
+    def name(self) -> str:
+        """The last part of the section's name."""
+        return self.section.rpartition(".")[2]
+
+    @property
+    def kind(self) -> type[Section]:
+        """What the section is made of."""
+        return self.kinds[_SETTLED]
+
+
+def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
+    """The place of what pydantic tells by keys, numbers in lists, and the names of the kinds that were chosen."""
+    place = outside = _Place("", {_SETTLED: StudyConfig})
+    for part in location:
+        if isinstance(part, int):
+            place = place._replace(key=f"{place.key}[{part}]")
+        elif part == NUMBER:  # where there might have been a table
+            place = outside._replace(key=place.name)
+        elif part in place.kinds:
+            place = place._replace(kinds={_SETTLED: place.kinds[part]})
+        else:
+            fields = place.kind.model_fields
+            kinds = kinds_in(fields[part].annotation) if part in fields else {}
+            if not kinds:
+                place = place._replace(key=str(part))
+                continue
+            inside = f"{place.section}.{part}".removeprefix(".")
+            outside, place = place, _Place(inside, _settled({"run": run} if inside == "run" else kinds))
+    return place
+
+
+def _settled(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
+    (kind, *others) = kinds.values()
+    return {**kinds} if others or kind is UniformConfig else {_SETTLED: kind}
+
+
+def _run_kind(table: Mapping[str, Any]) -> type[Section]:
+    """What the section [run] is made of."""
+    system = table.get("system")
+    model = system.get("model") if isinstance(system, dict) else None
+    return {tag_of(kind): run for kind, run in RUNS.items()}.get(model or "", RUNS[MassSpringConfig])
+
+
+def _all_sections(
+    kind: type[Section] = StudyConfig, within: str = ""
+) -> Iterator[tuple[str, dict[str, type[Section]]]]:
+    """The name of every section, and what it may be made of."""
+    for key, kinds in tables_of(kind).items():
+        name = f"{within}.{key}".removeprefix(".")
+        yield name, {tag_of(system): run for system, run in RUNS.items()} if name == "run" else kinds
+        for each in kinds.values():
+            yield from _all_sections(each, name)
+
+
+# --- what is wrong
+
+
+def _demand(problem: Any) -> str:
+    plain = {
+        "float_type": "must be a number",
+        "int_type": "must be a whole number",
+        "bool_type": "must be true or false",
+        "string_type": "must be a text in quotation marks",
+        "list_type": "must be a list in brackets",
+        "string_too_short": "must not be empty",
+        "too_short": "must not be empty",
+    }
+    demand = plain.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
+    return f"{demand} or {{ low = ..., high = ... }}" if problem["loc"][-1] == NUMBER else demand
+
+
+def _missing(place: _Place, owner: _Place) -> str:
+    about = owner.kind.model_fields[place.key or place.name].description
+    return f"[{owner.section}] lacks {place.key or f'[{place.section}]'} ({about}), which {tag_of(owner.kind)} needs."
+
+
+def _wrong_tag(place: _Place, table: Mapping[str, Any]) -> str:
+    kinds = {str(name): kind for name, kind in place.kinds.items()}
+    key = tag_key(next(iter(kinds.values()))) or ""
+    if key not in table:
+        return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
+    return (
+        f"{key} in [{place.section}] must be one of {_listed(kinds)}, but {_show(table[key])} was given"
+        f"{_nearest(str(table[key]), kinds, before='; ') or '.'}"
+    )
+
+
+def _unknown_key(place: _Place) -> str:
+    key, models = place.key, _models_of_runs()
+    tag, name = ("model", models[place.kind]) if place.kind in models else (tag_key(place.kind), tag_of(place.kind))
+    owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
+    hint = _owner_of(key, place.section) or _nearest(key, place.kind.model_fields)
+    return f"unknown key {key} in {owner}; {hint or f'its keys are {_listed(place.kind.model_fields)}.'}"
+
+
+def _models_of_runs() -> dict[type[Section], str]:
+    return {run: tag_of(system) for system, run in RUNS.items()}
+
+
+def _unknown_section(name: str, value: Any) -> str:
+    sections = _listed(StudyConfig.model_fields)
+    if not isinstance(value, dict):
+        return f"unknown key {name} outside every section; {_owner_of(name) or f'keys belong in {sections}.'}"
+    inner = [section for section, _ in _all_sections() if section.endswith(f".{name}")]
+    if inner:
+        return f"unknown section [{name}]; did you mean [{inner[0]}]?"
+    return f"unknown section [{name}]; {_nearest(name, StudyConfig.model_fields) or f'the sections are {sections}.'}"
+
+
+def _owner_of(key: str, section: str = "") -> str:
+    """A hint for a `key` that exists elsewhere, the `section` itself (of another kind) first, or ""."""
+    for name, kinds in sorted(_all_sections(), key=lambda each: each[0] != section):
+        owners = [tag for tag, kind in kinds.items() if key in kind.model_fields]
+        if owners and len(owners) == len(kinds):
+            return f"{key} belongs in [{name}]."
+        if owners:
+            return (
+                f"{key} belongs in [{name}] of the {'model' if name in ('system', 'run') else 'law'} {one_of(owners)}."
+            )
+    return ""
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names)
+
+
+def _nearest(name: str, known: Iterable[str], before: str = "") -> str:
+    by_lower_case = {candidate.lower(): candidate for candidate in known}
+    found = get_close_matches(name.lower(), by_lower_case, n=1)
+    return f"{before}did you mean {by_lower_case[found[0]]}?" if found else ""
+
+
+def _show(value: Any) -> str:
+    text = toml_value(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,63 @@
+"""From a TOML file and the command's options to a `StudyConfig`; every mistake becomes one sentence."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ._config import StudyConfig
+from ._errors import StudyError
+from ._examples import EXAMPLES
+from ._mistakes import Options, sentence_for
+
+OPTIONS = {
+    "samples": ("run", "samples"),
+    "seed": ("run", "seed"),
+    "t1": ("run", "t1"),
+    "threads": ("run", "threads"),
+    "chunk": ("run", "chunk"),
+    "out": ("output", "directory"),
+    "figures": ("output", "figures"),
+}
+"""The section and key that each option of the command replaces."""
+
+
+def read_config(
+    path: Path | None = None, options: Mapping[str, Any] | None = None, *, example: str | None = None
+) -> StudyConfig:
+    """The study in the TOML file `path` (None: the default study), with `options` (keys of `OPTIONS`) put in.
+
+    `example`: the name of one of `EXAMPLES`, for no file. Files that the study names are relative to its folder.
+
+    Raises StudyError for a file that is missing, is no TOML, or holds unknown keys or unsuitable values, and for
+    unsuitable options.
+    """
+    table = dict(EXAMPLES.get(example or "", {})) if path is None else _parse(path)
+    config = _validated(table, path, f"{path}: ", {})
+    given = {option: value for option, value in (options or {}).items() if value is not None}
+    for option, value in given.items():
+        section, key = OPTIONS[option]
+        table = {**table, section: {**table.get(section, {}), key: value}}
+    return _validated(table, path, "", {OPTIONS[option]: option for option in given}) if given else config
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise StudyError(f"{path}: no such file; `stickslip study --print-config` prints one to start from.") from None
+    except OSError as error:
+        raise StudyError(f"{path}: cannot be read ({error.strerror}).") from None
+    except UnicodeDecodeError:
+        raise StudyError(f"{path}: is not a text file in UTF-8.") from None
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError(f"{path}: is not valid TOML ({error}).") from None
+
+
+def _validated(table: dict[str, Any], path: Path | None, source: str, options: Options) -> StudyConfig:
+    try:
+        return StudyConfig.model_validate(table, context={"folder": Path() if path is None else path.parent})
+    except ValidationError as error:
+        raise StudyError(source + sentence_for(error, table, options)) from None

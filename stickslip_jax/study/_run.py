@@ -1,0 +1,145 @@
+"""Run a study: simulate its ensemble, estimate its statistics, and store both with figures."""
+
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .._ensemble.call import simulate_ensemble
+from .._ensemble.result import Ensemble
+from .._statistics.estimate import Estimate
+from .._statistics.estimates import (
+    mean_slip_count,
+    mean_slip_duration,
+    mean_stick_count,
+    mean_stick_duration,
+    stick_fraction,
+)
+from .._statistics.first_sticks import FirstSticks, first_stick
+from ._config import RunConfig, StudyConfig
+from ._errors import StudyError
+from ._figures import draw_figures
+from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
+from ._store import write_netcdf
+
+STATISTICS = {
+    "stick_fraction": stick_fraction,
+    "mean_stick_count": mean_stick_count,
+    "mean_slip_count": mean_slip_count,
+    "mean_stick_duration": mean_stick_duration,
+    "mean_slip_duration": mean_slip_duration,
+}
+"""What a study estimates; the names are those of the variables in its file."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study that has been run and stored: its statistics by name, and the files in `directory`.
+
+    `first_sticks`: of every sample of a `MotorCart`, if the sticks were kept; else None.
+    """
+
+    config: StudyConfig
+    ensemble: Ensemble
+    statistics: Mapping[str, Estimate]
+    first_sticks: FirstSticks | None
+    directory: Path
+    files: tuple[str, ...]
+
+
+def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None = None) -> Study:
+    """Simulate the ensemble that `config` describes and store the result in its output directory.
+
+    - `force`: replace a result that is there already, once the new one is complete.
+    - `progress`: as in `simulate_ensemble`.
+
+    On any failure nothing is left behind. Raises StudyError for an output directory that holds a result or cannot be
+    written, a dtype that JAX is not set to, and what `simulate` refuses; OSError if writing fails.
+    """
+    _check_dtype(config.run)
+    directory = Path(config.output.directory).expanduser()
+    with result_folder(directory, force=force) as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # as the configuration asks
+        ensemble = simulate(config, progress)
+        statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
+        first = _first_sticks(config, ensemble)
+        write_netcdf(folder / DATA, config, ensemble, statistics, first)
+        (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
+        if ensemble.tally is not None:
+            (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
+        if config.output.figures:
+            draw_figures(config, ensemble, first, folder)
+        files = tuple(name for name in RESULT_FILES if (folder / name).exists())
+    return Study(config, ensemble, statistics, first, directory, files)
+
+
+def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
+    """The ensemble that `config` describes.
+
+    Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
+    refuses; all before anything is simulated.
+    """
+    run = config.run
+    try:
+        return simulate_ensemble(
+            _built(config.system, "system"),
+            _built(config.base, "base"),
+            t1=run.t1,
+            samples=run.samples,
+            key=jax.random.key(run.seed),
+            y0=run.y0(),
+            method=run.method(),
+            keep=run.keep,
+            orders=run.orders,
+            count_initial_rest=run.count_initial_rest,
+            threads=run.threads,
+            chunk=run.chunk,
+            progress=progress,
+        )
+    except ValueError as error:
+        raise StudyError(_in_words_of_the_file(str(error))) from error
+
+
+def _built(section: Any, name: str) -> Any:
+    """What `section` describes, as the simulation takes it."""
+    try:
+        return section.build()
+    except (ValueError, OSError) as error:
+        said = re.sub(r"\AArguments? (path\b)?", lambda found: "file" if found[1] else "", str(error))
+        raise StudyError(f"in [{name}], {said}") from error
+
+
+def _first_sticks(config: StudyConfig, ensemble: Ensemble) -> FirstSticks | None:
+    if ensemble.flat_sticks is None or not config.run.maps_first_sticks:
+        return None
+    return first_stick(ensemble, count_initial_rest=config.run.count_initial_rest)
+
+
+_NAMES = {
+    "base": "[base]",
+    "force": "[system.force]",
+    "keep": "keep in [run]",
+    "law": "[base]",
+    "samples": "samples in [run]",
+    "step": "step in [run]",
+    "t1": "t1 in [run]",
+}
+
+
+def _in_words_of_the_file(said: str) -> str:
+    """What `simulate_ensemble` says of its arguments, with the sections and keys that they come from."""
+    said = re.sub(r"\AArguments? (\w+)", lambda found: _NAMES.get(found[1], found[1]), said)
+    return said.replace("use method=Exact(solver=diffrax.Dopri8())", 'set solver = "Dopri8" in [run]')
+
+
+def _check_dtype(run: RunConfig) -> None:
+    if str(jnp.result_type(float)) != run.dtype:
+        wanted = run.dtype == "float64"
+        raise StudyError(
+            f"dtype {run.dtype} in [run] needs jax.config.update('jax_enable_x64', {wanted}) before anything else."
+        )

@@ -1,0 +1,109 @@
+"""A study as one labelled data set: every stick, each sample's totals, the statistics, and where they come from."""
+
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import jax
+import numpy as np
+import xarray as xr
+
+from .. import __version__
+from .._ensemble.result import Ensemble
+from .._statistics.estimate import Estimate
+from .._statistics.first_sticks import FirstSticks
+from .._status import Ending, Status
+from ._config import StudyConfig
+
+
+def write_netcdf(
+    path: Path,
+    config: StudyConfig,
+    ensemble: Ensemble,
+    statistics: Mapping[str, Estimate],
+    first_sticks: FirstSticks | None = None,
+) -> None:
+    """Write the data set of a study to `path`, a NetCDF 4 file. Raises OSError if that fails.
+
+    Histograms and all that ``ensemble.statistics.to_xarray()`` tells stand in the group ``statistics``.
+    """
+    dataset_of_study(config, ensemble, statistics, first_sticks).to_netcdf(path, engine="h5netcdf")
+    if ensemble.tally is not None:
+        told = ensemble.statistics.to_xarray()
+        told.to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
+
+
+def dataset_of_study(
+    config: StudyConfig,
+    ensemble: Ensemble,
+    statistics: Mapping[str, Estimate],
+    first_sticks: FirstSticks | None = None,
+) -> Any:
+    """An ``xarray.Dataset``: what ``ensemble.to_xarray()`` gives (if the sticks were kept) and the statistics.
+
+    `first_sticks` become variables along ``sample``, ``first_stick_<column>``, NaN where there is none. Each statistic
+    is a variable, its standard error another, ``<name>_standard_error``. All have ``units`` and ``long_name``; the
+    attributes say what was simulated, by which versions, and how many samples did not finish.
+    """
+    dataset = xr.Dataset() if ensemble.flat_sticks is None else ensemble.to_xarray()
+    for name, estimate in statistics.items():
+        error = f"{name}_standard_error"
+        about = {"long_name": estimate.name, "units": estimate.unit, "ancillary_variables": error}
+        dataset[name] = ((), estimate.value, about)
+        about = {"long_name": f"standard error of the {estimate.name}", "units": estimate.unit}
+        dataset[error] = ((), estimate.standard_error, about)
+    if first_sticks is not None:
+        for name, column in _first_stick_columns(first_sticks).items():
+            dataset[f"first_stick_{name}"] = column
+    dataset.attrs.update({"title": "Ensemble of stick-slip motions", **_provenance(config, ensemble)})
+    return dataset
+
+
+def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray, dict[str, Any]]]:
+    endings = {"flag_values": [-1, *map(int, Ending)], "flag_meanings": " ".join(["NONE", *Ending.__members__])}
+    return {
+        "start": ("sample", first.start, {"long_name": "time at which the first stick starts", "units": "s"}),
+        "duration": ("sample", first.duration, {"long_name": "duration of the first stick", "units": "s"}),
+        "angle": ("sample", first.position, {"long_name": "motor angle during the first stick", "units": "rad"}),
+        "ending": ("sample", first.ending, {"long_name": "why the first stick ended", "units": "1", **endings}),
+    }
+
+
+def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
+    """How the numbers came about; parameters are named ``<section>_<key>``, in the units of ``configuration``."""
+    attributes: dict[str, Any] = {
+        "source": f"stickslip_jax {__version__}",
+        "stickslip_jax_version": __version__,
+        "jax_version": jax.__version__,
+        "numpy_version": np.__version__,
+        "python_version": platform.python_version(),
+        "xarray_version": xr.__version__,
+        "h5netcdf_version": h5netcdf.__version__,
+        "platform": platform.platform(),
+        "device": str(jax.devices()[0].device_kind),
+        "date_created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "configuration": config.to_toml(),
+        "samples_finished": ensemble.finished,
+        "samples_in_doubt": ensemble.doubtful,
+        "compile_seconds": ensemble.compile_seconds,
+        "run_seconds": ensemble.run_seconds,
+        "threads_used": ensemble.threads,
+    }
+    for status in Status:
+        if status is not Status.FINISHED:
+            attributes[f"samples_{status.name.lower()}"] = ensemble.status_counts[status]
+    if ensemble.key_words is not None:
+        attributes["key_words"] = np.array(ensemble.key_words, np.uint32)
+    for section in ("system", "base", "run"):
+        attributes |= _flat(section, getattr(config, section).model_dump(exclude_none=True))
+    return attributes
+
+
+def _flat(name: str, value: Any) -> dict[str, Any]:
+    """`value` as attributes called `name` or, of a table, ``<name>_<key>``; NetCDF has no truth values."""
+    if isinstance(value, dict):
+        return {key: entry for part in value for key, entry in _flat(f"{name}_{part}", value[part]).items()}
+    return {name: int(value) if isinstance(value, bool) else value}
