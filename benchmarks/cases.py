@@ -187,7 +187,7 @@ def _sensitivity(motion: str | None, options: dict[str, Any] | None, sizes: Size
 
 
 VALUE = "value alone"
-_DIFFERENCES, _CORRECTED = {"method": "finite-difference"}, {"method": "corrected"}
+_DIFFERENCES, _CORRECTED = {"estimator": "finite-difference"}, {"estimator": "corrected"}
 SENSITIVITY: dict[str, tuple[str | None, dict[str, Any] | None]] = {
     VALUE: (None, None),
     "corrected derivative": (None, _CORRECTED),

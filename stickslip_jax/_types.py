@@ -17,7 +17,7 @@ AnyInteger: TypeAlias = Array | np.integer
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
 IntArray: TypeAlias = Int[Array, "..."]
-KeyWords: TypeAlias = UInt32[Array, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
+KeyData: TypeAlias = UInt32[Array, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
 """The two 32-bit words of a threefry key, as one array or apart."""
 
 __all__ = [
@@ -30,6 +30,6 @@ __all__ = [
     "FloatArray",
     "Int",
     "IntArray",
-    "KeyWords",
+    "KeyData",
     "Scalar",
 ]

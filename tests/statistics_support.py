@@ -6,7 +6,7 @@ import numpy as np
 
 from stickslip_jax._events.stick_stream import StickStream
 from stickslip_jax._events.sticks import FlatSticks
-from stickslip_jax._statistics.accumulator import Numbering, StickTally
+from stickslip_jax._statistics.accumulator import Numbering, StickAccumulator
 from stickslip_jax._statistics.ensemble_statistics import EnsembleStatistics
 
 T1 = 100.0
@@ -26,14 +26,14 @@ def statistics_of(
     owner = sticks.sample
     time = np.bincount(owner, weights=sticks.duration, minlength=len(sticks.count))
     slips = np.array([_slips_of_one(sticks, number, t1) for number in range(len(sticks.count))], np.int64)
-    tally, numbering = None, Numbering(orders, rest)
+    accumulator, numbering = None, Numbering(orders, rest)
     for piece in np.array_split(np.arange(len(sticks.count)), parts):
         chosen = np.isin(np.arange(len(sticks.count)), piece)
-        one = StickTally.of(StickStream.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
-        tally = one if tally is None else tally.merge(one)
-    assert tally is not None
+        one = StickAccumulator.of(StickStream.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
+        accumulator = one if accumulator is None else accumulator.merge(one)
+    assert accumulator is not None
     features = np.stack([time, sticks.count, slips], axis=1).astype(float)
-    return EnsembleStatistics(tally, sticks, features, t1, "m", numbering)
+    return EnsembleStatistics(accumulator, sticks, features, t1, "m", numbering)
 
 
 def slips_by_hand(sticks: FlatSticks, t1: float) -> list[list[float]]:

@@ -15,7 +15,7 @@ from support import filled, padded
 import stickslip_jax as ss
 
 # Turns of the loop, intervals of every base that jumps, points of every record: the same everywhere, to compile once.
-TURNS, SLOTS, POINTS = 2048, 24, 24
+STEPS, SLOTS, POINTS = 2048, 24, 24
 
 
 class Tones(NamedTuple):
@@ -251,10 +251,10 @@ class Followed(NamedTuple):
     end: tuple[Any, Any, Any]
 
 
-@partial(jax.jit, static_argnames="turns")
-def follow(system, base, t1, y0, *, step, solver=None, turns=TURNS) -> Followed:
+@partial(jax.jit, static_argnames="steps")
+def follow(system, base, t1, y0, *, step, solver=None, steps=STEPS) -> Followed:
     """Simulate in time steps; compiled once for every kind of set-up."""
-    method = ss.Exact(step=step, max_steps=turns, solver=solver)
+    method = ss.Exact(step=step, max_steps=steps, solver=solver)
     one = ss.simulate(system, base, t1=t1, y0=y0, method=method)
     begun = one.switching_times
     middles = (begun + jnp.append(begun[1:], t1)) / 2

@@ -93,8 +93,8 @@ def test_a_long_trajectory_outgrows_any_block():
 class _EndsEarly(ss.PoissonSwitching):
     """A law that has no more intervals after the third."""
 
-    def draw(self, words, number, dtype):
-        return jnp.where(number < 3, super().draw(words, number, dtype), 0)
+    def draw(self, key_data, number, dtype):
+        return jnp.where(number < 3, super().draw(key_data, number, dtype), 0)
 
 
 @pytest.mark.parametrize("keep", ["statistics", "sticks"])
@@ -261,9 +261,9 @@ def test_derivative_of_the_streamed_totals():
 
     def stick_time(mu):
         system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
-        words = jax.random.key_data(KEY)
+        key_data = jax.random.key_data(KEY)
         engine = IntervalEngine(system, POISSON, 20.0, (0.0, 1.0))
-        job = lanes.Job(engine, words, np.uint32(0), np.int32(2))
+        job = lanes.Job(engine, key_data, np.uint32(0), np.int32(2))
         return lanes.summarise(job, lanes=32, rows=2, dtype=jnp.result_type(float)).stick_time
 
     _, tangent = jax.jit(lambda mu: jax.jvp(stick_time, (mu,), (1.0,)))(1.0)

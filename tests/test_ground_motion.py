@@ -122,7 +122,7 @@ def test_one_step_is_exact(damping, angle):
     zero, one = jnp.zeros(()), jnp.ones(())
 
     def state(x, v, first, second):
-        x, v, _ = law.next_piece((x, v, zero), (first, second, one, one), jnp.float64)[3]
+        x, v, _ = law.next_segment((x, v, zero), (first, second, one, one), jnp.float64)[3]
         return float(x), float(v)
 
     with mpmath.workdps(40):
@@ -138,14 +138,14 @@ def test_one_step_is_exact(damping, angle):
 
 def pieces(law, count, dtype):
     """Begins, ends, values and slopes of the first pieces, drawn one after the other as a simulation does."""
-    words = jax.random.key_data(KEY)
+    key_data = jax.random.key_data(KEY)
 
     def step(state, number):
         begin, memory = state
-        duration, value, slope, memory = law.next_piece(memory, law.draw(words, number, dtype), dtype)
+        duration, value, slope, memory = law.next_segment(memory, law.draw(key_data, number, dtype), dtype)
         return (begin + duration, memory), (begin, begin + duration, value, slope)
 
-    begin = (jnp.zeros((), dtype), law.begin(words, dtype))
+    begin = (jnp.zeros((), dtype), law.begin(key_data, dtype))
     _, drawn = jax.lax.scan(step, begin, jnp.arange(count, dtype=jnp.uint32))
     return tuple(np.asarray(part) for part in drawn)
 

@@ -243,11 +243,11 @@ class TestEveryRandomLaw:
 
     def test_intervals_come_one_after_the_other(self, law):
         """Drawn one by one, each from its own number, as an ensemble does: the same realisation."""
-        words = law.words(jax.random.key(3))
-        memory = law.begin(words, jnp.float64)
+        key_data = law.key_data(jax.random.key(3))
+        memory = law.begin(key_data, jnp.float64)
         whole = zip(*sample(law, 3, capacity=6), strict=True)
         for number, expected in enumerate(whole):
-            drawn = law.draw(words, jnp.uint32(number), jnp.float64)
+            drawn = law.draw(key_data, jnp.uint32(number), jnp.float64)
             duration, velocity, memory = law.next_interval(memory, drawn, jnp.float64)
             assert (float(duration), float(velocity)) == pytest.approx(expected, rel=1e-15)
 

@@ -135,7 +135,7 @@ def test_derivative_of_a_mean():
     system, law = DuffingBelt(mu_static=0.5), ss.PoissonSwitching(SPEED, 0.3)
     exact = ss.sensitivity(ss.stick_fraction, system, law, key=jax.random.key(1), **options)
     differences = ss.sensitivity(ss.stick_fraction, system, law, key=jax.random.key(2), step=0.005, **options)
-    assert exact.method == "corrected"
+    assert exact.estimator == "corrected"
     z = (exact.derivative - differences.derivative) / math.hypot(exact.standard_error, differences.standard_error)
     assert abs(z) < 4
 

@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp, mpf
 
 from stickslip_jax._numerics.elementary import angle_of, log, sincos
-from stickslip_jax._numerics.random_bits import exponential, key_words, random_words, uniform
+from stickslip_jax._numerics.random_bits import exponential, key_data_of, random_words, uniform
 
 COUNT = 3000
 TYPES = [np.float64, np.float32]
@@ -168,7 +168,7 @@ def test_random_words_are_the_bits_of_jax(seed):
     key = jax.random.key(seed)
     with jax.threefry_partitionable(True):
         expected = np.asarray(jax.random.bits(key, (257,), "uint64"))
-    high, low = random_words(key_words(key), jnp.arange(257, dtype=jnp.uint32))
+    high, low = random_words(key_data_of(key), jnp.arange(257, dtype=jnp.uint32))
     assert np.array_equal((np.asarray(high, np.uint64) << np.uint64(32)) | np.asarray(low, np.uint64), expected)
 
 

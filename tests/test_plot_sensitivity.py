@@ -16,8 +16,8 @@ def result(parameter="mu", value=1.0, derivative=0.3, error=0.01, pathwise=0.5, 
     given = {
         "statistic": "mean stick duration (pooled)", "parameter": parameter, "parameter_value": value, "unit": "s",
         "value": 0.26, "value_error": 1e-4, "derivative": derivative, "standard_error": error, "pathwise": pathwise,
-        "event": derivative - pathwise, "is_elasticity": False, "method": "corrected", "samples": 100, "asked": 100,
-        "sticks_in_window": 500, "reach": 0.02,
+        "event": derivative - pathwise, "is_elasticity": False, "estimator": "corrected", "samples": 100, "asked": 100,
+        "sticks_in_window": 500, "relative_bandwidth": 0.02,
     }  # fmt: skip
     return ss.Sensitivity(**(given | more))
 

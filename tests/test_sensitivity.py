@@ -27,11 +27,11 @@ class SquareWithPhase(ss.BangBangLaw):
     period: float
     is_random = True
 
-    def begin(self, words, dtype):
-        high, _ = random_words(words, jnp.asarray(0xFFFFFFFF, jnp.uint32))
+    def begin(self, key_data, dtype):
+        high, _ = random_words(key_data, jnp.asarray(0xFFFFFFFF, jnp.uint32))
         return jnp.ones((), dtype), uniform(high, dtype)
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         return ()
 
     def next_interval(self, memory, drawn, dtype):
@@ -69,12 +69,12 @@ def compare(statistic, wrt, samples, step, case, factor=1, **more):
     case = dict(case)
     system, law = case.pop("system"), case.pop("law")
     corrected = ss.sensitivity(
-        STATISTICS[statistic], system, law, wrt=wrt, samples=samples, key=jax.random.key(11), method="corrected",
+        STATISTICS[statistic], system, law, wrt=wrt, samples=samples, key=jax.random.key(11), estimator="corrected",
         **case, **more,
     )  # fmt: skip
     differences = ss.sensitivity(
         STATISTICS[statistic], system, law, wrt=wrt, samples=factor * samples, key=jax.random.key(12), step=step,
-        method="finite-difference", **case,
+        estimator="finite-difference", **case,
     )  # fmt: skip
     return corrected, differences
 
@@ -187,7 +187,7 @@ def test_other_bases(name):
         if counted and statistic != "first":
             samples = 32_768
             if name in CLOSELY:
-                samples, more, step = 1 << 20, {"reach": CLOSELY[name]}, CLOSELY[name] / 3
+                samples, more, step = 1 << 20, {"relative_bandwidth": CLOSELY[name]}, CLOSELY[name] / 3
         corrected, differences = compare(statistic, wrt, samples, step, case, 4, **more)
         for parameter, result in corrected.items():
             assert abs(z_score(result, differences[parameter])) < AGREE, (statistic, parameter)
@@ -213,7 +213,7 @@ def test_static_friction():
     for statistic in (ss.mean_stick_count, ss.mean_stick_duration, ss.stick_fraction):
         corrected = ss.sensitivity(
             statistic, system(1.1), law, wrt=("mu", "mu_static"), samples=32_768, key=jax.random.key(6),
-            method="corrected", **options,
+            estimator="corrected", **options,
         )["mu_static"]  # fmt: skip
         low, high = (statistic(end) for end in ends)
         # As if the ends were independent, which is more than the error of their difference.
@@ -230,7 +230,7 @@ def test_standard_errors_are_honest():
     """z-scores of 200 independent repeats: mean 0 within 4 / sqrt(200), standard deviation 1 within 4 / sqrt(400)."""
     case = poisson(1.4, 1.0, 20.0)
     system, law = case.pop("system"), case.pop("law")
-    options = {"wrt": ("mu", "rate"), "reach": 0.01, **case}
+    options = {"wrt": ("mu", "rate"), "relative_bandwidth": 0.01, **case}
     for statistic in (ss.mean_stick_count, ss.mean_stick_duration):
         exact = ss.sensitivity(statistic, system, law, samples=1_000_000, key=jax.random.key(1000), **options)
         repeats = [
@@ -253,7 +253,7 @@ def test_first_duration(first_durations):
     corrected, differences = first_durations
     assert abs(z_score(corrected, differences)) < AGREE
     assert corrected.sticks_in_window > 100
-    assert corrected.reach > 0
+    assert corrected.relative_bandwidth > 0
     assert math.isnan(differences.pathwise)
 
 
@@ -275,12 +275,12 @@ def test_user_functional_and_realisation_means():
     system, law = case.pop("system"), case.pop("law")
     options = {"wrt": "mu", "samples": 4_096, **case}
     number = ss.StickFunctional(lambda sticks: jnp.sum(sticks.mask), "number")
-    recorded = ss.sensitivity(number, system, law, key=jax.random.key(3), method="corrected", **options)
+    recorded = ss.sensitivity(number, system, law, key=jax.random.key(3), estimator="corrected", **options)
     counted = ss.sensitivity(ss.mean_stick_count, system, law, key=jax.random.key(4), **options)
     assert abs(z_score(recorded, counted)) < AGREE
     assert recorded.pathwise == 0
     mean = ss.RealisationMeanDuration()
-    corrected = ss.sensitivity(mean, system, law, key=jax.random.key(3), method="corrected", **options)
+    corrected = ss.sensitivity(mean, system, law, key=jax.random.key(3), estimator="corrected", **options)
     differences = ss.sensitivity(mean, system, law, key=jax.random.key(5), **options)
     assert abs(z_score(corrected, differences)) < AGREE
 
@@ -377,7 +377,7 @@ def test_differentiable_in_several_parameters():
         estimate = ss.differentiable(statistic, system, law, **options)
         value, gradient = jax.jit(jax.value_and_grad(estimate))(point)
         _, forward = jax.jvp(estimate, (point,), (jnp.array([1.0, 0.0]),))
-        results = ss.sensitivity(statistic, system, law, method="corrected", **options)
+        results = ss.sensitivity(statistic, system, law, estimator="corrected", **options)
         assert value == pytest.approx(results["mu"].value, rel=1e-12)
         assert float(forward) == pytest.approx(float(gradient[0]), rel=1e-9)
         for index, result in enumerate(results.values()):

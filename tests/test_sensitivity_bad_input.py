@@ -19,29 +19,36 @@ BAD = {
          "system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4), force=ss.Harmonic(0.1, 0.7))},
         "Argument wrt must be unambiguous",
     ),
-    "method": ({"method": "naive"}, "Argument method must be one of"),
+    "estimator": ({"estimator": "naive"}, "Argument estimator must be one of"),
     "step": ({"step": 0.0}, "Argument step must be positive"),
-    "reach": ({"reach": -1.0}, "Argument reach must be positive"),
-    "step and reach": ({"step": 0.01, "reach": 0.01}, "Argument step must be left out with reach, but step=0.01 and"),
-    "step, not used": ({"step": 0.01, "method": "corrected"}, "Argument step must be left out with method='corrected'"),
-    "reach, not used": (
-        {"reach": 0.01, "method": "finite-difference"}, "Argument reach must be left out with method='finite-diff"
+    "relative_bandwidth": ({"relative_bandwidth": -1.0}, "Argument relative_bandwidth must be positive"),
+    "step and bandwidth": (
+        {"step": 0.01, "relative_bandwidth": 0.01},
+        "Argument step must be left out with relative_bandwidth, but step=0.01 and",
+    ),
+    "step, not used": (
+        {"step": 0.01, "estimator": "corrected"}, "Argument step must be left out with estimator='corrected'"
+    ),
+    "bandwidth, not used": (
+        {"relative_bandwidth": 0.01, "estimator": "finite-difference"},
+        "Argument relative_bandwidth must be left out with estimator='finite-diff",
     ),
     "elasticity": ({"elasticity": 1}, "Argument elasticity must be True or False"),
     "samples": ({"samples": 1}, "Argument samples must be a whole number of at least 2"),
-    "exact": ({"exact": ss.Regularized(1e-3)}, "Argument exact must be Exact"),
+    "method": ({"method": ss.Regularized(1e-3)}, "Argument method must be Exact"),
     "system": ({"system": 3}, "Argument system must be"),
-    "reach, static friction": (
+    "bandwidth, static friction": (
         {"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9, mu_static=0.9)), "wrt": "mu_static"},
-        "Argument step .or reach. must be smaller: mu_static = 0.9 .* must be at least mu",
+        "Argument step .or relative_bandwidth. must be smaller: mu_static = 0.9 .* must be at least mu",
     ),
-    "reach, static friction, corrected": (
+    "bandwidth, static friction, corrected": (
         {"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9, mu_static=0.9)), "wrt": "mu_static",
-         "method": "corrected"},
-        "Argument step .or reach. must be smaller: mu_static = 0.9 .* must be at least mu",
+         "estimator": "corrected"},
+        "Argument step .or relative_bandwidth. must be smaller: mu_static = 0.9 .* must be at least mu",
     ),
     "step, a negative rate": (
-        {"wrt": "rate", "method": "finite-difference", "step": 1.5}, "must be smaller: rate = 1 .* Argument rate must"
+        {"wrt": "rate", "estimator": "finite-difference", "step": 1.5},
+        "must be smaller: rate = 1 .* Argument rate must",
     ),
     "nothing random": ({"law": ss.SquareWave(1.0, 2.0)}, "Argument law must be random"),
     "key": ({"key": None}, "Argument key must be"),
@@ -49,6 +56,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
+@pytest.mark.usefixtures("annotations_unchecked")
 def test_bad_input(name):
     wrong, message = BAD[name]
     given = {
@@ -75,7 +83,7 @@ def test_single_precision_is_refused_where_it_hides_near_misses():
     options = {"wrt": "mu", "t1": 5.0, "samples": 64, "key": jax.random.key(0)}
     law, damped = ss.PoissonSwitching(1.0, 1.0), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4), damping=0.1)
     with jax.enable_x64(False):
-        for call in (partial(ss.sensitivity, method="corrected"), ss.differentiable):
+        for call in (partial(ss.sensitivity, estimator="corrected"), ss.differentiable):
             with pytest.raises(ValueError, match=r"must be a MassSpring without damping .* single precision"):
                 call(ss.mean_stick_count, damped, law, **options)
-        assert ss.sensitivity(ss.mean_stick_count, damped, law, **options).method == "finite-difference"
+        assert ss.sensitivity(ss.mean_stick_count, damped, law, **options).estimator == "finite-difference"

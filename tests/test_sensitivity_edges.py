@@ -13,8 +13,8 @@ from stickslip_jax._sensitivity.estimate import gradient_of_ratio
 from stickslip_jax._sensitivity.estimators import Columns
 from stickslip_jax._sensitivity.first_look import problem_of
 from stickslip_jax._sensitivity.parameters import with_numbers
-from stickslip_jax._sensitivity.problem import room_for
-from stickslip_jax._sensitivity.runs import Tally, derivatives_of
+from stickslip_jax._sensitivity.problem import buffer_sizes_for
+from stickslip_jax._sensitivity.runs import Accumulator, derivatives_of
 from stickslip_jax._sensitivity.statistic import StickSequence
 from stickslip_jax._sensitivity.traces import traced
 
@@ -49,12 +49,17 @@ def test_what_is_near_happens(name):
     """
     system, law, t1, y0, chunks = MOTIONS[name]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
-    engine, room = traced(problem.engine(), False), room_for(problem, pilot._replace(most=39))._replace(edges=120)
+    engine, buffer = (
+        traced(problem.engine(), False),
+        buffer_sizes_for(problem, pilot._replace(most=39))._replace(edges=120),
+    )
     path, mu = problem.paths(), problem.parameters[0].value
 
     def record(values, first):
         varied = with_numbers(engine, (("engine", *path[0]),), values)
-        recorded = sequences.record_sequences(varied, problem.words, first, lanes=LANES, room=room, dtype=problem.dtype)
+        recorded = sequences.record_sequences(
+            varied, problem.key_data, first, lanes=LANES, buffer=buffer, dtype=problem.dtype
+        )
         numbers = recorded.near.both_sides
         return jnp.stack([number.value for number in numbers]), (
             jnp.stack([number.decides for number in numbers]), recorded.sticks
@@ -87,13 +92,16 @@ def test_numbers_move_as_their_derivatives_say(wrt):
     """
     system, law, t1, y0, _ = MOTIONS["harmonic"]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
-    engine, room = traced(problem.engine(), False), room_for(problem, pilot._replace(most=39))._replace(edges=120)
+    engine, buffer = (
+        traced(problem.engine(), False),
+        buffer_sizes_for(problem, pilot._replace(most=39))._replace(edges=120),
+    )
     path, value = problem.paths(), problem.parameters[0].value
 
     def numbers(values):
         varied = with_numbers(engine, (("engine", *path[0]),), values)
         recorded = sequences.record_sequences(
-            varied, problem.words, jnp.uint32(0), lanes=LANES, room=room, dtype=problem.dtype
+            varied, problem.key_data, jnp.uint32(0), lanes=LANES, buffer=buffer, dtype=problem.dtype
         )
         near = recorded.near
         decides = jnp.stack([number.decides for number in near.both_sides])
@@ -164,21 +172,21 @@ def tally_of(rng, bias, number=4000):
     zero = np.zeros(number)
     rows = np.stack([zero, zero + 1, wide, zero, narrow, zero, zero, zero], axis=1)
     near = np.array([[1000.0, 250.0]])
-    return Tally((Moments.of(rows[::2]), Moments.of(rows[1::2])), near), Columns((2, 4), 6)
+    return Accumulator((Moments.of(rows[::2]), Moments.of(rows[1::2])), near), Columns((2, 4), 6)
 
 
 def test_window_is_wide_unless_it_disagrees():
-    tally, where = tally_of(np.random.default_rng(3), 0.0)
-    got, window = windows.estimate(tally, where, tally.near[0], None)
+    accumulator, where = tally_of(np.random.default_rng(3), 0.0)
+    got, window = windows.estimate(accumulator, where, accumulator.near[0], None)
     assert window == 0
-    assert got == gradient_of_ratio(tally.moments, 2, 6, None)
-    tally, where = tally_of(np.random.default_rng(3), 1.0)
-    got, window = windows.estimate(tally, where, tally.near[0], None)
+    assert got == gradient_of_ratio(accumulator.moments, 2, 6, None)
+    accumulator, where = tally_of(np.random.default_rng(3), 1.0)
+    got, window = windows.estimate(accumulator, where, accumulator.near[0], None)
     assert window == 1
-    assert got == gradient_of_ratio(tally.moments, 4, 6, None)
-    assert windows.is_torn(tally, where, tally.near[0])
+    assert got == gradient_of_ratio(accumulator.moments, 4, 6, None)
+    assert windows.is_torn(accumulator, where, accumulator.near[0])
     # A narrow window that holds too little judges nothing.
-    assert windows.estimate(tally, where, np.array([1000, windows.FEW - 1]), None)[1] == 0
+    assert windows.estimate(accumulator, where, np.array([1000, windows.FEW - 1]), None)[1] == 0
 
 
 def test_choosing_a_window_leaves_errors_honest():
@@ -187,12 +195,12 @@ def test_choosing_a_window_leaves_errors_honest():
     """
     rng, scores, own, narrow = np.random.default_rng(5), [], [], 0
     for _ in range(2000):
-        tally, where = tally_of(rng, 0.0, number=400)
-        got, window = windows.estimate(tally, where, tally.near[0], None)
+        accumulator, where = tally_of(rng, 0.0, number=400)
+        got, window = windows.estimate(accumulator, where, accumulator.near[0], None)
         scores.append((got.derivative - 1) / got.standard_error)
         narrow += window
-        chosen = where.derivative[windows._widest(tally.moments, where, tally.near[0], windows._AGREE)]
-        naive = gradient_of_ratio(tally.moments, chosen, 6, None)
+        chosen = where.derivative[windows._widest(accumulator.moments, where, accumulator.near[0], windows._AGREE)]
+        naive = gradient_of_ratio(accumulator.moments, chosen, 6, None)
         own.append((naive.derivative - 1) / naive.standard_error)
     bound = 4 / np.sqrt(2 * 2000)
     assert narrow > 100

@@ -36,7 +36,7 @@ FEW = pytest.mark.filterwarnings("ignore:The event part rests on")
 
 @FEW
 @pytest.mark.parametrize(
-    ("statistic", "system", "law", "method"),
+    ("statistic", "system", "law", "estimator"),
     [
         (ss.mean_stick_count, oscillator(), JUMPS, "corrected"),
         (ss.mean_stick_count, oscillator(), harmonic(), "finite-difference"),
@@ -45,23 +45,23 @@ FEW = pytest.mark.filterwarnings("ignore:The event part rests on")
         (ss.stick_fraction, ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9, mu_static=1.1)), JUMPS, "finite-difference"),
     ],
 )
-def test_default_method(statistic, system, law, method):
+def test_default_estimator(statistic, system, law, estimator):
     """What has the smaller error in the same time (docs/sensitivity.md); the result says which."""
     found = ss.sensitivity(
         statistic, system, law, wrt="mu", t1=5.0, samples=512, key=jax.random.key(0), y0=anywhere()
     )  # fmt: skip
-    assert found.method == method
-    assert ("central differences" in str(found)) == (method == "finite-difference")
+    assert found.estimator == estimator
+    assert ("central differences" in str(found)) == (estimator == "finite-difference")
     assert math.isfinite(found.derivative)
 
 
 @FEW
-def test_an_option_chooses_its_method():
+def test_an_option_chooses_its_estimator():
     options = {"wrt": "mu", "t1": 5.0, "samples": 512, "key": jax.random.key(0), "y0": anywhere()}
     found = ss.sensitivity(ss.mean_stick_count, oscillator(), JUMPS, step=0.02, **options)
-    assert (found.method, found.reach) == ("finite-difference", 0.02)
-    found = ss.sensitivity(ss.mean_stick_count, oscillator(), JUMPS, reach=0.02, **options)
-    assert found.method == "corrected"
+    assert (found.estimator, found.relative_bandwidth) == ("finite-difference", 0.02)
+    found = ss.sensitivity(ss.mean_stick_count, oscillator(), JUMPS, relative_bandwidth=0.02, **options)
+    assert found.estimator == "corrected"
 
 
 def test_fraction_on_a_harmonic_base():
@@ -102,7 +102,7 @@ def test_parameter_of_any_motion(law, name, t1):
     options = {"wrt": name, "t1": t1, "samples": 1_024, "y0": anywhere()}
     exact = ss.sensitivity(ss.stick_fraction, oscillator(), law, key=jax.random.key(1), **options)
     differences = ss.sensitivity(ss.stick_fraction, oscillator(), law, key=jax.random.key(2), step=0.005, **options)
-    assert exact.method == "corrected"
+    assert exact.estimator == "corrected"
     assert abs(exact.derivative) > 4 * exact.standard_error
     assert abs(z_score(exact, differences)) < 4
 
@@ -113,7 +113,7 @@ def test_a_slope_that_depends_on_the_step_is_reported():
     options = {"wrt": "mu", "t1": 50.0, "samples": 512, "key": jax.random.key(1), "y0": anywhere()}
     with pytest.warns(RuntimeWarning, match="No two windows agree on the derivative with respect to mu"):
         found = ss.sensitivity(ss.mean_stick_count, system, ss.Harmonic(1.0, 1.3), **options)
-    assert found.method == "finite-difference"
+    assert found.estimator == "finite-difference"
 
 
 def test_fraction_in_single_precision():
@@ -122,7 +122,7 @@ def test_fraction_in_single_precision():
     double = ss.sensitivity(ss.stick_fraction, oscillator(), harmonic(), step=0.01, **options)
     with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
         single = ss.sensitivity(ss.stick_fraction, oscillator(), harmonic(), **options)
-    assert single.method == "finite-difference"
+    assert single.estimator == "finite-difference"
     assert abs(single.derivative - double.derivative) < double.standard_error
 
 
@@ -133,15 +133,19 @@ def test_fraction_in_single_precision():
 def test_counted_as_recorded(system, law):
     """Lanes that count on the way, and sequences of sticks looked at afterwards: the same sums to round-off."""
     number = ss.StickFunctional(lambda sticks: sticks.mask.sum())
-    reaches, means = np.array([0.02, 0.005]), []
+    bandwidths, means = np.array([0.02, 0.005]), []
     for statistic, run in ((ss.mean_stick_count, counted), (number, recorded)):
         problem, pilot = problem_of(
             statistic, system, law, ("mu", "stiffness"), 20.0, 600, jax.random.key(1), anywhere()
         )
-        tally, columns = run(problem, pilot, reaches)
-        means.append((
-            tally.moments.mean[:2], [tally.moments.mean[list(of.derivative)] for of in columns], tally.near
-        ))  # fmt: skip
+        accumulator, columns = run(problem, pilot, bandwidths)
+        means.append(
+            (
+                accumulator.moments.mean[:2],
+                [accumulator.moments.mean[list(of.derivative)] for of in columns],
+                accumulator.near,
+            )
+        )
     for one, other in zip(*means, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
     assert np.all(means[0][2] > 10)
@@ -153,12 +157,12 @@ def test_a_solver_where_closed_forms_hold():
     options = {"wrt": "mu", "t1": 20.0, "samples": 4_096, "y0": (0.0, 0.5)}
     system, exact = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9)), ss.Exact(solver=diffrax.Dopri8())
     corrected = ss.sensitivity(
-        ss.mean_stick_count, system, JUMPS, key=jax.random.key(1), exact=exact, method="corrected", **options
+        ss.mean_stick_count, system, JUMPS, key=jax.random.key(1), method=exact, estimator="corrected", **options
     )
     closed = ss.sensitivity(ss.mean_stick_count, system, JUMPS, key=jax.random.key(1), **options)
-    differences = ss.sensitivity(ss.mean_stick_count, system, JUMPS, key=jax.random.key(2), exact=exact, **options)
+    differences = ss.sensitivity(ss.mean_stick_count, system, JUMPS, key=jax.random.key(2), method=exact, **options)
     assert corrected.derivative == closed.derivative
-    assert differences.method == "finite-difference"
+    assert differences.estimator == "finite-difference"
     assert abs(z_score(corrected, differences)) < 4
 
 
@@ -187,7 +191,7 @@ def test_corrected_at_twelve_points():
     for system, law, y0, t1 in POINTS:
         options = {"wrt": "mu", "t1": t1, "y0": y0}
         corrected = ss.sensitivity(
-            ss.mean_stick_count, system, law, samples=65_536, key=jax.random.key(1), method="corrected", **options
+            ss.mean_stick_count, system, law, samples=65_536, key=jax.random.key(1), estimator="corrected", **options
         )
         differences = ss.sensitivity(
             ss.mean_stick_count, system, law, samples=262_144, key=jax.random.key(2), step=0.003, **options
@@ -208,8 +212,8 @@ def test_harmonic_within_two_per_cent():
         )
 
     exact = found(1 << 22, 2, step=0.003)
-    for method in ("corrected", "finite-difference"):
-        one = found(1 << 20, 1, method=method)
+    for estimator in ("corrected", "finite-difference"):
+        one = found(1 << 20, 1, estimator=estimator)
         error = math.hypot(one.standard_error, exact.standard_error)
         assert error < 0.015 * exact.derivative
-        assert abs(one.derivative - exact.derivative) < 0.02 * exact.derivative + 2 * error, method
+        assert abs(one.derivative - exact.derivative) < 0.02 * exact.derivative + 2 * error, estimator

@@ -10,7 +10,7 @@ from statistics_support import made_up_sticks, sticks_from
 
 import stickslip_jax as ss
 from stickslip_jax._ensemble import parts as ensemble_parts
-from stickslip_jax._events.stick_stream import StickGatherer, StickStream
+from stickslip_jax._events.stick_stream import StickCollector, StickStream
 from stickslip_jax._numerics import loops
 from stickslip_jax._statistics import compiled_stick_sums, stick_sums
 
@@ -49,7 +49,7 @@ def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
 
 
 def gathered(parts, samples, finished=None):
-    gatherer = StickGatherer()
+    gatherer = StickCollector()
     gatherer.restart(samples)
     for part in parts:
         gatherer.add(*part)
@@ -197,11 +197,11 @@ def test_ensembles_without_numba_are_the_same(keep, threads, monkeypatch):
     run = {"t1": 30.0, "samples": 900, "key": jax.random.key(3), "y0": (0.0, 1.0), "keep": keep}
     compiled = ss.simulate_ensemble(SYSTEM, POISSON, threads=threads, chunk=300, **run)
     again = ss.simulate_ensemble(SYSTEM, POISSON, threads=3 - threads, chunk=300, **run)
-    for mine, theirs in zip(jax.tree.leaves(compiled.tally), jax.tree.leaves(again.tally), strict=True):
+    for mine, theirs in zip(jax.tree.leaves(compiled.accumulator), jax.tree.leaves(again.accumulator), strict=True):
         np.testing.assert_array_equal(mine, theirs)  # whatever the threads
     without_numba(monkeypatch)
     plain = ss.simulate_ensemble(SYSTEM, POISSON, threads=threads, chunk=300, **run)
-    assert_same(compiled.tally, plain.tally)
+    assert_same(compiled.accumulator, plain.accumulator)
     for mine, theirs in zip(compiled.retained.sticks, plain.retained.sticks, strict=True):
         np.testing.assert_array_equal(mine, theirs)
 
@@ -211,8 +211,8 @@ def test_an_ensemble_without_sticks(keep):
     run = {"t1": 0.5, "samples": 300, "y0": (30.0, 0.0), "keep": keep}
     many = ss.simulate_ensemble(SYSTEM, ss.Constant(1.0), **run)
     assert many.statistics.duration.number == 0
-    assert many.tally.slips.number == 300
-    assert many.tally.endings.tolist() == [0, 0, 0]
+    assert many.accumulator.slips.number == 300
+    assert many.accumulator.endings.tolist() == [0, 0, 0]
 
 
 def test_without_numba_the_loops_are_not_there(monkeypatch):
@@ -230,7 +230,7 @@ def test_without_numba_the_loops_are_not_there(monkeypatch):
 
 def test_gathering_begins_anew():
     parts, found = records(np.random.default_rng(5), np.float64)
-    gatherer = StickGatherer()
+    gatherer = StickCollector()
     for samples in (9, 4):
         gatherer.restart(samples)
         gatherer.add(*parts)

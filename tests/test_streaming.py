@@ -12,7 +12,7 @@ from statistics_support import T1, made_up_sticks, statistics_of
 
 import stickslip_jax as ss
 from stickslip_jax._ensemble import parts as ensemble_parts
-from stickslip_jax._events.stick_stream import StickGatherer
+from stickslip_jax._events.stick_stream import StickCollector
 from stickslip_jax._numerics.dyadic import DyadicCounts
 from stickslip_jax._numerics.power_sums import PowerSums
 
@@ -106,7 +106,7 @@ def kept():
 def test_streaming_gives_what_keeping_gives(kept, changed):
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", **changed, **RUN)
     assert streamed.flat_sticks is None
-    assert_same_tally(streamed.tally, kept.tally)
+    assert_same_tally(streamed.accumulator, kept.accumulator)
     for mine, theirs in zip(jax.tree.leaves(streamed.retained), jax.tree.leaves(kept.retained), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert "nan" not in repr(streamed.summary())
@@ -115,7 +115,7 @@ def test_streaming_gives_what_keeping_gives(kept, changed):
 
 def test_the_tally_is_that_of_the_kept_sticks(kept):
     told = statistics_of(kept.flat_sticks, t1=40.0, orders=4, rest=False)
-    assert_same_tally(kept.tally, told.tally)
+    assert_same_tally(kept.accumulator, told.accumulator)
     assert kept.statistics.duration.mean.value == pytest.approx(ss.mean_stick_duration(kept).value, rel=1e-12)
     assert kept.statistics.duration.mean.standard_error == pytest.approx(
         ss.mean_stick_duration(kept).standard_error, rel=1e-9
@@ -148,7 +148,7 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
     sticks = streamed.finished_sticks()
     assert len(sticks.start) + len(sticks.count) <= 1500 < len(sticks.start) + len(sticks.count) + 40
     np.testing.assert_array_equal(sticks.start, kept.flat_sticks.start[: len(sticks.start)])
-    assert_same_tally(streamed.tally, kept.tally)
+    assert_same_tally(streamed.accumulator, kept.accumulator)
     exact, scaled = kept.statistics.duration.mean, streamed.statistics.duration.mean
     assert scaled.value == pytest.approx(exact.value)
     # Measured on some 110 of 300 samples: a standard deviation from so many is uncertain by 1 / sqrt(220) = 7 %.
@@ -177,7 +177,7 @@ def test_what_is_not_recorded_is_never_read():
     values[:, :, 2] = np.nan
     ending = np.where(stuck, 1, -1).astype(np.int8)
     finished = np.array([True, True, False, True])
-    halves, whole = StickGatherer(), StickGatherer()
+    halves, whole = StickCollector(), StickCollector()
     whole.restart(3)
     whole.add(values, ending, np.array([[0, 1, 2], [0, 1, 2]]))  # of another job, which it must forget
     halves.restart(4)
@@ -194,15 +194,15 @@ def test_what_is_not_recorded_is_never_read():
         expected = np.concatenate([start[stuck & (owner == number)] for number in (0, 1, 3)])
         np.testing.assert_array_equal(found.start, expected)
         told = statistics_of(found.only(finished), t1=60.0)
-        assert all(np.all(np.isfinite(np.asarray(leaf, float))) for leaf in jax.tree.leaves(told.tally.sticks))
+        assert all(np.all(np.isfinite(np.asarray(leaf, float))) for leaf in jax.tree.leaves(told.accumulator.sticks))
         assert told.duration.number == len(expected)
 
 
 class _EndsEarly(ss.PoissonSwitching):
     """A law that runs out after three intervals: short samples do not finish."""
 
-    def draw(self, words, number, dtype):
-        return jnp.where(number < 3, super().draw(words, number, dtype), 0)
+    def draw(self, key_data, number, dtype):
+        return jnp.where(number < 3, super().draw(key_data, number, dtype), 0)
 
 
 def test_unfinished_samples_enter_no_statistic():
@@ -234,7 +234,7 @@ def test_statistics_in_float32_are_those_of_float64():
 def test_totals_alone_have_no_statistics(kept):
     totals = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="totals", chunk=64, **RUN)
     assert ss.stick_fraction(totals).value == pytest.approx(ss.stick_fraction(kept).value, rel=1e-12)
-    assert totals.tally is totals.retained is totals.flat_sticks is None
+    assert totals.accumulator is totals.retained is totals.flat_sticks is None
     for ask in (lambda: totals.statistics, totals.summary, lambda: ss.convergence(totals, ss.stick_fraction)):
         with pytest.raises(ValueError, match="kept only totals; call simulate_ensemble"):
             ask()

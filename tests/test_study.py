@@ -271,7 +271,7 @@ def test_file_says_where_it_comes_from(study, dataset):
         "samples_finished": 40, "samples_base_too_short": 0, "samples_not_finite": 0,
     }  # fmt: skip
     assert {name: attributes[name] for name in expected} == expected
-    np.testing.assert_array_equal(attributes["key_words"], jax.random.key_data(jax.random.key(0)))
+    np.testing.assert_array_equal(attributes["key_data"], jax.random.key_data(jax.random.key(0)))
 
 
 def test_study_can_be_repeated_from_its_files(tmp_path, study, dataset):

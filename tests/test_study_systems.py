@@ -96,14 +96,14 @@ def check_against(study, many):
         for name in ("start", "end", "position", "ending"):
             np.testing.assert_array_equal(dataset[f"stick_{name}"], getattr(sticks, name))
         np.testing.assert_array_equal(dataset["stick_count"], sticks.count)
-        np.testing.assert_array_equal(dataset["doubts"], many.totals.doubts)
+        np.testing.assert_array_equal(dataset["near_grazing_count"], many.totals.near_grazing_count)
         for name, estimate in STATISTICS.items():
             assert float(dataset[name]) == estimate(many).value == study.statistics[name].value
         for variable in dataset.variables.values():
             assert variable.attrs["units"]
             assert variable.attrs["long_name"]
         assert dataset.attrs["samples_finished"] == many.samples
-        assert dataset.attrs["samples_in_doubt"] == many.doubtful
+        assert dataset.attrs["samples_in_doubt"] == many.near_grazing_samples
         assert read_config(config_file(study.directory, dataset.attrs["configuration"])) == study.config
     assert read_config(study.directory / CONFIG) == study.config
 
@@ -215,7 +215,9 @@ def test_samples_out_of_steps_are_reported(tmp_path):
 
 def test_what_to_know_of_the_samples_is_reported(tmp_path):
     study = run(tmp_path, CART)
-    changed = dataclasses.replace(study, ensemble=dataclasses.replace(study.ensemble, doubtful=3, key_words=None))
+    changed = dataclasses.replace(
+        study, ensemble=dataclasses.replace(study.ensemble, near_grazing_samples=3, key_data=None)
+    )
     assert "In doubt: 3 of 40 samples" in table(changed)
     assert json.loads(as_json(changed))["in_doubt"] == 3
     assert "Nothing is random here: all 40 samples are the same." in table(changed)

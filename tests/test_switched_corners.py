@@ -67,17 +67,17 @@ def test_longer_steps_are_refused():
 def sticks_and_doubts(amplitude):
     method = ss.Exact(max_steps=1024)
     one = ss.simulate(SYSTEM, ss.Harmonic(amplitude, 1.3), t1=20.0, y0=(0.0, 1.0), method=method)
-    return one.sticks.count, one.doubts
+    return one.sticks.count, one.near_grazing_count
 
 
 def test_doubts_see_every_edge():
     """The amplitudes at which the number of sticks changes, bisected to neighbouring numbers: both sides are told."""
     grid = np.linspace(0.2, 3.0, 2001)
-    number, doubts = map(np.asarray, sticks_and_doubts(grid))
+    number, near_grazing_count = map(np.asarray, sticks_and_doubts(grid))
     changes = np.flatnonzero(np.diff(number))
     below, above, fewer = grid[changes], grid[changes + 1], number[changes]
     assert len(changes) >= 10
-    assert np.count_nonzero(doubts) <= 2  # elsewhere there is none
+    assert np.count_nonzero(near_grazing_count) <= 2  # elsewhere there is none
     for _ in range(60):
         middle = below + (above - below) / 2
         same = np.asarray(sticks_and_doubts(np.resize(middle, len(grid)))[0])[: len(middle)] == fewer
@@ -94,10 +94,10 @@ def test_doubts_see_races_with_jumps_and_the_horizon():
     assert len(one.end) == 2
     for event in (float(one.start[1]), float(one.end[0])):
         for late in (1e-12, -1e-12):
-            assert ss.simulate(SYSTEM, base, t1=event + late, y0=(0.0, 1.0)).doubts > 0
+            assert ss.simulate(SYSTEM, base, t1=event + late, y0=(0.0, 1.0)).near_grazing_count > 0
             jumping = ss.WithJumps(base, ss.PiecewiseConstant(jnp.array([0.0, event + late]), jnp.array([0.0, 0.5])))
-            assert ss.simulate(SYSTEM, jumping, t1=event + 1.0, y0=(0.0, 1.0)).doubts > 0
-        assert ss.simulate(SYSTEM, base, t1=event + 1e-3, y0=(0.0, 1.0)).doubts == 0
+            assert ss.simulate(SYSTEM, jumping, t1=event + 1.0, y0=(0.0, 1.0)).near_grazing_count > 0
+        assert ss.simulate(SYSTEM, base, t1=event + 1e-3, y0=(0.0, 1.0)).near_grazing_count == 0
 
 
 CURVES = {0.1: (2e-9, 4e-9), 0.03: (2e-9, 4e-9), 0.01: (2e-9, 4e-9), 0.003: (2e-9, 4e-9)}

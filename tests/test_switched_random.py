@@ -32,18 +32,18 @@ SEEDS = 7
 RARE = ("steps", "record and jumps", "stribeck", "hump", "sums", "undamped")
 
 
-def assert_agrees(case: Case, tolerance=CLOSED, doubts=0, **method) -> tuple[int, int]:
+def assert_agrees(case: Case, tolerance=CLOSED, near_grazing_count=0, **method) -> tuple[int, int]:
     """The same sticks, endings and crossings, as exactly as demanded; how many sticks and crossings there were."""
     run, followed = case.reference(), case.follow(**method)
     errors = errors_against(run, case, followed)
     assert max(errors) < tolerance, errors
-    assert int(followed.simulation.doubts) == doubts
+    assert int(followed.simulation.near_grazing_count) == near_grazing_count
     return len(run.sticks), len(run.crossings)
 
 
 def demanded(kind: str, case: Case) -> dict[str, Any]:
     if kind in SOLVED:
-        return {"tolerance": INTEGRATED, "step": case.shortest_time / PARTS, "turns": 8192}
+        return {"tolerance": INTEGRATED, "step": case.shortest_time / PARTS, "steps": 8192}
     return {"tolerance": CLOSED}
 
 
@@ -62,7 +62,7 @@ def test_many_random_set_ups(kind):
     for seed in range(100, 145):
         case = random_case(kind, seed)
         # One arrival of some 3,000 is so shallow that 2e-8 m/s decide, of velocities up to 23 m/s.
-        assert_agrees(case, doubts=int((kind, seed) == ("stribeck", 119)), **demanded(kind, case))
+        assert_agrees(case, near_grazing_count=int((kind, seed) == ("stribeck", 119)), **demanded(kind, case))
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def agrees_or_tells(kind: str, seed: int) -> bool:
 
     def outcome() -> tuple[bool, bool]:
         followed = case.follow(**how)
-        tells = int(followed.simulation.doubts) > 0 or int(followed.simulation.status) != ss.Status.FINISHED
+        tells = int(followed.simulation.near_grazing_count) > 0 or int(followed.simulation.status) != ss.Status.FINISHED
         try:
             return max(errors_against(run, case, followed)) < tolerance, tells
         except AssertionError:
@@ -177,7 +177,7 @@ def test_motion_and_force_of_a_users_own():
             base=Sweep(base.amplitudes[0], *numbers, base.offset, case.t1),
             force=SweptForce(force.amplitudes[0], *numbers, force.offset, case.t1),
         )
-        counts.append(assert_agrees(case, INTEGRATED, step=case.shortest_time / PARTS, turns=8192))
+        counts.append(assert_agrees(case, INTEGRATED, step=case.shortest_time / PARTS, steps=8192))
     assert np.sum(counts, axis=0).min() >= 4
 
 
@@ -217,7 +217,7 @@ def test_accuracy_at_the_default_step():
         case = random_case("weakening", seed)
         speed = case.half_width * case.omega
         case = case._replace(rub=weakening(float(case.rub.law.static), 0.5 / speed))
-        assert_agrees(case, INTEGRATED, step=case.shortest_time / 48, turns=8192)
+        assert_agrees(case, INTEGRATED, step=case.shortest_time / 48, steps=8192)
 
 
 @pytest.mark.slow

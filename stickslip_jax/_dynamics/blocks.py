@@ -12,19 +12,23 @@ from .._types import BoolArray, IntArray
 
 BLOCK = 32  # turns of the loop after which to see whether all lanes of a batch have come to their end
 
-_Turn = Callable[[Any, IntArray], tuple[Any, Any]]
+_StepSeen = Callable[[Any, IntArray], tuple[Any, Any]]
 
 
 def scan_in_blocks(
-    turn: _Turn, start: Any, number: int, is_over: Callable[[Any, IntArray], BoolArray], idle: Callable[[Any], Any]
+    one_step: _StepSeen,
+    start: Any,
+    number: int,
+    is_over: Callable[[Any, IntArray], BoolArray],
+    idle: Callable[[Any], Any],
 ) -> tuple[Any, Any]:
-    """``lax.scan(turn, start, arange(number))``, idle once ``is_over(carry, index)`` holds in all lanes of a batch.
+    """``lax.scan(one_step, start, arange(number))``, idle once ``is_over(carry, index)`` holds in all lanes of a batch.
 
     `number` is rounded up to whole blocks. An idle turn leaves the carry as it is, and ``idle(carry)`` as its record.
     """
 
     def run(carry, first):
-        return lax.scan(turn, carry, first + jnp.arange(BLOCK, dtype=jnp.int32))
+        return lax.scan(one_step, carry, first + jnp.arange(BLOCK, dtype=jnp.int32))
 
     def rest(carry, _):
         record = idle(carry)

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._excitation.excitation import drive_of
+from .._excitation.excitation import excitation_of
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
 from .._systems.system import System
@@ -16,10 +16,10 @@ from .method import Exact, Regularized
 from .path import Run
 from .regularized.lanes import AdaptiveBatch, FixedEngine
 from .regularized.path import follow_regularized
-from .regularized.settings import fixed_steps, settled
+from .regularized.settings import fixed_steps, resolved
 from .switched.lanes import SwitchedEngine
 from .switched.path import follow_steps
-from .switched.run import turns_for
+from .switched.run import steps_for
 from .validation import check_length, checked_step
 
 _MOST_COUNTED = 2**31 - 1
@@ -60,11 +60,11 @@ class BySteps(NamedTuple):
     def lanes(self, y0: tuple[Any, ...], dtype) -> SwitchedEngine:
         """What simulates the samples of a law."""
         system, method, t1 = self.system, self.method, self.t1
-        drive, step = checked_step(system, self.base, method, t1, "law")
+        excitation, step = checked_step(system, self.base, method, t1, "law")
         check_length(system, self.base, t1)
         # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
-        most = np.int32(min(method.max_steps or 20 * turns_for(system, drive, t1, step), _MOST_COUNTED))
-        return SwitchedEngine(system, drive, method.solver, t1, y0, step, most)
+        most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
+        return SwitchedEngine(system, excitation, method.solver, t1, y0, step, most)
 
 
 class Smoothed(NamedTuple):
@@ -82,15 +82,17 @@ class Smoothed(NamedTuple):
     def lanes(self, y0: tuple[Any, ...], dtype) -> FixedEngine | AdaptiveBatch:
         """What simulates the samples of a law."""
         system, t1 = self.system, self.t1
-        drive = drive_of(self.base, "law")
-        system.check_drive(drive)
+        excitation = excitation_of(self.base, "law")
+        system.check_excitation(excitation)
         check_length(system, self.base, t1)
-        method = settled(system, drive, self.method, dtype)
+        method = resolved(system, excitation, self.method, dtype)
         if method.step is None:
-            return AdaptiveBatch(system, drive, method, t1, y0)
+            return AdaptiveBatch(system, excitation, method, t1, y0)
         # Twice what is expected, for samples of a law with many jumps; a step that is too long is refused here.
-        expected = 2 * fixed_steps(system, drive, method, t1)
-        return FixedEngine(system, drive, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED)))
+        expected = 2 * fixed_steps(system, excitation, method, t1)
+        return FixedEngine(
+            system, excitation, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED))
+        )
 
 
 def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scalar) -> ByIntervals | BySteps | Smoothed:

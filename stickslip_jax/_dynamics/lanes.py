@@ -28,7 +28,7 @@ class LaneResults(NamedTuple):
     slips: AnyArray
     stick_time: AnyArray
     status: AnyArray
-    doubts: AnyArray
+    near_grazing_count: AnyArray
 
 
 class Lanes(NamedTuple):
@@ -73,12 +73,12 @@ class Engine(eqx.Module):
     """How lanes move. All leaves of a state have the lanes as their first axis."""
 
     @abc.abstractmethod
-    def begin(self, words: tuple[Array, Array], dtype) -> Any:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> Any:
         """The state of ONE lane at t = 0 of the sample whose key has these words."""
 
     @abc.abstractmethod
-    def advance(self, state: Any, dtype, room: Records | None, slot: Array | int) -> tuple[Any, Records | None]:
-        """Take all lanes `BLOCK` intervals or steps further; put their sticks into `room` (if any) from `slot` on."""
+    def advance(self, state: Any, dtype, buffer: Records | None, slot: Array | int) -> tuple[Any, Records | None]:
+        """Take all lanes `BLOCK` intervals or steps further; put their sticks into `buffer` (if any) from `slot` on."""
 
     @abc.abstractmethod
     def ended(self, state: Any) -> BoolArray:
@@ -90,14 +90,14 @@ class Engine(eqx.Module):
 
 
 class Job(NamedTuple):
-    """What to simulate: samples ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `words`.
+    """What to simulate: samples ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `key_data`.
 
     Lane i simulates samples ``first_sample + i + lanes * row``, one after the other, which wastes less than waiting for
     the slowest lane after each.
     """
 
     engine: Engine
-    words: Array
+    key_data: Array
     first_sample: AnyInteger
     used_rows: AnyInteger
 
@@ -142,20 +142,20 @@ def record(
         return (block < blocks) & jnp.any(now.row < task.used_rows)
 
     def advance(carry):
-        block, now, room, told = carry
-        state, room = task.engine.advance(now.state, dtype, room, block * BLOCK)
+        block, now, buffer, told = carry
+        state, buffer = task.engine.advance(now.state, dtype, buffer, block * BLOCK)
         following, ended, results = _following(task, now.row, state, dtype)
         told = jax.tree.map(lambda kept, new: _with(kept, new, block), told, Blocks(now.row, ended, results))
-        return block + 1, following, room, told
+        return block + 1, following, buffer, told
 
     def nothing(like, value=0):
         return jnp.full((blocks, *like.shape), value, like.dtype)
 
     results = jax.tree.map(nothing, jax.eval_shape(task.engine.results, begun.state))
     told = Blocks(nothing(begun.row, task.used_rows), jnp.zeros((blocks, lanes), bool), results)
-    room = Records.empty(blocks * BLOCK, lanes, dtype)
-    _, following, room, told = lax.while_loop(goes_on, advance, (jnp.int32(0), begun, room, told))
-    return packed(following), room, told
+    buffer = Records.empty(blocks * BLOCK, lanes, dtype)
+    _, following, buffer, told = lax.while_loop(goes_on, advance, (jnp.int32(0), begun, buffer, told))
+    return packed(following), buffer, told
 
 
 def _following(job: Job, row: IntArray, state: Any, dtype) -> tuple[Lanes, BoolArray, Any]:
@@ -204,5 +204,5 @@ def _start_row(job: Job, row: IntArray, dtype) -> Any:
     """Every lane at t = 0 of its sample in row `row` (lanes,)."""
     lanes = len(row)
     lane = jnp.arange(lanes, dtype=jnp.uint32)
-    words = stored_words(job.words, job.first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes))
-    return jax.vmap(lambda high, low: job.engine.begin((high, low), dtype))(*words)
+    key_data = stored_words(job.key_data, job.first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes))
+    return jax.vmap(lambda high, low: job.engine.begin((high, low), dtype))(*key_data)

@@ -37,5 +37,5 @@ class Run(NamedTuple):
     status: Array
     time_reached: Array
     final_state: State
-    doubts: Array
+    near_grazing_count: Array
     path: Path

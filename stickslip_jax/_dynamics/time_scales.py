@@ -7,20 +7,20 @@ from typing import Any
 import jax.numpy as jnp
 
 from .. import _checks
-from .._excitation.excitation import Drive
+from .._excitation.excitation import Excitation
 from .._numerics.known import NotKnown, plain, smallest
 from .._systems.system import OWN_TIME, System
 from .._types import Scalar
 from .blocks import few_sizes
 
 
-def step_for(system: System, drive: Drive, method: Any) -> Scalar:
+def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
     """The time step (s) of `method`, checked, or the default one.
 
     Raises ValueError if it is too long for the shortest time scale, or if one is needed because a time scale is not
     known.
     """
-    scales = {name: (plain(of.time), of.steps) for name, of in system.time_scales(drive, method.solver).items()}
+    scales = {name: (plain(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()}
     known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
     unknown = [name for name in scales if name not in known]
     if method.step is None and unknown:
@@ -45,16 +45,17 @@ def step_for(system: System, drive: Drive, method: Any) -> Scalar:
     return step
 
 
-def room_to_give(system: System, drive: Drive, method: Any, t1: Scalar) -> str:
+def max_steps_advice(system: System, excitation: Excitation, method: Any, t1: Scalar) -> str:
     """A number of steps to give where JAX traces what it depends on, from what is known of time and time scales."""
     horizon = min(_known([t1]), default=100.0)
-    steps = [method.step] if method.step is not None else [
-        of.time / of.steps.default for of in system.time_scales(drive, method.solver).values() if of.time is not None
-    ]  # fmt: skip
-    found = _known(steps)
-    step = min((step for step in found if step < math.inf), default=0.01) / (1 if len(found) == len(steps) else 4)
-    turns = few_sizes(math.ceil(1.5 * horizon / step) + 96)
-    return f"max_steps={turns} is room for {horizon:g} s in steps of {step:.3g} s; too many cost nothing but memory"
+    scales = system.time_scales(excitation, method.solver).values()
+    lengths = [of.time / of.steps.default for of in scales if of.time is not None]
+    if method.step is not None:
+        lengths = [method.step]
+    found = _known(lengths)
+    step = min((step for step in found if step < math.inf), default=0.01) / (1 if len(found) == len(lengths) else 4)
+    steps = few_sizes(math.ceil(1.5 * horizon / step) + 96)
+    return f"max_steps={steps} is room for {horizon:g} s in steps of {step:.3g} s; too many cost nothing but memory"
 
 
 def _known(numbers: list[Any]) -> list[float]:

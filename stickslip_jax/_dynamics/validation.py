@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .. import _checks
-from .._excitation.excitation import Drive, WithJumps, drive_of, is_random, longest_time
+from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_random, longest_time
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
 from .._excitation.random import Uniform
@@ -50,7 +50,7 @@ def one_realisation(system: System, base: Any, t1: Scalar) -> Any:
             f"Argument base must be one realisation, but it has durations of shape {base.durations.shape}; "
             "use jax.vmap over the realisations, or simulate_ensemble."
         )
-    smooth = drive_of(base).smooth
+    smooth = excitation_of(base).smooth
     if is_random(base):
         raise ValueError(
             f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
@@ -75,13 +75,15 @@ def check_length(system: System, base: Any, t1: Scalar) -> None:
             )
 
 
-def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Drive, Scalar]:
+def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Excitation, Scalar]:
     """The drive that `base` (an argument called `name`) is, and the time step (s), at most `t1`."""
-    drive = drive_of(base, name)
-    system.check_drive(drive)
+    excitation = excitation_of(base, name)
+    system.check_excitation(excitation)
     system.check_solver(method.solver)
-    step, horizon = step_for(system, drive, method), plain(t1)
-    return drive, step if _checks.is_traced(step) or _checks.is_traced(horizon) else min(float(step), float(horizon))
+    step, horizon = step_for(system, excitation, method), plain(t1)
+    return excitation, step if _checks.is_traced(step) or _checks.is_traced(horizon) else min(
+        float(step), float(horizon)
+    )
 
 
 def working_dtype(*arrays: AnyArray, stacklevel: int = 3):

@@ -22,15 +22,15 @@ from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
 from .._dynamics.regularized.settings import as_arrays
 from .._dynamics.regularized.solve import table_sizes
 from .._dynamics.validation import check_method, state_of, working_dtype
-from .._events.stick_stream import StickGatherer
-from .._excitation.excitation import is_random, words_for
+from .._events.stick_stream import StickCollector
+from .._excitation.excitation import is_random, key_data_for
 from .._excitation.random import Uniform
 from .._fast_cpu import cores
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import require_system
 from .._types import Array
-from .parts import Gathering, Part, prepare
+from .parts import EnsembleAccumulator, Part, prepare
 from .result import Ensemble
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
@@ -78,11 +78,11 @@ def simulate_ensemble(
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
-    gathering, started = Gathering(samples, keep), time.perf_counter()
-    simulate = _simulator(run, plan, gathering)
+    accumulator, started = EnsembleAccumulator(samples, keep), time.perf_counter()
+    simulate = _simulator(run, plan, accumulator)
     _compile(simulate, run, keep)
     compiled = time.perf_counter()
-    _simulate_all(simulate, plan, samples, gathering, progress)
+    _simulate_all(simulate, plan, samples, accumulator, progress)
     return Ensemble(
         system=system,
         law=law,
@@ -91,9 +91,9 @@ def simulate_ensemble(
         numbering=run.numbering,
         y0=run.y0,
         samples=samples,
-        key_words=tuple(int(word) for word in np.asarray(run.words)) if run.is_random else None,
+        key_data=tuple(int(word) for word in np.asarray(run.key_data)) if run.is_random else None,
         dtype=str(np.dtype(run.dtype)),
-        **gathering.found(),
+        **accumulator.found(),
         threads=min(plan.threads, -(-samples // plan.samples_per_task)),
         compile_seconds=compiled - started,
         run_seconds=time.perf_counter() - compiled,
@@ -110,11 +110,11 @@ def _compile(simulate: _Simulate, run: "_Run", keep: str) -> None:
 
 
 def _simulate_all(
-    simulate: _Simulate, plan: "_Plan", samples: int, gathering: Gathering, progress: bool | None
+    simulate: _Simulate, plan: "_Plan", samples: int, accumulator: EnsembleAccumulator, progress: bool | None
 ) -> None:
     with _progress_bar(progress, samples) as advance:
         for number, part in _in_order(simulate, plan, samples):
-            gathering.add(part)
+            accumulator.add(part)
             advance(number)
 
 
@@ -123,7 +123,7 @@ class _Run(NamedTuple):
 
     engine: Engine | AdaptiveBatch
     method: Exact | Regularized
-    words: Array
+    key_data: Array
     y0: tuple[Any, ...]
     is_random: bool
     dtype: Any
@@ -153,12 +153,12 @@ class _Run(NamedTuple):
             raise ValueError(
                 "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
             )
-        return cls(engine, method, words_for(law, key), y0, random, dtype, float(t1), numbering)
+        return cls(engine, method, key_data_for(law, key), y0, random, dtype, float(t1), numbering)
 
     def job(self, first: int, used_rows: int) -> Job:
         """Samples ``first ..`` in so many rows of lanes."""
         assert isinstance(self.engine, Engine)
-        return Job(self.engine, self.words, np.uint32(first), np.int32(used_rows))
+        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows))
 
 
 def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
@@ -198,30 +198,30 @@ class _Plan(NamedTuple):
         return cls(lanes, 1, lanes, threads)
 
 
-def _simulator(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
-    """A function that simulates samples ``first .. first + number - 1``, for what `gathering` wants of them."""
+def _simulator(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+    """A function that simulates samples ``first .. first + number - 1``, for what `accumulator` wants of them."""
     if isinstance(run.engine, AdaptiveBatch):
-        return _solver(run, run.engine, plan, gathering)
-    return _streamer(run, plan) if gathering.keep == "totals" else _recorder(run, plan, gathering)
+        return _solver(run, run.engine, plan, accumulator)
+    return _streamer(run, plan) if accumulator.keep == "totals" else _recorder(run, plan, accumulator)
 
 
-def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, gathering: Gathering) -> _Simulate:
+def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same for adaptive steps."""
-    sizes, dtype = table_sizes(batch.system, batch.drive, batch.t1), run.dtype
-    system, drive, t1, y0 = as_arrays((batch.system, batch.drive, batch.t1, batch.y0), dtype)
-    arrays = AdaptiveBatch(system, drive, batch.method, t1, y0)
-    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": gathering.keep != "totals", "dtype": dtype}
+    sizes, dtype = table_sizes(batch.system, batch.excitation, batch.t1), run.dtype
+    system, excitation, t1, y0 = as_arrays((batch.system, batch.excitation, batch.t1, batch.y0), dtype)
+    arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0)
+    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": accumulator.keep != "totals", "dtype": dtype}
 
     def simulate(first: int, number: int) -> Part:
-        results, records = solve_chunk(arrays, run.words, jnp.uint32(first), jnp.uint32(number), **how)
+        results, records = solve_chunk(arrays, run.key_data, jnp.uint32(first), jnp.uint32(number), **how)
         results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
         columns = [np.asarray(column).T for column in records]
-        sticks = StickGatherer()
+        sticks = StickCollector()
         sticks.restart(number)
         sticks.add(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
-        return Part.of(results, sticks, run.t1, run.numbering, gathering.wants_sticks)
+        return Part.of(results, sticks, run.t1, run.numbering, accumulator.wants_sticks)
 
     return simulate
 
@@ -239,7 +239,7 @@ def _streamer(run: _Run, plan: _Plan) -> _Simulate:
     return simulate
 
 
-def _recorder(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
+def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """A function that tallies every stick."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
@@ -249,21 +249,21 @@ def _recorder(run: _Run, plan: _Plan, gathering: Gathering) -> _Simulate:
 
     def simulate(first: int, number: int) -> Part:
         if not hasattr(own, "sticks"):
-            own.sticks = StickGatherer()
+            own.sticks = StickCollector()
         rows = -(-number // plan.lanes)
         job = jax.tree.map(jnp.asarray, run.job(first, rows))
         now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
         own.sticks.restart(number)
         ended, unfinished = [], True
         while unfinished:
-            now, room, told = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
+            now, buffer, told = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
             told = jax.tree.map(np.asarray, told)
             sample = told.row * plan.lanes + lane
-            own.sticks.add(np.asarray(room.values), np.asarray(room.ending), sample)
+            own.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), sample)
             ended.append((sample[told.ended], *(column[told.ended] for column in told.results)))
             unfinished = np.any(told.row[-1] + told.ended[-1] < rows)
         return Part.of(
-            _of_samples(ended, rows * plan.lanes, number), own.sticks, run.t1, run.numbering, gathering.wants_sticks
+            _of_samples(ended, rows * plan.lanes, number), own.sticks, run.t1, run.numbering, accumulator.wants_sticks
         )
 
     return simulate

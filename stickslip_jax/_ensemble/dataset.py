@@ -32,7 +32,9 @@ def dataset_of(ensemble: Any) -> "xarray.Dataset":
             "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
             "slip_count": along("sample", totals.slips, "number of slips"),
             "stick_time": along("sample", totals.stick_time, "total stick time", "s"),
-            "doubts": along("sample", totals.doubts, "number of events that the last digits decide"),
+            "near_grazing_count": along(
+                "sample", totals.near_grazing_count, "number of events that the last digits decide"
+            ),
             "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
         },
         attrs={"Conventions": "CF-1.11", **_method(ensemble.method)},

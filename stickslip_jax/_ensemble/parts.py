@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._dynamics.lanes import LaneResults
-from .._events.stick_stream import StickGatherer, StickStream
+from .._events.stick_stream import StickCollector, StickStream
 from .._events.sticks import FlatSticks
 from .._numerics.moments import Moments
-from .._statistics.accumulator import Numbering, StickTally
+from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.source import FEATURES
 from .._status import Status
 from .result import Retained, SampleTotals
@@ -26,11 +26,11 @@ class Part(NamedTuple):
 
     results: LaneResults
     sticks: FlatSticks | None = None
-    tally: StickTally | None = None
+    accumulator: StickAccumulator | None = None
 
     @classmethod
     def of(
-        cls, results: LaneResults, sticks: StickGatherer, t1: float, numbering: Numbering, keep_sticks: bool
+        cls, results: LaneResults, sticks: StickCollector, t1: float, numbering: Numbering, keep_sticks: bool
     ) -> "Part":
         """Of the results of consecutive samples and what was gathered of their sticks; these kept if `keep_sticks`."""
         finished = np.equal(results.status, Status.FINISHED)
@@ -39,20 +39,20 @@ class Part(NamedTuple):
         if not np.all(finished):
             found = done.only(finished).in_order()
             done = StickStream.of(found.only(finished))
-        tally = StickTally.of(done, stick_time, slips, t1, numbering)
-        return cls(results, found or done.in_order() if keep_sticks else None, tally)
+        accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
+        return cls(results, found or done.in_order() if keep_sticks else None, accumulator)
 
 
 def prepare(dtype: Any) -> None:
     """Compile the loops that find and count sticks, unless that is done; for times of `dtype`."""
-    sticks = StickGatherer()
+    sticks = StickCollector()
     sticks.restart(1)
     sticks.add(np.zeros((1, 3, 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
     one = np.zeros(1)
     Part.of(LaneResults(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
 
 
-class Gathering:
+class EnsembleAccumulator:
     """What the parts seen so far, in order of the samples, come to.
 
     Sums for all; the sticks of the first samples, or if ``keep="sticks"`` of all.
@@ -62,38 +62,40 @@ class Gathering:
         self.samples, self.keep = samples, keep
         self.moments = Moments.of(np.zeros((0, len(FEATURES))))
         self.counts = np.zeros(len(Status), int)
-        self.doubtful = 0
-        self.tally: StickTally | None = None
+        self.near_grazing_samples = 0
+        self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
-        self._room, self._retained_samples = RETAINED, 0
+        self._buffer, self._retained_samples = RETAINED, 0
 
     @property
     def wants_sticks(self) -> bool:
         """Whether the sticks of further parts will be kept."""
-        return self.keep == "sticks" or self._room > 0
+        return self.keep == "sticks" or self._buffer > 0
 
     def add(self, part: Part) -> None:
         """Take in the next part."""
         self.counts += np.bincount(part.results.status, minlength=len(Status))
-        self.doubtful += int(np.count_nonzero(part.results.doubts))
+        self.near_grazing_samples += int(np.count_nonzero(part.results.near_grazing_count))
         self.moments = self.moments.merge(Moments.of(_features(part.results)))
-        if part.tally is not None:
-            self.tally = part.tally if self.tally is None else self.tally.merge(part.tally)
+        if part.accumulator is not None:
+            self.accumulator = (
+                part.accumulator if self.accumulator is None else self.accumulator.merge(part.accumulator)
+            )
         if part.sticks is None:
             return
         if self.keep == "sticks":
-            self._kept.append(part._replace(tally=None))
+            self._kept.append(part._replace(accumulator=None))
             _check_memory(self._kept, self.samples)
-        elif self._room > 0:
+        elif self._buffer > 0:
             # A sample without sticks takes room too, so that these cannot fill the memory either.
-            fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._room, side="right"))
+            fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._buffer, side="right"))
             fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
             self._retained_samples += fits
             results = LaneResults(*(column[:fits].copy() for column in part.results))
             whole = fits == len(part.sticks.count)
             self._kept.append(Part(results, part.sticks if whole else part.sticks.head(fits)))
-            left = self._room - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
-            self._room = max(left, int(self._retained_samples < FEWEST))
+            left = self._buffer - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
+            self._buffer = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> dict[str, Any]:
         """What an `Ensemble` is told of it."""
@@ -102,8 +104,8 @@ class Gathering:
         return {
             "moments": self.moments,
             "status_counts": {status: int(self.counts[status]) for status in Status},
-            "doubtful": self.doubtful,
-            "tally": self.tally,
+            "near_grazing_samples": self.near_grazing_samples,
+            "accumulator": self.accumulator,
             "retained": None if sticks is None else self._retained(sticks),
             "totals": self._totals() if is_full else None,
             "flat_sticks": sticks if is_full else None,

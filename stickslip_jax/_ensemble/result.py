@@ -15,7 +15,7 @@ from .._events.sticks import FlatSticks, Sticks
 from .._excitation.excitation import is_random
 from .._excitation.random import realised_state
 from .._numerics.moments import Moments
-from .._statistics.accumulator import Numbering, StickTally
+from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .._statistics.source import FEATURES
 from .._statistics.summary import Summary, summary_of
@@ -29,7 +29,7 @@ class SampleTotals(NamedTuple):
     slips: np.ndarray
     stick_time: np.ndarray
     status: np.ndarray
-    doubts: np.ndarray
+    near_grazing_count: np.ndarray
 
 
 class Retained(NamedTuple):
@@ -43,16 +43,16 @@ class Retained(NamedTuple):
 class Ensemble:
     """Many simulated samples of one law.
 
-    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_words`: what was simulated.
+    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`: what was simulated.
     - `method`: how; a `Regularized` method has its options filled in. `numbering`: which stick is the 1st, 2nd, ...
     - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
-    - `doubtful`: how many samples had an instant at which the last digits decide whether there was an event (see
-      `Simulation`); they are counted like the others.
+    - `near_grazing_samples`: how many samples had an instant at which the last digits decide whether there was an event
+      (see `Simulation`); they are counted like the others.
     - `status_counts`: how many samples ended with each `Status`; all that are not FINISHED enter no statistic.
     - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
     - `flat_sticks`: the same sticks one after the other, without padding.
-    - `tally`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first samples that
-      finished (of all, if kept); the standard errors rest on them. Both None if ``keep="totals"``.
+    - `accumulator`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first
+      samples that finished (of all, if kept); the standard errors rest on them. Both None if ``keep="totals"``.
     - `compile_seconds`, `run_seconds`: where the time went.
     """
 
@@ -63,12 +63,12 @@ class Ensemble:
     numbering: Numbering
     y0: tuple[Any, ...]
     samples: int
-    key_words: tuple[int, ...] | None
+    key_data: tuple[int, ...] | None
     dtype: str
     moments: Moments
     status_counts: dict[Status, int]
-    doubtful: int
-    tally: StickTally | None
+    near_grazing_samples: int
+    accumulator: StickAccumulator | None
     retained: Retained | None
     totals: SampleTotals | None
     flat_sticks: FlatSticks | None
@@ -124,9 +124,9 @@ class Ensemble:
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
-        if self.key_words is None:
+        if self.key_data is None:
             return self.law, self.y0
-        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_words, jnp.uint32)), number)
+        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32)), number)
         base = self.law.sample(key, self.t1) if is_random(self.law) else self.law
         y0 = realised_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
         return base, tuple(float(value) for value in y0)
@@ -164,7 +164,11 @@ class Ensemble:
         ]
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
-        lines += [f"  in doubt  {self.doubtful} samples, by the last digits"] if self.doubtful else []
+        lines += (
+            [f"  in doubt  {self.near_grazing_samples} samples, by the last digits"]
+            if self.near_grazing_samples
+            else []
+        )
         return "\n".join(lines if failed else [*lines, "  finished  all samples"])
 
 

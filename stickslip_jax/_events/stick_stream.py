@@ -76,7 +76,7 @@ class StickStream(NamedTuple):
         return into
 
 
-class StickGatherer:
+class StickCollector:
     """Takes sticks out of records, some blocks after the other, into memory of its own, which it uses again and again.
 
     Fresh memory for every part would take longer to be had than the sticks to be put there.
@@ -103,7 +103,7 @@ class StickGatherer:
             # The sample that each lane is in, its sticks so far, and the end of the last.
             self._lanes = (np.full(lanes, -1), np.zeros(lanes, np.int32), np.zeros(lanes, dtype))
             self._of_samples = (np.zeros(self._samples, np.int64), np.zeros(self._samples, dtype))
-        columns = self._room(ending.size, dtype)
+        columns = self._buffer(ending.size, dtype)
         compiled = loops.compiled()
         if compiled is None:
             self._number += self._gather(values, ending, sample, columns)
@@ -139,7 +139,7 @@ class StickGatherer:
             found += len(lane)
         return found
 
-    def _room(self, more: int, dtype: Any) -> tuple[np.ndarray, ...]:
+    def _buffer(self, more: int, dtype: Any) -> tuple[np.ndarray, ...]:
         """Where to put up to so many more sticks."""
         begin, end = self._number, self._number + more
         if not self._columns or end > len(self._columns[0]):

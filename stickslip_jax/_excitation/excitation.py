@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._numerics.random_bits import key_words, random_words
+from .._numerics.random_bits import key_data_of, random_words
 from .._types import Array, Scalar
 from .ground import GroundMotion
 from .laws import BangBangLaw
 from .piecewise import VelocitySteps
 from .random import RandomPhase
-from .segments import PieceLaw
+from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
 from .voltage import SourceVoltage
 
@@ -42,7 +42,7 @@ class WithJumps(eqx.Module):
                 "Argument motion must be a continuous base velocity such as a Harmonic, but "
                 f"{_checks.show(self.motion)} was given."
             )
-        drive_of(self.motion)
+        excitation_of(self.motion)
 
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "WithJumps":
         """One realisation that covers ``[0, t1]``; arguments and errors as for the law of the jumps."""
@@ -57,30 +57,30 @@ class WithJumps(eqx.Module):
         return WithJumps(motion, jumps)
 
 
-class _Given(PieceLaw):
+class _Given(SegmentLaw):
     """A realisation of a base velocity that jumps, as a law of one possible outcome."""
 
     steps: VelocitySteps
     is_random = False
     jumps = True
 
-    def pieces(self, t1) -> int:
+    def segments(self, t1) -> int:
         return self.steps.durations.shape[-1]
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         return ()
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         size = self.steps.durations.shape[-1]
         here = jnp.minimum(number.astype(jnp.int32), size - 1)
         duration = jnp.where(number < size, self.steps.durations[here], 0)
         return duration.astype(dtype), self.steps.velocities[here].astype(dtype)
 
-    def next_piece(self, memory, drawn, dtype):
+    def next_segment(self, memory, drawn, dtype):
         return *drawn, jnp.zeros((), dtype), ()
 
 
-class Drive(eqx.Module):
+class Excitation(eqx.Module):
     """A base motion, ground motion or voltage, taken apart.
 
     - `smooth`: the smooth part (base velocity or voltage), None if there is none.
@@ -89,8 +89,8 @@ class Drive(eqx.Module):
     """
 
     smooth: Signal | RandomPhase | None
-    base: tuple[PieceLaw, ...] = ()
-    ground: tuple[PieceLaw, ...] = ()
+    base: tuple[SegmentLaw, ...] = ()
+    ground: tuple[SegmentLaw, ...] = ()
     parts_differ: bool = eqx.field(static=True, default=False)
 
     @property
@@ -99,32 +99,32 @@ class Drive(eqx.Module):
         assert not isinstance(self.smooth, RandomPhase)
         return self.smooth
 
-    def realised(self, words: Any, dtype) -> Signal | None:
+    def realised(self, key_data: Any, dtype) -> Signal | None:
         """The smooth part of the sample whose key has these words."""
         if isinstance(self.smooth, RandomPhase):
-            return self.smooth.realised(_part(words, 1) if self.parts_differ else words, dtype)
+            return self.smooth.realised(_part(key_data, 1) if self.parts_differ else key_data, dtype)
         return self.signal
 
-    def words_of_pieces(self, words: Any) -> Any:
+    def segment_key_data(self, key_data: Any) -> Any:
         """The words for `base` and `ground`."""
-        return _part(words, 0) if self.parts_differ else words
+        return _part(key_data, 0) if self.parts_differ else key_data
 
 
-def drive_of(base: Any, name: str = "base") -> Drive:
+def excitation_of(base: Any, name: str = "base") -> Excitation:
     """Take `base`, an argument called `name`, apart. Raises ValueError if it is nothing that can drive a system."""
     if isinstance(base, VelocitySteps):
-        return Drive(None, (_Given(base),))
+        return Excitation(None, (_Given(base),))
     if isinstance(base, GroundMotion):
-        return Drive(None, (), (base,))
-    if isinstance(base, PieceLaw):
-        return Drive(None, (base,))
+        return Excitation(None, (), (base,))
+    if isinstance(base, SegmentLaw):
+        return Excitation(None, (base,))
     if isinstance(base, (Signal, RandomPhase)):
-        return Drive(base)
+        return Excitation(base)
     if isinstance(base, WithJumps):
-        motion, jumps = drive_of(base.motion), drive_of(base.jumps)
-        return Drive(motion.smooth, motion.base + jumps.base, parts_differ=True)
+        motion, jumps = excitation_of(base.motion), excitation_of(base.jumps)
+        return Excitation(motion.smooth, motion.base + jumps.base, parts_differ=True)
     if _is_users(base):
-        return Drive(UserMotion(base))
+        return Excitation(UserMotion(base))
     raise ValueError(
         f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
         f"and acceleration(t), but {_checks.show(base)} was given."
@@ -132,7 +132,7 @@ def drive_of(base: Any, name: str = "base") -> Drive:
 
 
 def _is_users(base: Any) -> bool:
-    known = isinstance(base, (PieceLaw, VelocitySteps, Signal, RandomPhase))
+    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomPhase))
     return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
 
 
@@ -140,13 +140,13 @@ def is_random(base: Any) -> bool:
     """Whether `base` is a law whose realisations differ, so that one must be drawn before simulating it."""
     if isinstance(base, WithJumps):
         return is_random(base.motion) or is_random(base.jumps)
-    return isinstance(base, RandomPhase) or (isinstance(base, PieceLaw) and base.is_random)
+    return isinstance(base, RandomPhase) or (isinstance(base, SegmentLaw) and base.is_random)
 
 
-def words_for(base: Any, key: Array | None) -> Array:
+def key_data_for(base: Any, key: Array | None) -> Array:
     """The key's two words, zeros where nothing is random and no key is given. Raises ValueError for a missing key."""
     if key is not None:
-        return key_words(key)
+        return key_data_of(key)
     if is_random(base):
         raise ValueError(
             f"Argument key must be a key such as jax.random.key(0) for the random law {type(base).__name__}, but None "
@@ -159,9 +159,9 @@ def longest_time(base: Any) -> float:
     """How long a recorded motion lasts, s; infinity for one that is not recorded, or whose times are being traced."""
     if isinstance(base, WithJumps):
         return min(longest_time(base.motion), longest_time(base.jumps))
-    times = getattr(base, "times", None) if isinstance(base, PieceLaw) and not isinstance(base, BangBangLaw) else None
+    times = getattr(base, "times", None) if isinstance(base, SegmentLaw) and not isinstance(base, BangBangLaw) else None
     return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
 
 
-def _part(words: Any, number: int) -> tuple[Array, Array]:
-    return random_words(words, jnp.asarray(np.uint32(number)))
+def _part(key_data: Any, number: int) -> tuple[Array, Array]:
+    return random_words(key_data, jnp.asarray(np.uint32(number)))

@@ -8,10 +8,10 @@ import numpy as np
 from .. import _checks
 from .._types import AnyArray, FloatArray
 from .recorded import Recorded, check_times
-from .segments import PieceLaw
+from .segments import SegmentLaw
 
 
-class GroundMotion(PieceLaw):
+class GroundMotion(SegmentLaw):
     """An acceleration of the ground that comes in pieces linear in time.
 
     It drives a `MassSpring` described by its position relative to the ground: there the base rests, and the ground's
@@ -44,16 +44,16 @@ class GroundAcceleration(GroundMotion):
         """The ground acceleration at times `t` (s, any shape), m/s^2."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.accelerations))
 
-    def pieces(self, t1) -> int:
+    def segments(self, t1) -> int:
         return len(self.times)
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         return ()
 
-    def draw(self, words, number, dtype):
-        return Recorded(self.times, self.accelerations).draw(words, number, dtype)
+    def draw(self, key_data, number, dtype):
+        return Recorded(self.times, self.accelerations).draw(key_data, number, dtype)
 
-    def next_piece(self, memory, drawn, dtype):
+    def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
 
 

@@ -11,7 +11,7 @@ from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._numerics.elementary import log, sincos
-from .._numerics.random_bits import key_words, random_words, uniform
+from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Scalar
 from .ground import GroundAcceleration, GroundMotion
 
@@ -107,19 +107,19 @@ class KanaiTajimi(GroundMotion):
         growth = jnp.minimum(t / self.rise, 1)
         return growth**2 * jnp.exp(-self.decay * jnp.maximum(t - self.rise - self.plateau, 0))
 
-    def pieces(self, t1) -> int:
+    def segments(self, t1) -> int:
         return math.ceil(float(t1) / float(self.interval)) + 1
 
-    def begin(self, words, dtype) -> Memory:
-        return *_normal_pair(words, jnp.asarray(_BEGINNING), dtype), jnp.zeros((), dtype)
+    def begin(self, key_data, dtype) -> Memory:
+        return *_normal_pair(key_data, jnp.asarray(_BEGINNING), dtype), jnp.zeros((), dtype)
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         # Differences of the sampling times, not the interval: added up, they stay on those times even in float32.
         interval = jnp.asarray(self.interval, dtype)
         begin, end = number.astype(dtype) * interval, (number.astype(dtype) + 1) * interval
-        return *_normal_pair(words, number, dtype), end, end - begin
+        return *_normal_pair(key_data, number, dtype), end, end - begin
 
-    def next_piece(self, memory: Memory, drawn, dtype):
+    def next_segment(self, memory: Memory, drawn, dtype):
         """The memory: x and x' in units of their standard deviations, and the acceleration (m/s^2) at the beginning."""
         x, v, value = memory
         one, other, end, duration = drawn
@@ -147,7 +147,7 @@ class KanaiTajimi(GroundMotion):
             points = self._points(t1)
         if _checks.whole_number("points", points, minimum=2) > LARGEST_NUMBER_OF_POINTS:
             raise ValueError(f"Argument points must be at most {LARGEST_NUMBER_OF_POINTS}, but {points} was given.")
-        return GroundAcceleration(*_sample(self, key_words(key), points, jnp.result_type(float)))
+        return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
 
     def _points(self, t1: Scalar) -> int:
         try:
@@ -191,23 +191,23 @@ def _step(ground_frequency, damping, interval, dtype):
     return ((v + 2 * zeta * x, x), (-x, v)), (of_x, shared, jnp.sqrt(var_v - shared**2))
 
 
-def _normal_pair(words, number: Array, dtype) -> tuple[FloatArray, FloatArray]:
+def _normal_pair(key_data, number: Array, dtype) -> tuple[FloatArray, FloatArray]:
     """Two independent standard normal deviates from the random words of `number` (Box and Muller 1958)."""
-    high, low = random_words(words, number)
+    high, low = random_words(key_data, number)
     radius = jnp.sqrt(-2 * log(uniform(high, dtype)))
     sine, cosine = sincos(uniform(low, dtype) * np.asarray(2 * np.pi, dtype))
     return radius * cosine, radius * sine
 
 
 @partial(jax.jit, static_argnames=("points", "dtype"))
-def _sample(law: KanaiTajimi, words: Array, points: int, dtype) -> tuple[FloatArray, FloatArray]:
+def _sample(law: KanaiTajimi, key_data: Array, points: int, dtype) -> tuple[FloatArray, FloatArray]:
     """Times and accelerations of the first `points` samples."""
     numbers = jnp.arange(points, dtype=jnp.uint32)
-    drawn = jax.vmap(lambda number: law.draw(words, number, dtype))(numbers)
+    drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(numbers)
 
     def step(memory, drawn_here):
-        _, value, _, memory = law.next_piece(memory, drawn_here, dtype)
+        _, value, _, memory = law.next_segment(memory, drawn_here, dtype)
         return memory, value
 
-    _, accelerations = lax.scan(step, law.begin(words, dtype), drawn)
+    _, accelerations = lax.scan(step, law.begin(key_data, dtype), drawn)
     return numbers.astype(dtype) * jnp.asarray(law.interval, dtype), accelerations

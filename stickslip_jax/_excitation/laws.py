@@ -18,10 +18,10 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
-from .._numerics.random_bits import exponential, key_words, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, KeyWords, Scalar
+from .._numerics.random_bits import exponential, key_data_of, random_words, uniform
+from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
 from .piecewise import VelocitySteps
-from .segments import PieceLaw
+from .segments import SegmentLaw
 
 Interval = tuple[FloatArray, FloatArray, Any]
 LARGEST_CAPACITY = 2**31
@@ -29,17 +29,17 @@ LARGEST_CAPACITY = 2**31
 _BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
 
 
-class BangBangLaw(PieceLaw):
+class BangBangLaw(SegmentLaw):
     """What every law of piecewise-constant base velocity offers. Subclass it to add one."""
 
     jumps = True
 
     @abc.abstractmethod
-    def begin(self, words: KeyWords, dtype) -> Any:
+    def begin(self, key_data: KeyData, dtype) -> Any:
         """What is known before the first interval (for example the first sign), drawn from the key's words."""
 
     @abc.abstractmethod
-    def draw(self, words: KeyWords, number: Array, dtype) -> Any:
+    def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
         """What is random (or looked up) about interval `number`, from the key's words and that number alone."""
 
     @abc.abstractmethod
@@ -62,10 +62,10 @@ class BangBangLaw(PieceLaw):
 
         return lax.scan(step, memory, drawn, length=number)[1]
 
-    def pieces(self, t1: Any) -> int:
+    def segments(self, t1: Any) -> int:
         return self.capacity(t1)
 
-    def next_piece(self, memory: Any, drawn: Any, dtype):
+    def next_segment(self, memory: Any, drawn: Any, dtype):
         duration, velocity, memory = self.next_interval(memory, drawn, dtype)
         return duration, velocity, jnp.zeros((), dtype), memory
 
@@ -89,10 +89,10 @@ class BangBangLaw(PieceLaw):
             capacity = self._capacity_or_explain(t1)
         if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
             raise ValueError(f"Argument capacity must be at most {LARGEST_CAPACITY}, but {capacity} was given.")
-        words = self.words(key)
-        return VelocitySteps(*_sample(self, words, capacity, jnp.result_type(float)))
+        key_data = self.key_data(key)
+        return VelocitySteps(*_sample(self, key_data, capacity, jnp.result_type(float)))
 
-    def words(self, key: Array | None) -> Array:
+    def key_data(self, key: Array | None) -> Array:
         """The key's two 32-bit words; zeros for a law without randomness, whatever the key."""
         if not self.is_random:
             return jnp.zeros(2, jnp.uint32)
@@ -101,7 +101,7 @@ class BangBangLaw(PieceLaw):
                 f"Argument key must be a key such as jax.random.key(0) for the random law "
                 f"{type(self).__name__}, but None was given."
             )
-        return key_words(key)
+        return key_data_of(key)
 
     def checked_capacity(self, t1: Scalar) -> int:
         """`capacity`, or a ValueError where the intervals are too many to be numbered in 32 bits."""
@@ -137,10 +137,10 @@ class Constant(BangBangLaw):
     def __check_init__(self):
         _checks.numeric("speed", self.speed)
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         return ()
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         return number == 0
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
@@ -165,10 +165,10 @@ class SquareWave(BangBangLaw):
         _checks.positive("speed", self.speed, "m/s")
         _checks.positive("period", self.period, "s")
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         return -jnp.ones((), dtype)
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         return ()
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
@@ -201,14 +201,14 @@ class PoissonSwitching(BangBangLaw):
                 f"Argument first_sign must be 'random', 'positive' or 'negative', but {self.first_sign!r} was given."
             )
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         if self.first_sign != "random":
             return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        high, _ = random_words(words, jnp.asarray(_BEGINNING))
+        high, _ = random_words(key_data, jnp.asarray(_BEGINNING))
         return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
 
-    def draw(self, words, number, dtype):
-        return exponential(*random_words(words, number), dtype)
+    def draw(self, key_data, number, dtype):
+        return exponential(*random_words(key_data, number), dtype)
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return drawn * (1 / self.rate), memory * self.speed, -memory
@@ -259,12 +259,12 @@ class RandomSteps(BangBangLaw):
         """The probability of each level."""
         return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
 
-    def begin(self, words, dtype):
-        high, _ = random_words(words, jnp.asarray(_BEGINNING))
+    def begin(self, key_data, dtype):
+        high, _ = random_words(key_data, jnp.asarray(_BEGINNING))
         return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.odds, dtype)))
 
-    def draw(self, words, number, dtype):
-        high, low = random_words(words, number)
+    def draw(self, key_data, number, dtype):
+        high, low = random_words(key_data, number)
         return uniform(high, dtype), uniform(low, dtype)
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
@@ -306,10 +306,10 @@ class PiecewiseConstant(BangBangLaw):
             at = int(np.argmax(np.diff(times) <= 0)) + 1
             raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         return ()
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         times, velocities = jnp.asarray(self.times, dtype), jnp.asarray(self.velocities, dtype)
         # Neighbours of equal velocity are one interval: number i begins where the i-th change is found.
         found = jnp.cumsum(jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]]))
@@ -327,10 +327,10 @@ class PiecewiseConstant(BangBangLaw):
 
 
 @partial(jax.jit, static_argnames=("capacity", "dtype"))
-def _sample(law: BangBangLaw, words: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
+def _sample(law: BangBangLaw, key_data: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
     """Durations and velocities of the first `capacity` intervals."""
-    drawn = jax.vmap(lambda number: law.draw(words, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
-    return law.all_intervals(law.begin(words, dtype), drawn, capacity, dtype)
+    drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
+    return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)
 
 
 def _choose(draw: Array, cumulative: Array) -> Array:

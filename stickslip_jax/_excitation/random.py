@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._numerics.random_bits import key_words, random_words, uniform
-from .._types import Array, KeyWords, Scalar
+from .._numerics.random_bits import key_data_of, random_words, uniform
+from .._types import Array, KeyData, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
@@ -33,16 +33,16 @@ class RandomPhase(eqx.Module):
 
     def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
         """The signal with phases drawn by `key`, from ``jax.random.key(seed)``; `t1` does not matter."""
-        return self.realised(key_words(key), jnp.result_type(float))
+        return self.realised(key_data_of(key), jnp.result_type(float))
 
-    def realised(self, words: KeyWords, dtype) -> Signal:
+    def realised(self, key_data: KeyData, dtype) -> Signal:
         """The signal with phases drawn by the two key words."""
         if isinstance(self.signal, SumOfHarmonics):
             first = jnp.asarray(_FIRST_PHASE, jnp.uint32)
             numbers = first + jnp.arange(len(self.signal.amplitudes), dtype=jnp.uint32)
-            phases = _angle(random_words(words, numbers)[0], dtype)
+            phases = _angle(random_words(key_data, numbers)[0], dtype)
             return SumOfHarmonics(self.signal.amplitudes, self.signal.angular_frequencies, phases, self.signal.offset)
-        phase = _angle(random_words(words, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
+        phase = _angle(random_words(key_data, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
 
 
@@ -62,17 +62,17 @@ class Uniform(eqx.Module):
             raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
 
 
-def realised_state(y0: tuple[Any, ...], words: KeyWords, dtype) -> tuple[Array, ...]:
-    """The initial state of the sample whose key has the two words `words`."""
+def realised_state(y0: tuple[Any, ...], key_data: KeyData, dtype) -> tuple[Array, ...]:
+    """The initial state of the sample whose key has the two words `key_data`."""
 
     def draw(index, value):
         if not isinstance(value, Uniform):
             return jnp.asarray(value, dtype)
-        high, _ = random_words(words, jnp.asarray(_FIRST_STATE + index, jnp.uint32))
+        high, _ = random_words(key_data, jnp.asarray(_FIRST_STATE + index, jnp.uint32))
         return value.low + (value.high - value.low) * uniform(high, dtype)
 
     return tuple(draw(index, value) for index, value in enumerate(y0))
 
 
-def _angle(words: Array, dtype) -> Array:
-    return 2 * np.pi * uniform(words, dtype)
+def _angle(key_data: Array, dtype) -> Array:
+    return 2 * np.pi * uniform(key_data, dtype)

@@ -7,10 +7,10 @@ import numpy as np
 
 from .. import _checks
 from .._types import AnyArray, FloatArray
-from .segments import PieceLaw
+from .segments import SegmentLaw
 
 
-class Recorded(PieceLaw):
+class Recorded(SegmentLaw):
     """A recorded signal: `values` at `times`, linear in between.
 
     - `times`: s, increasing, the first one 0, (points,), at least 2.
@@ -36,13 +36,13 @@ class Recorded(PieceLaw):
         """The signal at times `t` (s, any shape)."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.values))
 
-    def pieces(self, t1) -> int:
+    def segments(self, t1) -> int:
         return len(self.times)
 
-    def begin(self, words, dtype):
+    def begin(self, key_data, dtype):
         return ()
 
-    def draw(self, words, number, dtype):
+    def draw(self, key_data, number, dtype):
         times, values = jnp.asarray(self.times, dtype), jnp.asarray(self.values, dtype)
         last = len(self.times) - 2
         here = jnp.minimum(number.astype(jnp.int32), last)
@@ -50,7 +50,7 @@ class Recorded(PieceLaw):
         slope = (values[here + 1] - values[here]) / duration
         return jnp.where(number <= last, duration, 0), values[here], slope
 
-    def next_piece(self, memory, drawn, dtype):
+    def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from .._types import Array, FloatArray
 
 
-class Piece(NamedTuple):
+class Segment(NamedTuple):
     """``value + slope (t - begin)`` for t from `begin` to `end` (s)."""
 
     begin: FloatArray
@@ -23,17 +23,17 @@ class Piece(NamedTuple):
     slope: FloatArray
 
 
-class Feed(NamedTuple):
+class SegmentState(NamedTuple):
     """The piece under way of one motion, and what is needed to tell the next; `spent` when there is none."""
 
-    words: tuple[Array, Array]
+    key_data: tuple[Array, Array]
     number: Array
     memory: Any
-    piece: Piece
+    segment: Segment
     spent: Array
 
 
-class PieceLaw(eqx.Module):
+class SegmentLaw(eqx.Module):
     """What every law of piecewise-linear motions offers.
 
     `is_random`: whether realisations differ. `jumps`: whether the value jumps from piece to piece; a stick on a base
@@ -44,47 +44,51 @@ class PieceLaw(eqx.Module):
     jumps: ClassVar[bool]
 
     @abc.abstractmethod
-    def pieces(self, t1: Any) -> int:
+    def segments(self, t1: Any) -> int:
         """About how many pieces there are on ``[0, t1]``; `t1` (s) is no tracer."""
 
     @abc.abstractmethod
-    def begin(self, words: Any, dtype) -> Any:
+    def begin(self, key_data: Any, dtype) -> Any:
         """What is known before the first piece, drawn from the key's words."""
 
     @abc.abstractmethod
-    def draw(self, words: Any, number: Array, dtype) -> Any:
+    def draw(self, key_data: Any, number: Array, dtype) -> Any:
         """What is random (or looked up) about piece `number`, from the key's words and that number alone."""
 
     @abc.abstractmethod
-    def next_piece(self, memory: Any, drawn: Any, dtype) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
+    def next_segment(self, memory: Any, drawn: Any, dtype) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
         """Duration (s), value at its beginning, slope (1/s) of a piece, and what to remember for the next.
 
         A duration of 0 says that there is no further piece.
         """
 
 
-def open_feed(law: PieceLaw, words: Any, dtype) -> Feed:
-    """The first piece of the motion that `words` choose."""
+def first_segment(law: SegmentLaw, key_data: Any, dtype) -> SegmentState:
+    """The first piece of the motion that `key_data` choose."""
     zero = jnp.zeros((), dtype)
-    memory = law.begin(words, dtype)
-    feed = Feed(
-        (words[0], words[1]), jnp.zeros((), jnp.uint32), memory, Piece(zero, zero, zero, zero), jnp.zeros((), bool)
+    memory = law.begin(key_data, dtype)
+    segment_state = SegmentState(
+        (key_data[0], key_data[1]),
+        jnp.zeros((), jnp.uint32),
+        memory,
+        Segment(zero, zero, zero, zero),
+        jnp.zeros((), bool),
     )
-    return next_feed(law, feed, dtype)
+    return following_segment(law, segment_state, dtype)
 
 
-def next_feed(law: PieceLaw, feed: Feed, dtype) -> Feed:
+def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> SegmentState:
     """The piece after the present one."""
-    drawn = law.draw(feed.words, feed.number, dtype)
-    duration, value, slope, memory = law.next_piece(feed.memory, drawn, dtype)
+    drawn = law.draw(segment_state.key_data, segment_state.number, dtype)
+    duration, value, slope, memory = law.next_segment(segment_state.memory, drawn, dtype)
     value, slope = (jnp.asarray(number, dtype) for number in (value, slope))
-    piece = Piece(feed.piece.end, feed.piece.end + duration, value, slope)
-    return Feed(feed.words, feed.number + np.uint32(1), memory, piece, ~(duration > 0))
+    segment = Segment(segment_state.segment.end, segment_state.segment.end + duration, value, slope)
+    return SegmentState(segment_state.key_data, segment_state.number + np.uint32(1), memory, segment, ~(duration > 0))
 
 
-def added(t: FloatArray, pieces: tuple[Piece, ...]) -> tuple[FloatArray, FloatArray]:
+def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, FloatArray]:
     """Value at `t` and slope of the sum of some pieces."""
     value, slope = jnp.zeros_like(t), jnp.zeros_like(t)
-    for piece in pieces:
-        value, slope = value + piece.value + piece.slope * (t - piece.begin), slope + piece.slope
+    for segment in segments:
+        value, slope = value + segment.value + segment.slope * (t - segment.begin), slope + segment.slope
     return value, slope

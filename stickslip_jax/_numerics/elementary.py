@@ -59,9 +59,9 @@ def sincos(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @computed_once
 def _reduced(angle: FloatArray):
-    turns = jnp.round(angle * (2 / np.pi))
+    steps = jnp.round(angle * (2 / np.pi))
     high, middle, low = _HALF_PI_PARTS[np.dtype(angle.dtype)]
-    return ((angle - turns * high) - turns * middle) - turns * low, turns.astype(jnp.int32)
+    return ((angle - steps * high) - steps * middle) - steps * low, steps.astype(jnp.int32)
 
 
 @computed_once

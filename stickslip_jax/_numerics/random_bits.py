@@ -12,14 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._checks import show
-from .._types import Array, FloatArray, KeyWords
+from .._types import Array, FloatArray, KeyData
 from .compiling import computed_once
 from .elementary import log
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
-def key_words(key: Array) -> Array:
+def key_data_of(key: Array) -> Array:
     """The two 32-bit words of a threefry key (new style ``jax.random.key`` or old style ``PRNGKey``).
 
     Raises ValueError for anything else; other generators are refused because under ``vmap`` some of them
@@ -34,7 +34,7 @@ def key_words(key: Array) -> Array:
     raise ValueError(f"Argument key must be a threefry key made by jax.random.key(seed), but {show(key)} was given.")
 
 
-def random_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
+def random_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
     """High and low 32 random bits for each 32-bit ``counter`` (any shape)."""
     schedule = (words[0], words[1], words[0] ^ words[1] ^ np.uint32(0x1BD11BDA))
     x = jnp.zeros_like(counter) + schedule[0]
@@ -48,7 +48,7 @@ def random_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
     return x, y
 
 
-def stored_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
+def stored_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
     """`random_words`, computed once for both words and for all that use them."""
     if not jax.config.read("jax_enable_x64"):
         return computed_once(random_words)(words, counter)
@@ -56,7 +56,7 @@ def stored_words(words: KeyWords, counter: Array) -> tuple[Array, Array]:
     return (both >> np.uint64(32)).astype(np.uint32), both.astype(np.uint32)
 
 
-def _joined_words(words: KeyWords, counter: Array) -> Array:
+def _joined_words(words: KeyData, counter: Array) -> Array:
     """Both words in one number, since XLA would compute one after the other, each from the beginning."""
     high, low = random_words(words, counter)
     return (high.astype(np.uint64) << np.uint64(32)) | low.astype(np.uint64)

@@ -2,22 +2,29 @@
 
 import math
 import warnings
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from .. import _checks
-from .._dynamics.method import EXACT
+from .._dynamics.method import EXACT, Exact
 from .._types import Array
 from . import windows
-from .estimate import Gradient, Sensitivities, Sensitivity
+from .estimate import Estimator, Gradient, Sensitivities, Sensitivity
 from .estimators import Columns, counted, differenced, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
-from .first_look import COUNTED_WINDOWS, PAIRED_WINDOWS, RECORDED_WINDOWS, problem_of, reach_of, require_precision
+from .first_look import (
+    COUNTED_WINDOWS,
+    PAIRED_WINDOWS,
+    RECORDED_WINDOWS,
+    problem_of,
+    relative_bandwidth_of,
+    require_precision,
+)
 from .problem import Pilot, Problem
-from .runs import Tally
+from .runs import Accumulator
 
-_METHODS = ("corrected", "finite-difference")
+_ESTIMATORS = get_args(Estimator)
 
 
 def sensitivity(
@@ -31,10 +38,10 @@ def sensitivity(
     key: Array | None = None,
     y0: Any = None,
     elasticity: Any = False,
-    method: str | None = None,
+    estimator: Estimator | None = None,
     step: float | None = None,
-    reach: float | None = None,
-    exact: Any = EXACT,
+    relative_bandwidth: float | None = None,
+    method: Exact = EXACT,
     threads: int | None = None,
     chunk: int | None = None,
 ) -> Sensitivity | Sensitivities:
@@ -47,81 +54,85 @@ def sensitivity(
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
       "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
       ambiguous. All are found in one pass.
-    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `exact`, `threads`, `chunk`: as in `simulate_ensemble`, where
-      `exact` is the method; something must be random. The answer does not depend on `threads`, nor, but for the order
-      of summation, on `chunk`.
+    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`, where
+      `method` must be exact; something must be random. The answer does not depend on `threads`, nor, but for the
+      order of summation, on `chunk`.
     - `elasticity`: whether to give ``d log statistic / d log parameter``.
-    - `method`: "corrected", or "finite-difference": central differences with common random numbers. By default what has
-      the smaller error in the same time, which the result's `method` tells: corrected for statistics of totals on bases
-      of piecewise-constant velocity, without damping and force, and for those that sticks of no length do not change
-      (`stick_fraction`); else differences. The other one is a check that shares nothing with it.
-    - `step`: of the differences, as a share of the parameter's size; by default as `reach`, or a quarter of that, where
-      the two disagree. Biased by order ``step^2``.
-    - `reach`: how far the corrected method looks for sticks about to be born or lost, as a relative change of the
-      parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks / 10^6)^(-1/5)``,
-      at most 0.05. The bias is of order ``reach^2``.
+    - `estimator`: "corrected", or "finite-difference": central differences with common random numbers. By default the
+      one with the smaller error in the same time (the result's `estimator` names it): corrected for statistics of
+      totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of no length
+      do not change (`stick_fraction`); else differences. The other one is a check that shares nothing with it.
+    - `step`: of the differences, as a share of the parameter's size; by default as `relative_bandwidth`, or a quarter
+      of that, where the two disagree. Biased by order ``step^2``.
+    - `relative_bandwidth`: how far the corrected estimator looks for sticks about to be born or lost, as a relative
+      change of the parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks /
+      10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
 
     How the event part is found: docs/sensitivity.md. Where a stick can hold more than a slip meets (`mu_static`), one
     that is caught moves differently ever after; there it comes from pairs of trajectories with the parameter changed up
-    and down by `reach`, and the same random numbers.
+    and down by `relative_bandwidth`, and the same random numbers.
 
     Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
     fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory
     begins with an arc that exactly grazes the base velocity: the derivative does not exist there, and is NaN. Raises
     ValueError for arguments outside these bounds, and in single precision for motion that has no closed form.
     """
-    _check_options(elasticity, method, step, reach)
+    _check_options(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(
-        statistic, system, law, wrt, t1, samples, key, y0, exact=exact, threads=threads, chunk=chunk
+        statistic, system, law, wrt, t1, samples, key, y0, method=method, threads=threads, chunk=chunk
     )
-    if (method or _asked_for(step, reach) or _cheaper(problem)) == "finite-difference":
+    if (estimator or _asked_for(step, relative_bandwidth) or _cheaper(problem)) == "finite-difference":
         results = _by_differences(problem, pilot, elasticity, step)
     else:
-        results = _corrected(problem.in_closed_form(), pilot, elasticity, reach)
+        results = _corrected(problem.in_closed_form(), pilot, elasticity, relative_bandwidth)
     return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
 
 
-def _asked_for(step: float | None, reach: float | None) -> str | None:
-    """The method that has the option given."""
+def _asked_for(step: float | None, relative_bandwidth: float | None) -> str | None:
+    """The estimator that has the option given."""
     if step is not None:
         return "finite-difference"
-    return None if reach is None else "corrected"
+    return None if relative_bandwidth is None else "corrected"
 
 
 def _cheaper(problem: Problem) -> str:
-    """The method with the smaller error in the same time (measured: docs/sensitivity.md)."""
+    """The estimator with the smaller error in the same time (measured: docs/sensitivity.md)."""
     if not problem.is_counted or problem.has_sudden_switches:
         return "finite-difference"
-    of_turns = problem.is_blind_to_events and problem.dtype.itemsize == 8  # else `require_precision` refuses
-    return "corrected" if problem.by_intervals or of_turns else "finite-difference"
+    by_steps = problem.is_blind_to_events and problem.dtype.itemsize == 8  # else `require_precision` refuses
+    return "corrected" if problem.by_intervals or by_steps else "finite-difference"
 
 
-def _corrected(problem: Problem, pilot: Pilot, elasticity: bool, reach: float | None) -> dict[str, Sensitivity]:
+def _corrected(
+    problem: Problem, pilot: Pilot, elasticity: bool, relative_bandwidth: float | None
+) -> dict[str, Sensitivity]:
     require_precision(problem)
-    widest = reach_of(problem, pilot) if reach is None else float(reach)
+    widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
     if problem.has_sudden_switches:
-        reaches = widest * np.array(PAIRED_WINDOWS)
-        tally, columns = differenced(problem, pilot, reaches, with_pathwise=True)
+        bandwidths = widest * np.array(PAIRED_WINDOWS)
+        accumulator, columns = differenced(problem, pilot, bandwidths, with_pathwise=True)
     elif problem.is_counted:
-        reaches = widest * np.array([1.0] if problem.is_blind_to_events else COUNTED_WINDOWS)
-        tally, columns = counted(problem, pilot, np.zeros(0) if problem.is_blind_to_events else reaches)
+        bandwidths = widest * np.array([1.0] if problem.is_blind_to_events else COUNTED_WINDOWS)
+        accumulator, columns = counted(problem, pilot, np.zeros(0) if problem.is_blind_to_events else bandwidths)
     else:
-        reaches = widest * np.array(RECORDED_WINDOWS)
-        tally, columns = recorded(problem, pilot, reaches)
+        bandwidths = widest * np.array(RECORDED_WINDOWS)
+        accumulator, columns = recorded(problem, pilot, bandwidths)
     grazing = warn_if_grazing(problem)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
-        got, chosen = windows.estimate(tally, where, tally.near[index], parameter.value if elasticity else None)
+        got, chosen = windows.estimate(
+            accumulator, where, accumulator.near[index], parameter.value if elasticity else None
+        )
         if parameter.name in grazing:
             got = got._replace(derivative=math.nan, standard_error=math.nan)
-        near = int(tally.near[index, chosen])
+        near = int(accumulator.near[index, chosen])
         results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "corrected", tally, near, float(reaches[chosen])
+            problem, parameter, got, elasticity, "corrected", accumulator, near, float(bandwidths[chosen])
         )
     if problem.is_blind_to_events and not problem.has_sudden_switches:
         return results
     warn_at_special_speeds(problem, grazing)
-    _warn_of_torn(tally, columns, results, grazing)
+    _warn_of_torn(accumulator, columns, results, grazing)
     _warn_of_few(results)
     return results
 
@@ -137,19 +148,19 @@ def _warn_of_few(results: dict[str, Sensitivity]) -> None:
 
 
 def _warn_of_torn(
-    tally: Tally, columns: tuple[Columns, ...], results: dict[str, Sensitivity], told: tuple[str, ...]
+    accumulator: Accumulator, columns: tuple[Columns, ...], results: dict[str, Sensitivity], told: tuple[str, ...]
 ) -> None:
     """RuntimeWarning where windows disagree, but for parameters `told` of already."""
     torn = [
         name
-        for name, where, near in zip(results, columns, tally.near, strict=True)
-        if name not in told and windows.is_torn(tally, where, near)
+        for name, where, near in zip(results, columns, accumulator.near, strict=True)
+        if name not in told and windows.is_torn(accumulator, where, near)
     ]
     if torn:
         warnings.warn(
             f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one "
             "looks for sticks about to be born or lost, or does not exist. That of the narrowest window is given; "
-            "compare with method='finite-difference' at several steps.",
+            "compare with estimator='finite-difference' at several steps.",
             RuntimeWarning,
             stacklevel=4,
         )
@@ -157,16 +168,18 @@ def _warn_of_torn(
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
     """With the `step` that the caller chose, or one of two, which must agree."""
-    steps = np.array([step]) if step is not None else reach_of(problem, pilot) * np.array(PAIRED_WINDOWS)
-    tally, columns = differenced(problem, pilot, steps, with_pathwise=False)
+    steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(PAIRED_WINDOWS)
+    accumulator, columns = differenced(problem, pilot, steps, with_pathwise=False)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
-        got, chosen = windows.estimate(tally, where, tally.near[index], parameter.value if elasticity else None)
-        near, got = int(tally.near[index, chosen]), got._replace(pathwise=math.nan)
-        results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "finite-difference", tally, near, float(steps[chosen])
+        got, chosen = windows.estimate(
+            accumulator, where, accumulator.near[index], parameter.value if elasticity else None
         )
-    _warn_of_torn(tally, columns, results, ())
+        near, got = int(accumulator.near[index, chosen]), got._replace(pathwise=math.nan)
+        results[parameter.name] = _result(
+            problem, parameter, got, elasticity, "finite-difference", accumulator, near, float(steps[chosen])
+        )
+    _warn_of_torn(accumulator, columns, results, ())
     return results
 
 
@@ -175,10 +188,10 @@ def _result(
     parameter: Any,
     got: Gradient,
     elasticity: bool,
-    method: str,
-    tally: Tally,
+    estimator: Estimator,
+    accumulator: Accumulator,
     near: int,
-    reach: float,
+    relative_bandwidth: float,
 ) -> Sensitivity:
     return Sensitivity(
         statistic=problem.statistic.name,
@@ -192,26 +205,32 @@ def _result(
         pathwise=got.pathwise,
         event=got.derivative - got.pathwise,
         is_elasticity=elasticity,
-        method=method,
-        samples=tally.moments.number,
+        estimator=estimator,
+        samples=accumulator.moments.number,
         asked=problem.samples,
         sticks_in_window=near,
-        reach=reach,
+        relative_bandwidth=relative_bandwidth,
     )
 
 
-def _check_options(elasticity: Any, method: Any, step: Any, reach: Any) -> None:
+def _check_options(elasticity: Any, estimator: Any, step: Any, relative_bandwidth: Any) -> None:
     if not isinstance(elasticity, bool):
         raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
-    if method is not None and method not in _METHODS:
-        raise ValueError(f"Argument method must be one of {_METHODS}, but {_checks.show(method)} was given.")
-    for name, value, of in (("step", step, "finite-difference"), ("reach", reach, "corrected")):
+    if estimator is not None and estimator not in _ESTIMATORS:
+        raise ValueError(f"Argument estimator must be one of {_ESTIMATORS}, but {_checks.show(estimator)} was given.")
+    for name, value, of in (
+        ("step", step, "finite-difference"),
+        ("relative_bandwidth", relative_bandwidth, "corrected"),
+    ):
         if value is not None:
             _checks.positive(name, value)
-            if method not in (None, of):
-                raise ValueError(f"Argument {name} must be left out with method={method!r}, but {value} was given.")
-    if step is not None and reach is not None:
+            if estimator not in (None, of):
+                raise ValueError(
+                    f"Argument {name} must be left out with estimator={estimator!r}, but {value} was given."
+                )
+    if step is not None and relative_bandwidth is not None:
         raise ValueError(
-            f"Argument step must be left out with reach, but step={step} and reach={reach} were given; step is for "
-            "method='finite-difference', reach for method='corrected'."
+            f"Argument step must be left out with relative_bandwidth, but step={step} and relative_bandwidth="
+            f"{relative_bandwidth} were given; step is for estimator='finite-difference', relative_bandwidth for "
+            "estimator='corrected'."
         )

@@ -63,7 +63,7 @@ class Flux(NamedTuple):
 class _Lanes(NamedTuple):
     """The state of every lane."""
 
-    words: tuple[Array, Array]  # the key words of the lane's sample
+    key_data: tuple[Array, Array]  # the key words of the lane's sample
     first: Array  # number of its next interval
     lane: IntervalLane
     flux: Flux
@@ -74,29 +74,29 @@ class _Lanes(NamedTuple):
 class IntervalCounting(Engine):
     """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0` (numbers, or `Uniform` values).
 
-    `reaches` (windows,): how far the kernels look, as shares of the parameter (see `kernels.crossing`). `fixed_start`
-    tells that all samples begin in the same state: what comes of the first arc is then no random number with a density.
+    `bandwidths` (windows,): how far the kernels look, as shares of the parameter (see `kernels.crossing`).
+    `fixed_start`: whether all samples begin in the same state. The outcome of the first arc then has no density.
     """
 
     system: MassSpring
     law: BangBangLaw
     t1: Scalar
     y0: tuple[Any, ...]
-    reaches: AnyArray
+    bandwidths: AnyArray
     likelihood: Likelihood | None
     fixed_start: bool = eqx.field(static=True)
 
-    def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
-        x, velocity = realised_state(self.y0, words, dtype)
+    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+        x, velocity = realised_state(self.y0, key_data, dtype)
         motion = start_motion(self._scales(dtype), (x, velocity))
         none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
-        lane = IntervalLane(self.law.begin(words, dtype), motion, start_totals(dtype), zero)
-        flux = Flux.none(len(self.reaches), dtype)
-        return _Lanes(words, none.astype(jnp.uint32), lane, flux, none, jnp.zeros((), bool))
+        lane = IntervalLane(self.law.begin(key_data, dtype), motion, start_totals(dtype), zero)
+        flux = Flux.none(len(self.bandwidths), dtype)
+        return _Lanes(key_data, none.astype(jnp.uint32), lane, flux, none, jnp.zeros((), bool))
 
-    def advance(self, state: _Lanes, dtype, room: Any, slot: Array | int) -> tuple[_Lanes, Any]:
+    def advance(self, state: _Lanes, dtype, buffer: Any, slot: Array | int) -> tuple[_Lanes, Any]:
         scales = self._scales(dtype)
-        drawn, numbers = draw_block(self.law, state.words, state.first, dtype)
+        drawn, numbers = draw_block(self.law, state.key_data, state.first, dtype)
 
         def step_one(lane, flux, switches, drawn, is_first):
             moved, stick, edges, duration = cross_with_edges(self.law, scales, lane, drawn)
@@ -110,7 +110,7 @@ class IntervalCounting(Engine):
         begun = (state.lane, state.flux, state.switches)
         (lane, flux, switches), _ = lax.scan(step, begun, (drawn, numbers == 0))
         stalled = lane.motion.t <= state.lane.motion.t
-        return _Lanes(state.words, state.first + np.uint32(len(numbers)), lane, flux, switches, stalled), room
+        return _Lanes(state.key_data, state.first + np.uint32(len(numbers)), lane, flux, switches, stalled), buffer
 
     def ended(self, state: _Lanes) -> BoolArray:
         # Written so that a NaN time counts as ended.
@@ -138,11 +138,12 @@ class IntervalCounting(Engine):
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact, races = weighted_flux(rate, gap - arrival, edges.exists), jnp.zeros((), bool)
         edges = edges.only(~jnp.asarray(is_fixed), races)
-        reaches = jnp.asarray(self.reaches, arrival.dtype)
+        bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
         return Flux(
-            tuple(born + exact + through(edges, reach, crossing, ending)
-                  for born, reach in zip(total.births, reaches, strict=True)),
-            tuple(near + through(edges, reach, hits, hits) for near, reach in zip(total.near, reaches, strict=True)),
+            tuple(born + exact + through(edges, bandwidth, crossing, ending)
+                  for born, bandwidth in zip(total.births, bandwidths, strict=True)),
+            tuple(near + through(edges, bandwidth, hits, hits)
+                  for near, bandwidth in zip(total.near, bandwidths, strict=True)),
         )  # fmt: skip
 
     def _scales(self, dtype) -> Scales:

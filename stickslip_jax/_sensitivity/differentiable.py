@@ -13,10 +13,10 @@ from .._status import Status
 from .._types import Array
 from .counting import IntervalCounting
 from .estimators import RATE, counting_engine, counting_paths
-from .first_look import problem_of, reach_of, require_precision
+from .first_look import problem_of, relative_bandwidth_of, require_precision
 from .parameters import Path, with_numbers
-from .problem import Pilot, Problem, room_for
-from .sequences import Room, features_of, record_sequences
+from .problem import Pilot, Problem, buffer_sizes_for
+from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import OfTotals
 from .traces import traced
 
@@ -48,9 +48,9 @@ def differentiable(
     """
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
     require_precision(problem)
-    rows, reach = -(-problem.samples // _LANES), reach_of(problem, pilot)
-    means = (_counted if problem.is_counted else _recorded)(problem, pilot, reach, rows)
-    estimate = _ratio(means, reach if problem.has_sudden_switches else None)
+    rows, bandwidth = -(-problem.samples // _LANES), relative_bandwidth_of(problem, pilot)
+    means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, rows)
+    estimate = _ratio(means, bandwidth if problem.has_sudden_switches else None)
     number = len(problem.parameters)
 
     def of(values: Any) -> Array:
@@ -102,11 +102,11 @@ def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
     return estimate
 
 
-def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
+def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
     """By counting lanes."""
     assert isinstance(problem.statistic, OfTotals)
     # One window, as wide as may be: which is best cannot be asked inside a compiled function.
-    engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [reach]))
+    engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = counting_paths(problem)
     has_likelihood = isinstance(engine, IntervalCounting) and engine.likelihood is not None
@@ -119,7 +119,7 @@ def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
             here = with_numbers(here, by_score, (values[paths.index(RATE)],))
         if varied is not None:
             here = with_numbers(here, by, varied)
-        job = Job(here, problem.words, np.uint32(0), np.int32(rows))
+        job = Job(here, problem.key_data, np.uint32(0), np.int32(rows))
         counted = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
         sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
@@ -129,20 +129,20 @@ def _counted(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
     return means
 
 
-def _recorded(problem: Problem, pilot: Pilot, reach: float, rows: int) -> Means:
+def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
     """By recorded sequences."""
-    engine, paths, room = problem.engine(), problem.paths(), room_for(problem, pilot)
-    room = Room(2 * room.blocks, 2 * room.slots, 0 if problem.has_sudden_switches else 2 * room.edges)
-    reaches = np.array([reach])
+    engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
+    buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.has_sudden_switches else 2 * buffer.edges)
+    bandwidths = np.array([bandwidth])
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = traced(with_numbers(engine, paths, values if varied is None else varied), problem.fixed_start)
 
         def chunk(first):
-            recorded = record_sequences(here, problem.words, first, lanes=_LANES, room=room, dtype=problem.dtype)
-            features = features_of(problem.statistic, here, recorded, reaches)
+            recorded = record_sequences(here, problem.key_data, first, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
+            features = features_of(problem.statistic, here, recorded, bandwidths)
             done = (recorded.status == Status.FINISHED)[:, None]
-            lost = jnp.any((recorded.sticks >= room.slots) | (recorded.edges > room.edges))
+            lost = jnp.any((recorded.sticks >= buffer.slots) | (recorded.edges > buffer.edges))
             parts = jnp.where(done, features.parts + features.events[:, 0], 0)
             return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
 

@@ -116,8 +116,8 @@ def _edges(
     speed = jnp.abs(jnp.where(moving, velocity, 1))
     # When the mass would have arrived, crossings included, had the interval lasted a little longer.
     span = (jnp.minimum(motion.t + duration, scales.t1) - motion.t) * scales.omega + 2 * np.pi
-    longer = carry_across(motion.x, motion.p, velocity * scales.per_omega, scales.half_width, span)
-    arrival = jnp.where(stuck, stick.start - motion.t, longer.entered * scales.per_omega)
+    longer = carry_across(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width, span)
+    arrival = jnp.where(stuck, stick.start - motion.t, longer.entered * scales.inverse_omega)
     end, spare, left = motion.t + duration, duration - arrival, scales.t1 - (motion.t + arrival)
     # An arc from below ends in a stick that lasts, or grazes; one from above may arrive at the release edge, where
     # it crosses.
@@ -160,7 +160,7 @@ def _first_arc(
     # Clockwise from (D, p) to the top, (0, R).
     back, up = lax.stop_gradient(D), lax.stop_gradient(p)
     angle = angle_of(jnp.abs(back), up)
-    top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * scales.per_omega
+    top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * scales.inverse_omega
     # A stick that the base's reversal cut short leaves the mass with R >= q, however near: nothing is born there.
     is_reversed = cut_velocity == -velocity
     # Where the mass is back on the circle on which it left a stick, R = q whatever the parameters: see `dynamics.arcs`.

@@ -3,12 +3,14 @@
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from .._numerics.moments import Moments
 from .._statistics.estimate import format_with_error
+
+Estimator: TypeAlias = Literal["corrected", "finite-difference"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,10 +21,10 @@ class Sensitivity:
     - `derivative`, `standard_error`: of the expectation; `unit` by the parameter's, a pure number if `is_elasticity`.
     - `pathwise`: the part that automatic differentiation of each trajectory gives, `event` the part of sticks born and
       lost; they add up to `derivative`. NaN for finite differences, which know no parts.
-    - `parameter_value`, `method`, `samples` (finished ones, of `asked`).
+    - `parameter_value`, `estimator`, `samples` (finished ones, of `asked`).
     - `sticks_in_window`: how many sticks, and near misses, the event part rests on (of finite differences: in how many
-      trajectories the number of sticks differs); `reach`: the relative change of the parameter over which it looked (of
-      finite differences: the step).
+      trajectories the number of sticks differs). `relative_bandwidth`: the relative change of the parameter over which
+      it looked (of finite differences: the step).
     """
 
     statistic: str
@@ -36,11 +38,11 @@ class Sensitivity:
     pathwise: float
     event: float
     is_elasticity: bool
-    method: str
+    estimator: Estimator
     samples: int
     asked: int
     sticks_in_window: int
-    reach: float
+    relative_bandwidth: float
 
     @property
     def lanes_used(self) -> float:
@@ -50,7 +52,8 @@ class Sensitivity:
     def __str__(self) -> str:
         what = "d log / d log" if self.is_elasticity else "d / d"
         number = format_with_error(self.derivative, self.standard_error)
-        how = f" (central differences of {self.reach:.2g})" if self.method == "finite-difference" else ""
+        differences = f" (central differences of {self.relative_bandwidth:.2g})"
+        how = differences if self.estimator == "finite-difference" else ""
         return f"{what} {self.parameter} of {self.statistic}: {number}{how}"
 
 

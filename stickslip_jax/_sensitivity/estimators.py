@@ -13,11 +13,11 @@ from .._status import Status
 from .._systems.own import is_own
 from .counting import IntervalCounting, Likelihood
 from .parameters import Parameter, Path, check_numbers, with_numbers
-from .problem import Pilot, Problem, lanes_and_rows, room_for, sequence_lanes
-from .runs import Rows, Tally, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
-from .sequences import Room
+from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
+from .runs import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
+from .sequences import BufferSizes
 from .statistic import OfTotals
-from .step_counting import TurnCounting
+from .step_counting import StepCounting
 from .traces import traced
 
 RATE: Path = ("law", "rate")
@@ -48,9 +48,9 @@ def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | No
     )
 
 
-def counted(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
-    """All parameters by counting lanes, with windows of all `reaches`; without any, one that sees no event."""
-    engine = counting_engine(problem, pilot, reaches)
+def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Accumulator, tuple[Columns, ...]]:
+    """All parameters by counting lanes, with windows of all `bandwidths`; without any, one that sees no event."""
+    engine = counting_engine(problem, pilot, bandwidths)
     paths, number = list(counting_paths(problem)), len(problem.parameters)
     pathwise = list(range(number))
     for index, path in enumerate(problem.paths()):
@@ -59,31 +59,31 @@ def counted(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally,
             paths[index] = ("likelihood", "rate")
             pathwise[index] = len(paths)
             paths.append(RATE)
-    tally = _run_counting(problem, engine, tuple(paths))
-    return tally, _columns(number, max(1, len(reaches)), len(paths), pathwise)
+    accumulator = _run_counting(problem, engine, tuple(paths))
+    return accumulator, _columns(number, max(1, len(bandwidths)), len(paths), pathwise)
 
 
-def counting_engine(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> IntervalCounting | TurnCounting:
-    """The engine that counts; without `reaches`, for pathwise derivatives only."""
-    reaches = np.asarray(reaches, problem.dtype)
+def counting_engine(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> IntervalCounting | StepCounting:
+    """The engine that counts; without `bandwidths`, for pathwise derivatives only."""
+    bandwidths = np.asarray(bandwidths, problem.dtype)
     if not problem.by_intervals:
-        turns = problem.engine()
-        assert isinstance(turns, SwitchedEngine)
-        return TurnCounting(turns, reaches, problem.fixed_start)
+        steps = problem.engine()
+        assert isinstance(steps, SwitchedEngine)
+        return StepCounting(steps, bandwidths, problem.fixed_start)
     likelihood = None
     if type(problem.law) is PoissonSwitching:
         likelihood = Likelihood(problem.law.rate, pilot.stick_time, pilot.sticks)
     return IntervalCounting(
-        problem.system, problem.law, problem.t1, problem.y0, reaches, likelihood, problem.fixed_start
+        problem.system, problem.law, problem.t1, problem.y0, bandwidths, likelihood, problem.fixed_start
     )
 
 
 def counting_paths(problem: Problem) -> tuple[Path, ...]:
     """Where the parameters are in the engine that counts."""
-    return problem.paths() if problem.by_intervals else tuple(("turns", *path) for path in problem.paths())
+    return problem.paths() if problem.by_intervals else tuple(("steps", *path) for path in problem.paths())
 
 
-def _run_counting(problem: Problem, engine: IntervalCounting | TurnCounting, paths: tuple[Path, ...]) -> Tally:
+def _run_counting(problem: Problem, engine: IntervalCounting | StepCounting, paths: tuple[Path, ...]) -> Accumulator:
     """The problem's parts; columns: their derivatives by every path and window, and the pathwise parts of these."""
     per_task, record = _counter(problem, engine, paths)
 
@@ -95,7 +95,7 @@ def _run_counting(problem: Problem, engine: IntervalCounting | TurnCounting, pat
 
 
 def _counter(
-    problem: Problem, engine: IntervalCounting | TurnCounting, paths: tuple[Path, ...]
+    problem: Problem, engine: IntervalCounting | StepCounting, paths: tuple[Path, ...]
 ) -> tuple[int, Callable[[int, int], Any]]:
     """A function of a task's first sample and their number (at most the number given beside it).
 
@@ -109,7 +109,7 @@ def _counter(
 
     def record(first: int, number: int) -> Any:
         totals, (d_time, d_births, near), status = count_chunk[is_own(engine)](
-            engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)),
+            engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)),
             paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
         )  # fmt: skip
         totals = np.stack([_flat(leaf, number) for leaf in totals], axis=-1)
@@ -128,10 +128,10 @@ def _counter(
     return per_task, record
 
 
-def recorded(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally, tuple[Columns, ...]]:
-    """All parameters by recorded sequences, with windows of all `reaches`."""
+def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Accumulator, tuple[Columns, ...]]:
+    """All parameters by recorded sequences, with windows of all `bandwidths`."""
     parameters, units = len(problem.parameters), units_of(problem.engine(), problem.paths())[:, None, None]
-    record = _recorder(problem, room_for(problem, pilot), reaches)
+    record = _recorder(problem, buffer_sizes_for(problem, pilot), bandwidths)
 
     def simulate(first: int, number: int) -> Rows:
         features, slopes, status = record(first)
@@ -140,30 +140,30 @@ def recorded(problem: Problem, pilot: Pilot, reaches: np.ndarray) -> tuple[Tally
         parts, near = np.asarray(features.parts, float)[:number], np.asarray(slopes.near, float)[:, :number]
         return Rows.of(np.asarray(status)[:number], parts, derivatives, pathwise / units, near)
 
-    tally = run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
-    return tally, _columns(parameters, len(reaches), parameters)
+    accumulator = run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
+    return accumulator, _columns(parameters, len(bandwidths), parameters)
 
 
-def _recorder(problem: Problem, room: Room, reaches: np.ndarray) -> Callable[[int], Any]:
+def _recorder(problem: Problem, buffer: BufferSizes, bandwidths: np.ndarray) -> Callable[[int], Any]:
     """A function of a chunk's first sample: `Features`, their derivatives, status."""
     engine = traced(problem.engine(), problem.fixed_start)
 
     def record(first: int) -> Any:
-        def run(room: Room) -> Any:
+        def run(buffer: BufferSizes) -> Any:
             features, slopes, (status, sticks, edges) = sequence_chunk(
-                problem.statistic, engine, np.asarray(reaches, problem.dtype), problem.words, np.uint32(first),
-                paths=problem.paths(), lanes=sequence_lanes(problem), room=room, dtype=problem.dtype,
+                problem.statistic, engine, np.asarray(bandwidths, problem.dtype), problem.key_data, np.uint32(first),
+                paths=problem.paths(), lanes=sequence_lanes(problem), buffer=buffer, dtype=problem.dtype,
             )  # fmt: skip
             return (features, slopes, status), status, sticks, edges
 
-        return _with_room(run, room)
+        return _with_buffer(run, buffer)
 
     return record
 
 
 def differenced(
     problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool
-) -> tuple[Tally, tuple[Columns, ...]]:
+) -> tuple[Accumulator, tuple[Columns, ...]]:
     """All parameters by central differences of every trajectory, of the given steps (shares of the parameter's size).
 
     The same random numbers drive both ends. What the windows reached are trajectories whose number of sticks differs.
@@ -190,8 +190,8 @@ def differenced(
         near = np.moveaxis(np.reshape(near, shape), 2, 1).astype(float)
         return Rows.of(np.max([status, *statuses], axis=0), parts, slopes, pathwise, near)
 
-    tally = run_chunks(simulate, problem.samples, per_task, problem.threads)
-    return tally, _columns(len(paths), len(steps), len(paths))
+    accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
+    return accumulator, _columns(len(paths), len(steps), len(paths))
 
 
 # A function of an engine, a task's first sample and their number that gives the statistic's parts, status and number of
@@ -207,7 +207,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
     _, pathwise_of = _counter(problem, counting_engine(problem, pilot, np.zeros(0)), counting_paths(problem))
 
     def values(engine: Engine, first: int, number: int) -> Any:
-        job = Job(engine, problem.words, np.uint32(first), np.int32(-(-number // lanes)))
+        job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)))
         results = chunks_of(engine).summarise(job, lanes=lanes, rows=rows, dtype=problem.dtype)
         totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
         return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
@@ -221,18 +221,18 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
 def _by_sequences(problem: Problem, pilot: Pilot) -> _Values:
     """The same by recorded sequences."""
     lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
-    room = room_for(problem, pilot)._replace(edges=0)
-    record = _recorder(problem, room, np.zeros(0))
+    buffer = buffer_sizes_for(problem, pilot)._replace(edges=0)
+    record = _recorder(problem, buffer, np.zeros(0))
 
     def values(engine: Engine, first: int, number: int) -> Any:
-        def run(room: Room) -> Any:
+        def run(buffer: BufferSizes) -> Any:
             done = value_chunk(
-                problem.statistic, traced(engine, problem.fixed_start), problem.words, np.uint32(first),
-                lanes=lanes, room=room, dtype=problem.dtype,
+                problem.statistic, traced(engine, problem.fixed_start), problem.key_data, np.uint32(first),
+                lanes=lanes, buffer=buffer, dtype=problem.dtype,
             )  # fmt: skip
             return done, done[1], done[2], np.zeros(1)
 
-        parts, status, sticks = (np.asarray(leaf)[:number] for leaf in _with_room(run, room))
+        parts, status, sticks = (np.asarray(leaf)[:number] for leaf in _with_buffer(run, buffer))
         return parts.astype(float), status, sticks
 
     def pathwise(first: int, number: int) -> np.ndarray:
@@ -249,23 +249,23 @@ def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> li
             check_numbers(end)
     except ValueError as error:
         raise ValueError(
-            f"Argument step (or reach) must be smaller: {parameter.name} = {parameter.value:g} is to be varied by "
-            f"{length:g}, which it does not allow. {error}"
+            f"Argument step (or relative_bandwidth) must be smaller: {parameter.name} = {parameter.value:g} is to be "
+            f"varied by {length:g}, which it does not allow. {error}"
         ) from error
     return ends
 
 
-def _with_room(run: Callable[[Room], tuple[Any, Any, Any, Any]], room: Room) -> Any:
+def _with_buffer(run: Callable[[BufferSizes], tuple[Any, Any, Any, Any]], buffer: BufferSizes) -> Any:
     """What `run` gives with room for everything; it tells beside it status, sticks and edges of every sample."""
     for _ in range(_MOST_DOUBLINGS):
-        done, status, sticks, edges = run(room)
+        done, status, sticks, edges = run(buffer)
         cut = np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))
         # One slot more than there are sticks: one may be put in.
-        needed = Room(room.blocks, 8 * -(-(int(np.max(sticks)) + 1) // 8), 8 * -(-int(np.max(edges)) // 8))
-        if needed.slots > room.slots or needed.edges > room.edges:
-            room = Room(room.blocks, max(needed.slots, room.slots), max(needed.edges, room.edges))
+        needed = BufferSizes(buffer.blocks, 8 * -(-(int(np.max(sticks)) + 1) // 8), 8 * -(-int(np.max(edges)) // 8))
+        if needed.slots > buffer.slots or needed.edges > buffer.edges:
+            buffer = BufferSizes(buffer.blocks, max(needed.slots, buffer.slots), max(needed.edges, buffer.edges))
         elif np.any(cut):
-            room = room._replace(blocks=2 * room.blocks)
+            buffer = buffer._replace(blocks=2 * buffer.blocks)
         else:
             break
     return done

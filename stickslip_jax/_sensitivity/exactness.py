@@ -52,27 +52,27 @@ def warn_at_special_speeds(problem: Problem, told: tuple[str, ...]) -> None:
         warnings.warn(
             f"The dimensionless base speed w = speed / (a omega) is exactly {special}, where the mean number of "
             f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
-            "is taken. The slope over about `reach` is given; see docs/sensitivity.md.",
+            "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md.",
             RuntimeWarning,
             stacklevel=4,
         )
 
 
-def _excess(engine: Any, words: Any, dtype: Any) -> Array:
+def _excess(engine: Any, key_data: Any, dtype: Any) -> Array:
     """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above. (lanes,)"""
     scales = scales_of(engine.system, engine.t1, dtype)
     motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
-    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(_velocities(engine, words, dtype))
+    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(_velocities(engine, key_data, dtype))
 
 
-def _from_special_speeds(engine: Any, words: Any, dtype: Any) -> Array:
+def _from_special_speeds(engine: Any, key_data: Any, dtype: Any) -> Array:
     """``w - 1`` and ``w - 2`` of the first base speed, (lanes, 2); 1 for a base at rest."""
-    scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, words, dtype)[:, None]
-    w = jnp.abs(velocity) * scales.per_omega / scales.half_width
+    scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, key_data, dtype)[:, None]
+    w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
     return jnp.where(velocity == 0, 1.0, w - jnp.array([1.0, 2.0], dtype))
 
 
-def _velocities(engine: Any, words: Any, dtype: Any) -> Array:
+def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
     """The first base velocity of each lane, m/s."""
 
     def of(high, low):
@@ -80,16 +80,16 @@ def _velocities(engine: Any, words: Any, dtype: Any) -> Array:
         drawn = engine.law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
         return engine.law.next_interval(memory, drawn, dtype)[1]
 
-    return jax.vmap(of)(*words)
+    return jax.vmap(of)(*key_data)
 
 
 def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray, list[str]]:
     """Where a function of the engine is exactly 0, and which parameters move it there."""
     engine, dtype = problem.engine(), problem.dtype
-    words = random_words(problem.words, jnp.arange(_LANES, dtype=jnp.uint32))
+    key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
     # Compiled once, not launched operation by operation, which would take longer than the derivative.
-    found, slopes = _with_slopes(engine, words, values, function=function, paths=problem.paths(), dtype=dtype)
+    found, slopes = _with_slopes(engine, key_data, values, function=function, paths=problem.paths(), dtype=dtype)
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
@@ -97,11 +97,11 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
 def _with_slopes(
-    engine: Any, words: Any, values: Array, *, function: Callable[..., Array], paths: tuple[Path, ...], dtype: Any
+    engine: Any, key_data: Any, values: Array, *, function: Callable[..., Array], paths: tuple[Path, ...], dtype: Any
 ) -> tuple[Array, Array]:
     """The function, and its derivatives by the parameters along a last axis."""
 
     def of(values: Array) -> Array:
-        return function(with_numbers(engine, paths, values), words, dtype)
+        return function(with_numbers(engine, paths, values), key_data, dtype)
 
     return of(values), jax.jacfwd(of)(values)

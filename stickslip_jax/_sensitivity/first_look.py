@@ -8,7 +8,7 @@ from .. import _checks
 from .._dynamics.method import EXACT, Exact
 from .._dynamics.validation import state_of
 from .._ensemble.call import simulate_ensemble
-from .._excitation.excitation import is_random, words_for
+from .._excitation.excitation import is_random, key_data_for
 from .._excitation.random import Uniform
 from .._fast_cpu import cores
 from .._systems.system import require_system
@@ -19,8 +19,8 @@ from .statistic import statistic_of
 COUNTED_WINDOWS, RECORDED_WINDOWS = (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # to choose from
 PAIRED_WINDOWS = (1.0, 0.25)
 _PILOT = 1024  # samples
-_REACH, _STICKS = 0.005, 1e6  # the widest window at so many sticks
-_LARGEST_REACH = 0.05
+_RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # the widest window at so many sticks
+_LARGEST_BANDWIDTH = 0.05
 
 
 def problem_of(
@@ -33,7 +33,7 @@ def problem_of(
     key: Any,
     y0: Any,
     *,
-    exact: Any = EXACT,
+    method: Any = EXACT,
     threads: int | None = None,
     chunk: int | None = None,
 ) -> tuple[Problem, Pilot]:
@@ -41,15 +41,17 @@ def problem_of(
     statistic = statistic_of(statistic)
     threads = cores() if threads is None else _checks.whole_number("threads", threads)
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
-    if not isinstance(exact, Exact):
-        raise ValueError(f"Argument exact must be Exact(...), but {_checks.show(exact)} was given.")
+    if not isinstance(method, Exact):
+        raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
     require_system(system)
     y0 = _checked_start(system, law, y0)
     keep = "totals" if statistic.is_of_totals else "sticks"
-    pilot = _pilot(system, law, t1, y0, samples, key, exact, keep, threads)
+    pilot = _pilot(system, law, t1, y0, samples, key, method, keep, threads)
     parameters = parameters_of({"system": system, "law": law, "y0": y0}, wrt)
-    words, dtype = words_for(law, key), jnp.result_type(float)
-    problem = Problem(statistic, system, law, float(t1), y0, exact, words, parameters, samples, threads, size, dtype)
+    key_data, dtype = key_data_for(law, key), jnp.result_type(float)
+    problem = Problem(
+        statistic, system, law, float(t1), y0, method, key_data, parameters, samples, threads, size, dtype
+    )
     return problem, pilot
 
 
@@ -60,25 +62,33 @@ def require_precision(problem: Problem) -> None:
             "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
             "velocity, in single precision: round-off hides how nearly an arc of any other motion missed, and how "
             "slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
-            "method='finite-difference'."
+            "estimator='finite-difference'."
         )
 
 
-def reach_of(problem: Problem, pilot: Pilot) -> float:
+def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
     """How far kernels look, as a share of the parameter, by default.
 
     Windows shrink with the fifth root of the number of sticks, as the best ones of a bias of second order do.
     """
-    return min(_REACH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_REACH)
+    return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
 
 
 def _pilot(
-    system: Any, law: Any, t1: float, y0: tuple[Any, ...], samples: int, key: Any, exact: Exact, keep: str, threads: int
+    system: Any,
+    law: Any,
+    t1: float,
+    y0: tuple[Any, ...],
+    samples: int,
+    key: Any,
+    method: Exact,
+    keep: str,
+    threads: int,
 ) -> Pilot:
     """A first look, which also checks the arguments."""
     number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
     many = simulate_ensemble(
-        system, law, t1=t1, samples=number, key=key, y0=y0, method=exact, keep=keep, threads=threads, progress=False
+        system, law, t1=t1, samples=number, key=key, y0=y0, method=method, keep=keep, threads=threads, progress=False
     )
     if many.moments.number < 2:
         raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")

@@ -21,14 +21,14 @@ Kernel = Callable[[FloatArray, Array, BoolArray], Array]
 
 
 @jax.custom_jvp
-def crossing(distance: FloatArray, reach: Array, where: BoolArray) -> Array:
+def crossing(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
     """Zero, with the derivative of a count of what exists where `distance` is positive.
 
     Seen on both sides of 0, near misses included. The window is as wide as `distance` moves, to first order, when the
-    parameters move `reach` times the direction of differentiation: ``u = distance / (reach |d distance|)``, and the
-    derivative is ``sign(d distance) K(u) / reach`` with ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every weight is
-    bounded, what does not move is left out, and the answer is what a central difference of that step would give to
-    first order. It is linear in the direction only in expectation: forward mode alone.
+    parameters move `bandwidth` times the direction of differentiation: ``u = distance / (bandwidth |d distance|)``, and
+    the derivative is ``sign(d distance) K(u) / bandwidth`` with ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every
+    weight is bounded, what does not move is left out, and the answer is what a central difference of that step would give
+    to first order. It is linear in the direction only in expectation: forward mode alone.
     """
     return 0 * distance
 
@@ -40,7 +40,7 @@ def _crossing_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def ending(distance: FloatArray, reach: Array, where: BoolArray) -> Array:
+def ending(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
     """The same where `distance` is seen only while it is positive, with ``K(u) = 4 - 6 u`` for 0 < u < 1."""
     return 0 * distance
 
@@ -52,7 +52,7 @@ def _ending_jvp(primals, tangents):
 
 
 @jax.custom_jvp
-def hits(distance: FloatArray, reach: Array, where: BoolArray) -> Array:
+def hits(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
     """Zero, with 1 for derivative where `crossing` or `ending` has any: to count what they rest on."""
     return 0 * distance
 
@@ -65,10 +65,10 @@ def _hits_jvp(primals, tangents):
 
 def _moved(primals, tangents):
     """``u``, the sign of the motion, and whether ``|u| < 1``, where it counts."""
-    distance, reach, where = primals
+    distance, bandwidth, where = primals
     change = jnp.abs(tangents[0])
-    hit = where & (jnp.abs(distance) < reach * change)
-    return distance / jnp.where(hit, reach * change, 1), jnp.sign(tangents[0]), hit
+    hit = where & (jnp.abs(distance) < bandwidth * change)
+    return distance / jnp.where(hit, bandwidth * change, 1), jnp.sign(tangents[0]), hit
 
 
 def weighted_flux(weight: Array, distance: FloatArray, where: BoolArray) -> Array:
@@ -80,8 +80,8 @@ def weighted_flux(weight: Array, distance: FloatArray, where: BoolArray) -> Arra
     return jnp.where(where, lax.stop_gradient(weight), 0) * (distance - lax.stop_gradient(distance))
 
 
-def through(edges: Edges, reach: Array, both_sides: Kernel, one_side: Kernel) -> Array:
+def through(edges: Edges, bandwidth: Array, both_sides: Kernel, one_side: Kernel) -> Array:
     """What all numbers of the edges add: `crossing` and `ending` for the flux, twice `hits` to count."""
-    found = [both_sides(number.value, reach, number.decides) for number in edges.both_sides]
-    found += [one_side(number.value, reach, number.decides) for number in edges.one_side]
+    found = [both_sides(number.value, bandwidth, number.decides) for number in edges.both_sides]
+    found += [one_side(number.value, bandwidth, number.decides) for number in edges.one_side]
     return sum(found[1:], found[0])

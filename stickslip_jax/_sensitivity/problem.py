@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from .._dynamics.engine_choice import ByIntervals, engine_for
 from .._dynamics.lanes import BLOCK, Engine
 from .._dynamics.method import EXACT
-from .._dynamics.switched.run import turns_for
+from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
 from .._excitation.excitation import WithJumps
 from .._excitation.ground import GroundMotion
@@ -14,7 +14,7 @@ from .._excitation.random import RandomPhase, Uniform
 from .._excitation.smooth import Signal
 from .._types import Array
 from .parameters import Parameter, Path
-from .sequences import Room
+from .sequences import BufferSizes
 from .statistic import OfTotals, StickStatistic
 
 
@@ -36,8 +36,8 @@ class Problem(NamedTuple):
     law: Any
     t1: float
     y0: tuple[Any, ...]
-    exact: Any
-    words: Array
+    method: Any
+    key_data: Array
     parameters: tuple[Parameter, ...]
     samples: int
     threads: int
@@ -52,14 +52,14 @@ class Problem(NamedTuple):
     @property
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
-        return isinstance(engine_for(self.system, self.law, self.exact, self.t1), ByIntervals)
+        return isinstance(engine_for(self.system, self.law, self.method, self.t1), ByIntervals)
 
     def in_closed_form(self) -> "Problem":
         """The same problem without a solver, where none is needed.
 
         Closed forms know which arcs cannot graze: those after a stick that a reversal of the base cut short.
         """
-        closed = self._replace(exact=EXACT)
+        closed = self._replace(method=EXACT)
         return closed if closed.by_intervals else self
 
     @property
@@ -83,7 +83,7 @@ class Problem(NamedTuple):
 
     def engine(self) -> Engine:
         """What simulates it, the fastest."""
-        engine = engine_for(self.system, self.law, self.exact, self.t1).lanes(self.y0, self.dtype)
+        engine = engine_for(self.system, self.law, self.method, self.t1).lanes(self.y0, self.dtype)
         assert isinstance(engine, Engine)
         return engine
 
@@ -94,28 +94,28 @@ class Problem(NamedTuple):
     def _path(self, path: Path) -> Path:
         if path[0] != "law" or self.by_intervals:
             return path
-        where, rest = ("drive", "smooth"), path[1:]
+        where, rest = ("excitation", "smooth"), path[1:]
         if isinstance(self.law, BangBangLaw):
-            where = ("drive", "base", 0)
+            where = ("excitation", "base", 0)
         elif isinstance(self.law, GroundMotion):
-            where = ("drive", "ground", 0)
+            where = ("excitation", "ground", 0)
         elif isinstance(self.law, WithJumps):  # of its two the smooth one is the drive's, and the jumps come last
-            where, rest = (where if path[1] == "motion" else ("drive", "base", -1)), path[2:]
+            where, rest = (where if path[1] == "motion" else ("excitation", "base", -1)), path[2:]
         elif not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
             where = (*where, "motion")
         return (*where, *rest)
 
 
-def room_for(problem: Problem, pilot: Pilot) -> Room:
+def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
     """Enough for nearly every realisation; of others there is more when they come."""
     assert pilot.most is not None
     if problem.by_intervals:
         intervals = problem.law.checked_capacity(problem.t1)
     else:
-        drive, step = checked_step(problem.system, problem.law, problem.exact, problem.t1, "law")
-        intervals = turns_for(problem.system, drive, problem.t1, step)
+        excitation, step = checked_step(problem.system, problem.law, problem.method, problem.t1, "law")
+        intervals = steps_for(problem.system, excitation, problem.t1, step)
     slots = 8 * -(-pilot.most // 8) + 8
-    return Room(-(-intervals // BLOCK), slots, 2 * slots)
+    return BufferSizes(-(-intervals // BLOCK), slots, 2 * slots)
 
 
 def lanes_and_rows(problem: Problem) -> tuple[int, int, int]:

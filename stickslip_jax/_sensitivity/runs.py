@@ -15,10 +15,10 @@ from .._status import Status
 from .._types import AnyInteger, Array
 from .counting import IntervalCounting
 from .parameters import Path, number_at, with_numbers
-from .sequences import Room, features_of, record_sequences
+from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import StickStatistic
-from .step_counting import TurnCounting
-from .traces import TracedIntervals, TracedTurns
+from .step_counting import StepCounting
+from .traces import TracedIntervals, TracedSteps
 
 
 class Rows(NamedTuple):
@@ -41,7 +41,7 @@ class Rows(NamedTuple):
         return cls(status, np.concatenate([parts, *columns], axis=1), near)
 
 
-class Tally(NamedTuple):
+class Accumulator(NamedTuple):
     """Sums over samples: moments of the columns of the finished ones, of both halves of them (every other one), and
     what the windows reached (parameters, windows).
     """
@@ -50,7 +50,7 @@ class Tally(NamedTuple):
     near: np.ndarray
 
     @classmethod
-    def of(cls, rows: Rows) -> "Tally":
+    def of(cls, rows: Rows) -> "Accumulator":
         """The sums of one chunk."""
         done = rows.status == Status.FINISHED
         first, second = (Moments.of(rows.columns[half::2][done[half::2]]) for half in (0, 1))
@@ -61,20 +61,20 @@ class Tally(NamedTuple):
         """Of all."""
         return self.halves[0].merge(self.halves[1])
 
-    def merge(self, other: "Tally") -> "Tally":
+    def merge(self, other: "Accumulator") -> "Accumulator":
         """The sums of both."""
         first, second = (one.merge(two) for one, two in zip(self.halves, other.halves, strict=True))
-        return Tally((first, second), self.near + other.near)
+        return Accumulator((first, second), self.near + other.near)
 
 
-def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Tally:
+def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Accumulator:
     """Call ``simulate(first, number)`` for all samples; what comes out does not depend on `threads`."""
     firsts = range(0, samples, per_chunk)
     with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-        tallies = pool.map(lambda first: Tally.of(simulate(first, min(per_chunk, samples - first))), firsts)
+        tallies = pool.map(lambda first: Accumulator.of(simulate(first, min(per_chunk, samples - first))), firsts)
         total = next(tallies)
-        for tally in tallies:
-            total = total.merge(tally)
+        for accumulator in tallies:
+            total = total.merge(accumulator)
     return total
 
 
@@ -102,8 +102,8 @@ def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
 
 
 def _count(
-    engine: IntervalCounting | TurnCounting,
-    words: Array,
+    engine: IntervalCounting | StepCounting,
+    key_data: Array,
     first: AnyInteger,
     used_rows: AnyInteger,
     *,
@@ -117,7 +117,7 @@ def _count(
     """
 
     def run(values):
-        job = Job(with_numbers(engine, paths, values), words, first, used_rows)
+        job = Job(with_numbers(engine, paths, values), key_data, first, used_rows)
         counted = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
 
@@ -127,14 +127,14 @@ def _count(
 
 def _sequence(
     statistic: StickStatistic,
-    engine: TracedIntervals | TracedTurns,
-    reaches: Array,
-    words: Array,
+    engine: TracedIntervals | TracedSteps,
+    bandwidths: Array,
+    key_data: Array,
     first: Array,
     *,
     paths: tuple[Path, ...],
     lanes: int,
-    room: Room,
+    buffer: BufferSizes,
     dtype: Any,
 ) -> Any:
     """`Features`; their derivatives by the numbers at `paths`, along a first axis: pathwise parts, event parts and what
@@ -143,8 +143,8 @@ def _sequence(
 
     def run(values):
         varied = with_numbers(engine, tuple(("engine", *path) for path in paths), values)
-        recorded = record_sequences(varied, words, first, lanes=lanes, room=room, dtype=dtype)
-        features = features_of(statistic, varied, recorded, reaches)
+        recorded = record_sequences(varied, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
+        features = features_of(statistic, varied, recorded, bandwidths)
         return features, (recorded.status, recorded.sticks, recorded.edges)
 
     return derivatives_of(run, engine.engine, paths, dtype)
@@ -152,16 +152,16 @@ def _sequence(
 
 def _values(
     statistic: StickStatistic,
-    engine: TracedIntervals | TracedTurns,
-    words: Array,
+    engine: TracedIntervals | TracedSteps,
+    key_data: Array,
     first: Array,
     *,
     lanes: int,
-    room: Room,
+    buffer: BufferSizes,
     dtype: Any,
 ) -> Any:
-    """Parts (lanes, 2), status and number of sticks (lanes,). `room` has none for edges."""
-    recorded = record_sequences(engine, words, first, lanes=lanes, room=room, dtype=dtype)
+    """Parts (lanes, 2), status and number of sticks (lanes,). `buffer` has none for edges."""
+    recorded = record_sequences(engine, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
     return features_of(statistic, engine, recorded, np.zeros(0)).parts, recorded.status, recorded.sticks
 
 
@@ -171,6 +171,6 @@ count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options={"xla_cpu_prefer_vector_width": 512}),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),
 }
-_ROOM = ("statistic", "lanes", "room", "dtype")
-value_chunk = jax.jit(_values, static_argnames=_ROOM)
-sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_ROOM))
+_BUFFER = ("statistic", "lanes", "buffer", "dtype")
+value_chunk = jax.jit(_values, static_argnames=_BUFFER)
+sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_BUFFER))

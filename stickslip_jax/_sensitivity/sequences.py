@@ -19,12 +19,12 @@ from .edges import Edges
 from .kernels import crossing, hits, through
 from .kernels import ending as ending_at
 from .statistic import StickSequence, StickStatistic
-from .traces import TracedIntervals, TracedTurns
+from .traces import TracedIntervals, TracedSteps
 
 _SAME = 64  # units in the last place by which the same instant may differ, computed twice
 
 
-class Room(NamedTuple):
+class BufferSizes(NamedTuple):
     """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks and for edges; none for
     edges if they are not asked for.
     """
@@ -58,15 +58,15 @@ class Features(NamedTuple):
 
 
 def record_sequences(
-    engine: TracedIntervals | TracedTurns, words: Array, first: Array, *, lanes: int, room: Room, dtype: Any
+    engine: TracedIntervals | TracedSteps, key_data: Array, first: Array, *, lanes: int, buffer: BufferSizes, dtype: Any
 ) -> Recorded:
     """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks and edges."""
     number = first + jnp.arange(lanes, dtype=jnp.uint32)
-    state, certain = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(words, number))
+    state, certain = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(key_data, number))
 
     def advance(state):
         # A lane that has ended idles: nothing happens after the horizon.
-        following, trace = engine.advance(state, dtype, with_edges=room.edges > 0)
+        following, trace = engine.advance(state, dtype, with_edges=buffer.edges > 0)
         live = ~engine.ended(state)
         return jax.tree.map(lambda new, old: _where(live, new, old), following, state), trace
 
@@ -79,12 +79,12 @@ def record_sequences(
     def block(state, _):
         return lax.cond(jnp.all(engine.ended(state)), idle, advance, state)
 
-    state, trace = lax.scan(block, state, None, length=room.blocks)
+    state, trace = lax.scan(block, state, None, length=buffer.blocks)
     sticks, moments, may_be_near = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
-    kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, room.slots)
+    kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, buffer.slots)
     near, moments_found = None, jnp.zeros_like(sticks_found)
-    if room.edges > 0:
-        moments, is_moment, moments_found = _gathered(may_be_near, moments, room.edges)
+    if buffer.edges > 0:
+        moments, is_moment, moments_found = _gathered(may_be_near, moments, buffer.edges)
         near = engine.edges(state, moments)
         # In what is certain to come there is nothing to take a density of, but for when the base changes.
         near = near.only(is_moment & (near.time >= certain), is_moment)
@@ -106,21 +106,21 @@ def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Arra
     return kept, filled, found[-1].astype(jnp.int32)
 
 
-def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, reaches: AnyArray) -> Features:
+def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, bandwidths: AnyArray) -> Features:
     """The features of all samples; differentiate them to get pathwise and event parts (none without edges).
 
-    `reaches` (windows,): how far kernels look, as shares of the parameter.
+    `bandwidths` (windows,): how far kernels look, as shares of the parameter.
     """
     dtype = recorded.start.dtype
-    t1, reaches = jnp.asarray(engine.engine.t1, dtype), jnp.asarray(reaches, dtype)
+    t1, bandwidths = jnp.asarray(engine.engine.t1, dtype), jnp.asarray(bandwidths, dtype)
 
     if recorded.near is None:
         parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
-        nothing = jnp.zeros((len(parts), len(reaches)), dtype)
+        nothing = jnp.zeros((len(parts), len(bandwidths)), dtype)
         return Features(parts, nothing[..., None] * jnp.zeros(2, dtype), nothing)
 
     def one(sticks, ending, certain, near):
-        events, reached = _events(statistic, sticks, ending, certain, near, reaches, t1)
+        events, reached = _events(statistic, sticks, ending, certain, near, bandwidths, t1)
         return Features(stacked_parts(statistic, sticks, t1), events, reached)
 
     near = jax.tree.map(jnp.transpose, recorded.near)
@@ -141,7 +141,7 @@ def _events(
     ending: Array,
     certain: Array,
     near: Edges,
-    reaches: Array,
+    bandwidths: Array,
     t1: Array,
 ) -> tuple[Array, Array]:
     """The event parts of one sample's numerator and denominator for each window, and how many edges they rest on."""
@@ -160,14 +160,14 @@ def _events(
     at_edges = jax.vmap(jump_at)(time, near.exists, near.is_slip)
     at_start = _jump_of_stick(parts, fixed, fixed.start[0], True)
 
-    def window(reach):
-        at = through(near, reach, crossing, ending_at)[:, None] * at_edges
-        first = ending_at(sticks.duration[0], reach, from_start) * at_start
-        reached = jnp.sum(through(near, reach, hits, hits)) + hits(sticks.duration[0], reach, from_start)
+    def window(bandwidth):
+        at = through(near, bandwidth, crossing, ending_at)[:, None] * at_edges
+        first = ending_at(sticks.duration[0], bandwidth, from_start) * at_start
+        reached = jnp.sum(through(near, bandwidth, hits, hits)) + hits(sticks.duration[0], bandwidth, from_start)
         return jnp.sum(at, axis=0) + first, reached
 
     # One after the other: jax 0.10.2 cannot map over them where this is differentiated inside of a loop.
-    events, reached = zip(*(window(reach) for reach in reaches), strict=True)
+    events, reached = zip(*(window(bandwidth) for bandwidth in bandwidths), strict=True)
     return jnp.stack(events), jnp.stack(reached)
 
 

@@ -17,74 +17,74 @@ from .._status import Ending
 from .._types import AnyArray, Array, BoolArray, FloatArray
 from .counting import Counted, Flux
 from .kernels import crossing, ending, hits, through
-from .traces import Trace, TracedTurns
+from .traces import Trace, TracedSteps
 
 
 class _Lanes(NamedTuple):
     """The state of every lane; `certain` (s): until when nothing in it is random."""
 
-    turns: Any
+    steps: Any
     certain: FloatArray
     flux: Flux
 
 
-class TurnCounting(Engine):
-    """What `turns` simulates, counted; `reaches` and `fixed_start` as for `IntervalCounting`.
+class StepCounting(Engine):
+    """What `steps` simulates, counted; `bandwidths` and `fixed_start` as for `IntervalCounting`.
 
-    Without `reaches` only the pathwise derivatives are found.
+    Without `bandwidths` only the pathwise derivatives are found.
     """
 
-    turns: SwitchedEngine
-    reaches: AnyArray
+    steps: SwitchedEngine
+    bandwidths: AnyArray
     fixed_start: bool = eqx.field(static=True)
 
     @property
-    def _traced(self) -> TracedTurns:
-        return TracedTurns(self.turns, self.fixed_start)
+    def _traced(self) -> TracedSteps:
+        return TracedSteps(self.steps, self.fixed_start)
 
-    def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
-        turns, certain = self._traced.begin(words, dtype)
-        return _Lanes(turns, certain, Flux.none(len(self.reaches), dtype))
+    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+        steps, certain = self._traced.begin(key_data, dtype)
+        return _Lanes(steps, certain, Flux.none(len(self.bandwidths), dtype))
 
-    def advance(self, state: _Lanes, dtype, room: Any, slot: Array | int) -> tuple[_Lanes, Any]:
-        turns, trace = self._traced.advance(state.turns, dtype, with_edges=len(self.reaches) > 0)
+    def advance(self, state: _Lanes, dtype, buffer: Any, slot: Array | int) -> tuple[_Lanes, Any]:
+        steps, trace = self._traced.advance(state.steps, dtype, with_edges=len(self.bandwidths) > 0)
         flux = state.flux if trace.moments is None else self._with_flux(state, trace)
-        return _Lanes(turns, state.certain, flux), room
+        return _Lanes(steps, state.certain, flux), buffer
 
     def ended(self, state: _Lanes) -> BoolArray:
-        return self._traced.ended(state.turns)
+        return self._traced.ended(state.steps)
 
     def results(self, state: _Lanes) -> Counted:
-        totals = self.turns.results(state.turns.turns)
+        totals = self.steps.results(state.steps.steps)
         return Counted(totals.status, totals.stick_time, totals.sticks, *state.flux)
 
     def _with_flux(self, state: _Lanes, trace: Trace) -> Flux:
         """The flux with what came through the edges of a block."""
-        reaches = jnp.asarray(self.reaches, state.certain.dtype)
-        flux = self._from_start(state, trace.sticks, reaches)
+        bandwidths = jnp.asarray(self.bandwidths, state.certain.dtype)
+        flux = self._from_start(state, trace.sticks, bandwidths)
         assert trace.may_be_near is not None
-        turns, lanes = trace.may_be_near.shape
+        steps, lanes = trace.may_be_near.shape
         found = jnp.cumsum(trace.may_be_near.reshape(-1))
-        moments = jax.tree.map(lambda leaf: leaf.reshape(turns * lanes, *leaf.shape[2:]), trace.moments)
+        moments = jax.tree.map(lambda leaf: leaf.reshape(steps * lanes, *leaf.shape[2:]), trace.moments)
 
         def some_more(carry):
             done, flux = carry
             wanted = done + jnp.arange(1, lanes + 1)
-            at = jnp.minimum(jnp.searchsorted(found, wanted), turns * lanes - 1)
+            at = jnp.minimum(jnp.searchsorted(found, wanted), steps * lanes - 1)
             lane, exists = at % lanes, wanted <= found[-1]
-            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], (state.turns.turns.smooth, state.certain))
+            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], (state.steps.steps.smooth, state.certain))
             edges = self._traced.edges_of(jax.tree.map(lambda leaf: leaf[at], moments), smooth)
             edges = edges.only(exists & (edges.time >= certain), exists)
 
             def add(kept, both_sides, one_side):
-                return tuple(_put(so_far, lane, through(edges, reach, both_sides, one_side))
-                             for so_far, reach in zip(kept, reaches, strict=True))  # fmt: skip
+                return tuple(_put(so_far, lane, through(edges, bandwidth, both_sides, one_side))
+                             for so_far, bandwidth in zip(kept, bandwidths, strict=True))  # fmt: skip
 
             return done + lanes, Flux(add(flux.births, crossing, ending), add(flux.near, hits, hits))
 
         return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), flux))[1]
 
-    def _from_start(self, state: _Lanes, sticks: StickRecord, reaches: Array) -> Flux:
+    def _from_start(self, state: _Lanes, sticks: StickRecord, bandwidths: Array) -> Flux:
         """The flux with what sticks from t = 0 that may fall to nothing add."""
 
         def add(flux, stick):
@@ -92,7 +92,7 @@ class TurnCounting(Engine):
             may_vanish = (stick.ending >= 0) & (stick.start == 0) & (stick.ending != Ending.HORIZON) & is_random
             duration = stick.end - stick.start
             births, near = (
-                tuple(kernel(duration, reach, may_vanish) for reach in reaches) for kernel in (ending, hits)
+                tuple(kernel(duration, bandwidth, may_vanish) for bandwidth in bandwidths) for kernel in (ending, hits)
             )
             return jax.tree.map(jnp.add, flux, Flux(births, near)), None
 

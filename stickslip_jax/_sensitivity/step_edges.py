@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._dynamics.switched.engine import Lane, Streams, next_feeds
-from .._excitation.segments import Feed
+from .._dynamics.switched.engine import Lane, SegmentLaws, following_segments
+from .._excitation.segments import SegmentState
 from .._numerics.primal import without_derivatives
 from .._numerics.roots import steepest_fall
 from .._numerics.sharing import sharing
-from .._systems.switched_model import Pieces, State, SwitchedModel
+from .._systems.switched_model import Segments, State, SwitchedModel
 from .._types import BoolArray, FloatArray
 from .edges import Edges, Number
 
@@ -40,7 +40,7 @@ class Moment(NamedTuple):
     t: FloatArray
     y: State
     sign: FloatArray
-    feeds: tuple[Feed, ...]
+    segment_states: tuple[SegmentState, ...]
     end: FloatArray
     y_end: State
     sign_end: FloatArray
@@ -49,10 +49,10 @@ class Moment(NamedTuple):
     @classmethod
     def of(cls, before: Lane, after: Lane, crossed: FloatArray) -> "Moment":
         """The turn that led from `before` to `after`."""
-        return cls(before.t, before.y, before.sign, before.feeds, after.t, after.y, after.sign, crossed)
+        return cls(before.t, before.y, before.sign, before.segment_states, after.t, after.y, after.sign, crossed)
 
 
-class _Turn(NamedTuple):
+class _StepSeen(NamedTuple):
     """What happened in a turn, its length, and when the piece of the drive under way ends, or the time (both s)."""
 
     tau: FloatArray
@@ -87,9 +87,12 @@ class _Look(NamedTuple):
     slope: FloatArray
 
 
-def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
+def crossed_at(segment_laws: SegmentLaws, t1: FloatArray, moment: Moment) -> FloatArray:
     """`Moment.crossed` for the turn after `moment`."""
-    ends = [(law.jumps, feed.piece.end) for law, feed in zip(streams.all, moment.feeds, strict=True)]
+    ends = [
+        (law.jumps, segment_state.segment.end)
+        for law, segment_state in zip(segment_laws.all, moment.segment_states, strict=True)
+    ]
     crosses = (moment.sign != 0) & (moment.sign_end == -moment.sign) & (moment.end < _stop(t1, moment))
     jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(moment.end >= end for jumps, end in ends if jumps)]))
     goes_on = (moment.sign_end == moment.sign) & ~jumped
@@ -97,51 +100,62 @@ def crossed_at(streams: Streams, t1: FloatArray, moment: Moment) -> FloatArray:
 
 
 @sharing
-def may_be_near(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> BoolArray:
+def may_be_near(
+    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, moment: Moment
+) -> BoolArray:
     """Whether the turn has edges to look for."""
-    return _turn(*without_derivatives((model, streams, t1, step, moment))).may_be_near
+    return _step_seen(*without_derivatives((model, segment_laws, t1, step, moment))).may_be_near
 
 
 @sharing
-def edges_of_moment(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> Edges:
+def edges_of_moment(
+    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, moment: Moment
+) -> Edges:
     """The edges of one turn that may have some."""
-    still, calm, fixed = without_derivatives((model, streams, moment))
-    turn, sticking = _turn(still, calm, lax.stop_gradient(t1), lax.stop_gradient(step), fixed), moment.sign == 0
-    pieces = streams.pieces(moment.feeds)
+    still, calm, fixed = without_derivatives((model, segment_laws, moment))
+    one_step, sticking = (
+        _step_seen(still, calm, lax.stop_gradient(t1), lax.stop_gradient(step), fixed),
+        moment.sign == 0,
+    )
+    segments = segment_laws.segments(moment.segment_states)
     # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
     start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
-    places = _places(still, calm.pieces(fixed.feeds), without_derivatives(start), fixed, turn, lax.stop_gradient(step))
-    looks = _at(model, pieces, start, places.tau)
+    places = _places(
+        still, calm.segments(fixed.segment_states), without_derivatives(start), fixed, one_step, lax.stop_gradient(step)
+    )
+    looks = _at(model, segments, start, places.tau)
 
     def of(flow: int) -> Any:
         return jax.tree.map(lambda leaf: leaf[flow], (places, looks))
 
     (here, then), (across, then_across) = of(0), of(1)
-    grazing, nearest = _grazing(model, pieces, moment, turn, here, then)
-    would, is_late = _late(model, pieces, fixed, turn, here, then)
-    happens, is_undone = jnp.where(turn.has_event, moment.end, would), _is_undone(still, calm, fixed, turn)
-    at_horizon = turn.stop >= t1
+    grazing, nearest = _grazing(model, segments, moment, one_step, here, then)
+    would, is_late = _late(model, segments, fixed, one_step, here, then)
+    happens, is_undone = jnp.where(one_step.has_event, moment.end, would), _is_undone(still, calm, fixed, one_step)
+    at_horizon = one_step.stop >= t1
     # No stick begins after t1; a slip after t1 parts none.
-    horizon = Number(t1 - happens, (turn.has_event | (is_late & at_horizon)) & ~sticking)
-    # Times at which pieces end move with the parameters, unlike `turn`.
-    race = Number(_stop(t1, moment) - happens, (turn.has_event | is_late) & is_undone & ~at_horizon)
-    time = jnp.where(turn.has_event | turn.crosses, fixed.end, jnp.where(is_late, turn.stop, nearest))
+    horizon = Number(t1 - happens, (one_step.has_event | (is_late & at_horizon)) & ~sticking)
+    # Times at which pieces end move with the parameters, unlike `one_step`.
+    race = Number(_stop(t1, moment) - happens, (one_step.has_event | is_late) & is_undone & ~at_horizon)
+    time = jnp.where(one_step.has_event | one_step.crosses, fixed.end, jnp.where(is_late, one_step.stop, nearest))
     return Edges(
         time=lax.stop_gradient(time),
-        exists=turn.has_event,
+        exists=one_step.has_event,
         is_slip=sticking,
         grazing=grazing,
         race=race,
         horizon=horizon,
-        crossing=_crossing(model, pieces, moment, turn, across, then_across),
+        crossing=_crossing(model, segments, moment, one_step, across, then_across),
     )
 
 
-def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, moment: Moment) -> _Turn:
+def _step_seen(
+    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, moment: Moment
+) -> _StepSeen:
     sticking = moment.sign == 0
     tau = moment.end - moment.t
     stop = _stop(t1, moment)
-    inputs = model.inputs(moment.t, streams.pieces(moment.feeds))
+    inputs = model.inputs(moment.t, segment_laws.segments(moment.segment_states))
 
     def measured(tau, y):
         s, d = model.guard(inputs, tau, y, moment.sign)
@@ -154,15 +168,17 @@ def _turn(model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArr
     inside = taken & (moment.end < stop)
     has_event = inside & ((moment.sign_end == 0) != sticking)
     crosses = inside & ~sticking & (moment.sign_end == -moment.sign)
-    held, _ = model.guard(model.inputs(moment.end, streams.pieces(moment.feeds)), 0 * tau, moment.y_end, 0 * tau)
+    held, _ = model.guard(
+        model.inputs(moment.end, segment_laws.segments(moment.segment_states)), 0 * tau, moment.y_end, 0 * tau
+    )
     crosses = crosses & (jnp.abs(held) < _FAR)
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     falls = taken & (moment.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step * d[1])
-    return _Turn(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
+    return _StepSeen(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
 
 
 def _stop(t1: FloatArray, moment: Moment) -> FloatArray:
-    return jnp.min(jnp.stack([t1, *(feed.piece.end for feed in moment.feeds)]), axis=0)
+    return jnp.min(jnp.stack([t1, *(segment_state.segment.end for segment_state in moment.segment_states)]), axis=0)
 
 
 def _after_crossing(moment: Moment) -> BoolArray:
@@ -191,7 +207,9 @@ def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign:
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
 
 
-def _places(model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, turn: _Turn, step: FloatArray) -> _Place:
+def _places(
+    model: SwitchedModel, segments: Segments, start: Any, moment: Moment, one_step: _StepSeen, step: FloatArray
+) -> _Place:
     """The places (2,) that tell how near something was, on both flows.
 
     On that of the turn: where the guard (see `_measure`) turns up, in the turn or beyond the event that ended it; of a
@@ -204,9 +222,9 @@ def _places(model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, tu
 
         def goal(tau, s, d):
             """Negative before the place, positive after it."""
-            return jnp.where(turn.falls & ~is_across, -s, _measure(s, d, lag + tau, is_ratio)[1])
+            return jnp.where(one_step.falls & ~is_across, -s, _measure(s, d, lag + tau, is_ratio)[1])
 
-        first = jnp.where(is_across, _JUST_AFTER * step, jnp.where(turn.dips, turn.fall, 1) * turn.tau)
+        first = jnp.where(is_across, _JUST_AFTER * step, jnp.where(one_step.dips, one_step.fall, 1) * one_step.tau)
         longest = jnp.where(sign == 0, step, model.step_limit(jnp.full_like(step, jnp.inf), step, y0, sign))
 
         @sharing
@@ -215,7 +233,7 @@ def _places(model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, tu
             # Beyond: a step further. Between two places: where the line through their values is zero.
             to = before.tau + jnp.where(after.found, _between(before, after), jnp.nan_to_num(share) * longest)
             to = jnp.where(jnp.isnan(share), first, to)
-            inputs = model.inputs(t0 + before.tau, pieces)
+            inputs = model.inputs(t0 + before.tau, segments)
             ahead = _flow(model, inputs, y, to - before.tau, sign)
             value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
             # What is over at the first place cannot come to an end after it.
@@ -224,8 +242,8 @@ def _places(model: SwitchedModel, pieces: Pieces, start: Any, moment: Moment, tu
             return (before, after, _either(is_before, ahead, y)), None
 
         none, no, yes = jnp.zeros_like(step), jnp.zeros((), bool), jnp.ones((), bool)
-        inside = turn.dips & ~is_across
-        ends = _Side(none, -(none + 1), none + 1, no), _Side(turn.tau, turn.rise, none + 1, inside & yes)
+        inside = one_step.dips & ~is_across
+        ends = _Side(none, -(none + 1), none + 1, no), _Side(one_step.tau, one_step.rise, none + 1, inside & yes)
         shares = jnp.asarray([np.nan, *_STEPS, *[0.0] * _TRIES], step.dtype)
         (before, after, _), _ = lax.scan(go_on, (*ends, y0), shares)
         length = after.tau - before.tau
@@ -258,7 +276,7 @@ def _replaced(side: _Side, new: _Side, by_new: BoolArray) -> _Side:
     return _Side(*(jnp.where(by_new, a, b) for a, b in zip(new, stays, strict=True)))
 
 
-def _at(model: SwitchedModel, pieces: Pieces, start: Any, tau: FloatArray) -> _Look:
+def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -> _Look:
     """A look at the places `tau` (2,) on both flows."""
     # A solver is not to be asked for steps longer than it takes.
     steps = 1 if model.steps_may_be_long else len(_STEPS)
@@ -269,17 +287,17 @@ def _at(model: SwitchedModel, pieces: Pieces, start: Any, tau: FloatArray) -> _L
         @sharing
         def go_on(carry, _):
             t, y = carry
-            return (t + length, _flow(model, model.inputs(t, pieces), y, length, sign)), None
+            return (t + length, _flow(model, model.inputs(t, segments), y, length, sign)), None
 
         (t, y), _ = lax.scan(go_on, (t0, y0), None, length=steps)
-        return _Look(t, y, *model.guard(model.inputs(t, pieces), jnp.zeros_like(t), y, sign))
+        return _Look(t, y, *model.guard(model.inputs(t, segments), jnp.zeros_like(t), y, sign))
 
     t0, y0, sign = start
     return jax.vmap(look)(t0, y0, sign, lax.stop_gradient(tau))
 
 
 def _grazing(
-    model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, here: _Place, then: _Look
+    model: SwitchedModel, segments: Segments, moment: Moment, one_step: _StepSeen, here: _Place, then: _Look
 ) -> tuple[Number, FloatArray]:
     """Minus the lowest value, and when it is reached."""
     fixed, is_ratio = lax.stop_gradient(moment), _after_crossing(moment)
@@ -288,40 +306,42 @@ def _grazing(
     shift = jnp.where(is_ratio, 0, -lax.stop_gradient(then.slope) / bend)
     lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
     when = lax.stop_gradient(then.t) + shift
-    scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(pieces)), fixed.y, fixed.sign)
+    scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
     size = jnp.abs(lowest)
     near = (size > _NOISE[size.dtype.itemsize] * scale) & (size < _FAR * scale)
-    turns = (turn.dips | turn.has_event) & here.found & (here.rate > 0)
+    steps = (one_step.dips | one_step.has_event) & here.found & (here.rate > 0)
     age = jnp.where(is_ratio & here.found, then.t - moment.crossed, 1)
-    return Number(-lowest / age, turns & near & (when < turn.stop)), when
+    return Number(-lowest / age, steps & near & (when < one_step.stop)), when
 
 
 def _late(
-    model: SwitchedModel, pieces: Pieces, fixed: Moment, turn: _Turn, here: _Place, then: _Look
+    model: SwitchedModel, segments: Segments, fixed: Moment, one_step: _StepSeen, here: _Place, then: _Look
 ) -> tuple[FloatArray, BoolArray]:
     """When the mode would have been switched, had the piece not ended; whether it would."""
-    falls = turn.falls & here.found & (then.slope < 0)
+    falls = one_step.falls & here.found & (then.slope < 0)
     slope = lax.stop_gradient(jnp.where(falls, then.slope, -1))
     # The Newton step carries the derivative.
     would = then.t - then.value / slope
-    there = model.inputs(lax.stop_gradient(would), lax.stop_gradient(pieces))
+    there = model.inputs(lax.stop_gradient(would), lax.stop_gradient(segments))
     sticks = model.can_stick(there, model.on_base(there, lax.stop_gradient(then.y)))
     return would, falls & ((fixed.sign == 0) | sticks)
 
 
-def _is_undone(model: SwitchedModel, streams: Streams, fixed: Moment, turn: _Turn) -> BoolArray:
+def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Moment, one_step: _StepSeen) -> BoolArray:
     """Whether what follows in the drive undoes a switch that comes just before it."""
-    if not streams.all:
-        return jnp.zeros_like(turn.falls)
-    following, jumped = next_feeds(streams, fixed.feeds, turn.stop, jnp.ones((), bool))
-    now = jnp.where(turn.has_event, fixed.end, turn.stop)
-    inputs = model.inputs(now, streams.pieces(following))
+    if not segment_laws.all:
+        return jnp.zeros_like(one_step.falls)
+    following, jumped = following_segments(segment_laws, fixed.segment_states, one_step.stop, jnp.ones((), bool))
+    now = jnp.where(one_step.has_event, fixed.end, one_step.stop)
+    inputs = model.inputs(now, segment_laws.segments(following))
     y = model.on_base(inputs, fixed.y_end)
     _, rate = model.guard(inputs, jnp.zeros_like(now), y, jnp.zeros_like(now))
     return jnp.where(fixed.sign == 0, ~jumped & (rate > 0), jumped | ~model.can_stick(inputs, y))
 
 
-def _crossing(model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn, across: _Place, then: _Look) -> Number:
+def _crossing(
+    model: SwitchedModel, segments: Segments, moment: Moment, one_step: _StepSeen, across: _Place, then: _Look
+) -> Number:
     """How far friction is from being unable to hold an arrival near the far edge of what it can.
 
     Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and soon
@@ -329,13 +349,13 @@ def _crossing(model: SwitchedModel, pieces: Pieces, moment: Moment, turn: _Turn,
     begin. Of others their own slips tell.
     """
     fixed = lax.stop_gradient(moment)
-    inputs, nothing = model.inputs(moment.end, pieces), jnp.zeros_like(moment.end)
+    inputs, nothing = model.inputs(moment.end, segments), jnp.zeros_like(moment.end)
     guard, rate = model.guard(inputs, nothing, moment.y_end, nothing)
     other = model.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
-    near = (turn.has_event | turn.crosses) & (fixed.sign != 0) & other & (jnp.abs(guard) < _FAR)
+    near = (one_step.has_event | one_step.crosses) & (fixed.sign != 0) & other & (jnp.abs(guard) < _FAR)
     returns = rate > 0
     down = -then.value / jnp.where(across.found, across.tau, 1)
-    return Number(jnp.where(returns, down, guard), near & (~returns | (turn.has_event & across.found)))
+    return Number(jnp.where(returns, down, guard), near & (~returns | (one_step.has_event & across.found)))
 
 
 def _stacked(*trees: Any) -> Any:

@@ -11,7 +11,7 @@ from jax import lax
 from .._dynamics.interval.engine import scales_of, start_motion, status_of
 from .._dynamics.interval.lanes import IntervalEngine, draw_block
 from .._dynamics.lanes import BLOCK
-from .._dynamics.switched.engine import Streams, advance
+from .._dynamics.switched.engine import SegmentLaws, advance
 from .._dynamics.switched.lanes import SwitchedEngine
 from .._events.records import StickRecord, start_totals
 from .._excitation.random import RandomPhase, realised_state
@@ -37,22 +37,22 @@ class TracedIntervals(eqx.Module):
     engine: IntervalEngine
     fixed_start: bool = eqx.field(static=True)
 
-    def begin(self, words: tuple[Array, Array], dtype) -> Any:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> Any:
         """One lane at t = 0, and until when nothing in it is random, s."""
         engine = self.engine
-        x, velocity = realised_state(engine.y0, words, dtype)
+        x, velocity = realised_state(engine.y0, key_data, dtype)
         motion = start_motion(scales_of(engine.system, engine.t1, dtype), (x, velocity))
         zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.uint32)
-        memory = engine.law.begin(words, dtype)
-        first, _, _ = engine.law.next_interval(memory, engine.law.draw(words, none, dtype), dtype)
+        memory = engine.law.begin(key_data, dtype)
+        first, _, _ = engine.law.next_interval(memory, engine.law.draw(key_data, none, dtype), dtype)
         lane = IntervalLane(memory, motion, start_totals(dtype), zero)
-        return (words, none, lane, jnp.zeros((), bool)), first if self.fixed_start else zero
+        return (key_data, none, lane, jnp.zeros((), bool)), first if self.fixed_start else zero
 
     def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
         """Take all lanes a block further."""
-        engine, (words, first, start, _) = self.engine, state
+        engine, (key_data, first, start, _) = self.engine, state
         scales = scales_of(engine.system, engine.t1, dtype)
-        drawn, numbers = draw_block(engine.law, words, first, dtype)
+        drawn, numbers = draw_block(engine.law, key_data, first, dtype)
 
         def step_one(lane, drawn):
             moved, stick, edges, _ = cross_with_edges(engine.law, scales, lane, drawn)
@@ -61,7 +61,7 @@ class TracedIntervals(eqx.Module):
             return moved, Trace(stick, edges, edges.any & (edges.time <= scales.t1))
 
         lane, trace = lax.scan(jax.vmap(step_one), start, drawn, length=BLOCK)
-        return (words, first + np.uint32(len(numbers)), lane, lane.motion.t <= start.motion.t), trace
+        return (key_data, first + np.uint32(len(numbers)), lane, lane.motion.t <= start.motion.t), trace
 
     def edges(self, state: Any, moments: Edges) -> Edges:
         """The edges of moments (slots, lanes)."""
@@ -81,75 +81,79 @@ class TracedIntervals(eqx.Module):
 class _Followed(NamedTuple):
     """What a `SwitchedEngine` keeps of its lanes, and `Moment.crossed` of each."""
 
-    turns: Any
+    steps: Any
     crossed: FloatArray
 
 
-class TracedTurns(eqx.Module):
+class TracedSteps(eqx.Module):
     """A `SwitchedEngine` that hands out edges."""
 
     engine: SwitchedEngine
     fixed_start: bool = eqx.field(static=True)
 
-    def begin(self, words: tuple[Array, Array], dtype) -> Any:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> Any:
         """One lane at t = 0, and until when nothing in it is random, s."""
-        state = self.engine.begin(words, dtype)
-        laws = Streams.of(self.engine.system, self.engine.drive).all
-        ends = [feed.piece.end for law, feed in zip(laws, state.lane.feeds, strict=True) if law.is_random]
-        certain = self.fixed_start and ends and not isinstance(self.engine.drive.smooth, RandomPhase)
+        state = self.engine.begin(key_data, dtype)
+        laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
+        ends = [
+            segment_state.segment.end
+            for law, segment_state in zip(laws, state.lane.segment_states, strict=True)
+            if law.is_random
+        ]
+        certain = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomPhase)
         followed = _Followed(state, -jnp.ones((), dtype))
         return followed, jnp.min(jnp.stack(ends)) if certain else jnp.zeros((), dtype)
 
     def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
         """Take all lanes a block further."""
         engine = self.engine
-        streams = Streams.of(engine.system, engine.drive)
+        segment_laws = SegmentLaws.of(engine.system, engine.excitation)
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
-        smooth = state.turns.smooth
+        smooth = state.steps.smooth
 
-        def turn_one(lane, crossed, smooth):
+        def advance_one(lane, crossed, smooth):
             model = engine.system.switched_model(smooth, engine.solver)
-            moved, stick = advance(model, streams, t1, step, lane)
+            moved, stick = advance(model, segment_laws, t1, step, lane)
             if not with_edges:
                 return (moved, crossed), Trace(stick, None, None)
             moment = Moment.of(lane, moved, crossed)
-            following = crossed_at(streams, t1, moment)
-            return (moved, following), Trace(stick, moment, may_be_near(model, streams, t1, step, moment))
+            following = crossed_at(segment_laws, t1, moment)
+            return (moved, following), Trace(stick, moment, may_be_near(model, segment_laws, t1, step, moment))
 
-        def turn(now, _):
+        def one_step(now, _):
             lanes, crossed = now
-            return jax.vmap(turn_one)(lanes, crossed, smooth)
+            return jax.vmap(advance_one)(lanes, crossed, smooth)
 
-        (lanes, crossed), trace = lax.scan(turn, (state.turns.lane, state.crossed), None, length=BLOCK)
-        return _Followed(state.turns._replace(lane=lanes), crossed), trace
+        (lanes, crossed), trace = lax.scan(one_step, (state.steps.lane, state.crossed), None, length=BLOCK)
+        return _Followed(state.steps._replace(lane=lanes), crossed), trace
 
     def edges(self, state: _Followed, moments: Moment) -> Edges:
         """The edges of moments (slots, lanes)."""
-        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, state.turns.smooth)
+        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, state.steps.smooth)
 
     def edges_of(self, moments: Moment, smooth: Any) -> Edges:
         """The edges of moments (moments,), each under its own smooth drive."""
         engine, dtype = self.engine, moments.t.dtype
-        streams = Streams.of(engine.system, engine.drive)
+        segment_laws = SegmentLaws.of(engine.system, engine.excitation)
         t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
 
         def edges_of(moment, smooth):
-            return edges_of_moment(engine.system.switched_model(smooth, engine.solver), streams, t1, step, moment)
+            return edges_of_moment(engine.system.switched_model(smooth, engine.solver), segment_laws, t1, step, moment)
 
         return jax.vmap(edges_of)(moments, smooth)
 
     def ended(self, state: Any) -> BoolArray:
         """Which lanes have come to the end of their sample."""
-        return self.engine.ended(state.turns)
+        return self.engine.ended(state.steps)
 
     def status(self, state: Any) -> IntArray:
         """The `Status` of every lane."""
-        return jnp.asarray(self.engine.results(state.turns).status)
+        return jnp.asarray(self.engine.results(state.steps).status)
 
 
-def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedTurns:
+def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedSteps:
     """`engine`, to hand out edges; `fixed_start` tells that all samples begin in the same state."""
     if isinstance(engine, IntervalEngine):
         return TracedIntervals(engine, fixed_start)
-    return TracedTurns(engine, fixed_start)
+    return TracedSteps(engine, fixed_start)

@@ -11,14 +11,14 @@ import numpy as np
 from .._numerics.moments import Moments
 from .estimate import Gradient, gradient_of_ratio
 from .estimators import Columns
-from .runs import Tally
+from .runs import Accumulator
 
 FEW = 100  # sticks: a window that holds no more tells too little to judge others by
 _AGREE = 2.0  # standard errors
 _TORN = 4.0  # standard errors: chance alone takes two windows so far apart once in 16,000 times
 
 
-def estimate(tally: Tally, where: Columns, near: np.ndarray, log_by: float | None) -> tuple[Gradient, int]:
+def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by: float | None) -> tuple[Gradient, int]:
     """The derivative by one parameter, and the number of its window, the narrower one where both halves differ.
 
     `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities.
@@ -27,22 +27,22 @@ def estimate(tally: Tally, where: Columns, near: np.ndarray, log_by: float | Non
     def derivative(moments: Moments, window: int) -> Gradient:
         return gradient_of_ratio(moments, where.derivative[window], where.pathwise, log_by)
 
-    halves = tally.halves
+    halves = accumulator.halves
     for_second, for_first = (_widest(half, where, near, _AGREE) for half in halves)
-    whole = derivative(tally.moments, max(for_first, for_second))
+    whole = derivative(accumulator.moments, max(for_first, for_second))
     if for_first == for_second:
         return whole, for_first
     first, second = derivative(halves[0], for_first), derivative(halves[1], for_second)
-    share = halves[0].number / tally.moments.number
+    share = halves[0].number / accumulator.moments.number
     mixed = share * first.derivative + (1 - share) * second.derivative
     error = math.hypot(share * first.standard_error, (1 - share) * second.standard_error)
     return whole._replace(derivative=mixed, standard_error=error), max(for_first, for_second)
 
 
-def is_torn(tally: Tally, where: Columns, near: np.ndarray) -> bool:
+def is_torn(accumulator: Accumulator, where: Columns, near: np.ndarray) -> bool:
     """Whether even the two narrowest windows that hold enough disagree, by more than chance allows."""
     usable = _usable(where, near)
-    return len(usable) > 1 and _widest(tally.moments, where, near, _TORN) == usable[-1]
+    return len(usable) > 1 and _widest(accumulator.moments, where, near, _TORN) == usable[-1]
 
 
 def _usable(where: Columns, near: np.ndarray) -> list[int]:

@@ -27,10 +27,10 @@ class Simulation(eqx.Module):
     - `final_state`: (position m, velocity m/s), of a `MotorCart` (angle rad, angular velocity rad/s, current A), at
       `time_reached`, which is ``t1`` if the trajectory is FINISHED.
     - `status`: a `Status` code; 0 is FINISHED. Anything else: do not use the numbers.
-    - `doubts`: how often the last digits decided whether there was an event: the relative velocity (or the force that a
-      stick needs) turned round close to the edge, or just beyond it; the mass came to rest where friction could just
-      hold it; a jump of the base or the horizon came just before or after an event. Close means about 1e-9 of the scale
-      (float32: 1e-3). 0 where no time steps were made.
+    - `near_grazing_count`: how often the last digits decided whether there was an event: the relative velocity (or the
+      force that a stick needs) turned round close to the edge, or just beyond it; the mass came to rest where friction
+      could just hold it; a jump of the base or the horizon came just before or after an event. Close means about
+      1e-9 of the scale (float32: 1e-3). 0 where no time steps were made.
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
     - `switching_times`: the instants at which the base velocity jumps (or may; of a trajectory in time steps: at which
       its steps begin), s.
@@ -46,7 +46,7 @@ class Simulation(eqx.Module):
     status: Int[Array, "*batch"]
     time_reached: Float[Array, "*batch"]
     final_state: tuple[Float[Array, "*batch"], ...]
-    doubts: Int[Array, "*batch"]
+    near_grazing_count: Int[Array, "*batch"]
     _path: Path
 
     @property
@@ -100,10 +100,10 @@ class Simulation(eqx.Module):
             stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
             return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
         fraction = 100 * float(self.stick_fraction)
-        doubts = f", {int(self.doubts)} in doubt" if self.doubts else ""
+        near = f", {int(self.near_grazing_count)} in doubt" if self.near_grazing_count else ""
         return (
             f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
-            f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{doubts}, "
+            f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{near}, "
             f"stick fraction {fraction:.4g} %, {status.meaning}"
         )
 

@@ -38,7 +38,7 @@ class Numbering(NamedTuple):
         return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
 
 
-class StickTally(NamedTuple):
+class StickAccumulator(NamedTuple):
     """Sums and histograms of the sticks and slips of finished samples. Times in s.
 
     - `sticks`, `stick_bins`: of all sticks, by `QUANTITIES`. `slips`, `slip_bins`: of the durations of all slips.
@@ -67,7 +67,7 @@ class StickTally(NamedTuple):
     @classmethod
     def of(
         cls, sticks: StickStream, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: Numbering
-    ) -> "StickTally":
+    ) -> "StickAccumulator":
         """Of finished samples: their sticks, total stick time (s) and number of slips, (samples,) each."""
         fraction = np.asarray(stick_time, np.float64) / t1
         has = sticks.count > 0
@@ -84,9 +84,9 @@ class StickTally(NamedTuple):
             endings=np.array([np.count_nonzero(sticks.ending == code) for code in Ending]),
         )
 
-    def merge(self, other: "StickTally") -> "StickTally":
+    def merge(self, other: "StickAccumulator") -> "StickAccumulator":
         """The tally of both parts together."""
-        return StickTally(*(_merged(*pair) for pair in zip(self, other, strict=True)))
+        return StickAccumulator(*(_merged(*pair) for pair in zip(self, other, strict=True)))
 
 
 def _way() -> ModuleType:

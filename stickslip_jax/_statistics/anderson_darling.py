@@ -67,9 +67,9 @@ def limit_tail(x: float, degrees: int) -> float:
     # The parabola crosses the axis where the integrand is smallest there, so that little cancels.
     saddle: Any = optimize.brentq(slope, 1e-6, 1 - 1e-12)
     root, step = math.sqrt(1 - saddle), math.sqrt((50 + 2 * degrees) / x) / 400
-    turn = root - 1j * step * np.arange(401)
-    s = 1 - turn**2
+    one_step = root - 1j * step * np.arange(401)
+    s = 1 - one_step**2
     ratio = -2 * math.pi * s / np.cos(math.pi / 2 * np.sqrt(1 + 8 * s))
     logarithm = degrees / 2 * (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) - s * x
-    integrand = (np.exp(logarithm) / s * 2j * turn).imag
+    integrand = (np.exp(logarithm) / s * 2j * one_step).imag
     return float(np.clip((integrand.sum() - integrand[0] / 2) * step / math.pi, 0, 1))

@@ -29,7 +29,7 @@ def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
     fine = [_axis(*ends, BINS) for ends in zip(low, high, strict=True)]
     coarse = [_axis(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
     shapes = [(axis.size,) for axis in fine] + [(coarse[x].size, coarse[y].size) for x, y in zip(_X, _Y, strict=True)]
-    counts, begin = _room(shapes)
+    counts, begin = _buffer(shapes)
     mean, scatter, third = total / np.maximum(number, 1), np.zeros((d, d)), np.zeros(d)
     numba_loops.count(
         *columns,
@@ -87,7 +87,7 @@ def _by_order(columns: np.ndarray, found: np.ndarray, orders: int) -> tuple[Powe
     numba_loops.survey_orders(columns, present, low, high, total)
     axes = [_axis(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
     shapes = [(orders, axis.size) for axis in axes]
-    counts, begin = _room(shapes)
+    counts, begin = _buffer(shapes)
     mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
     bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
     numba_loops.count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
@@ -113,7 +113,7 @@ def _scales(axes: Sequence[Axis]) -> np.ndarray:
     return np.array([math.ldexp(1.0, -axis.exponent) for axis in axes])
 
 
-def _room(shapes: Sequence[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
+def _buffer(shapes: Sequence[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
     """Counts of several histograms, all 0, in one array, and where each begins, and the last ends."""
     begin = np.cumsum([0, *(math.prod(shape) for shape in shapes)])
     return np.zeros(begin[-1], np.int64), begin

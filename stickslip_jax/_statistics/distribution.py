@@ -217,9 +217,9 @@ class Distribution:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
         fine = self.bins.counts
         together = joined_bins(len(fine), bins)
-        pieces = -(-len(fine) // together)
+        segments = -(-len(fine) // together)
         counts = np.add.reduceat(fine, np.arange(0, len(fine), together))
-        numbers = self.bins.first[0] + together * np.arange(pieces + 1)
+        numbers = self.bins.first[0] + together * np.arange(segments + 1)
         return numbers * math.ldexp(1.0, self.bins.exponent[0]), counts
 
     def _value_at(self, share: float) -> float:

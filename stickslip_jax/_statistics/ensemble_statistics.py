@@ -12,7 +12,7 @@ from .._events.sticks import FlatSticks
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .._status import Ending
-from .accumulator import SAMPLE_QUANTITIES, Numbering, StickTally
+from .accumulator import SAMPLE_QUANTITIES, Numbering, StickAccumulator
 from .clusters import Clusters
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
@@ -42,7 +42,7 @@ def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
     position = ensemble.system.stick_position.unit
     return EnsembleStatistics(
-        ensemble.tally, sticks, ensemble.retained.features, ensemble.t1, position, ensemble.numbering
+        ensemble.accumulator, sticks, ensemble.retained.features, ensemble.t1, position, ensemble.numbering
     )
 
 
@@ -54,7 +54,7 @@ class EnsembleStatistics:
     without sticks enters what is told of samples, and no distribution of sticks.
     """
 
-    tally: StickTally
+    accumulator: StickAccumulator
     sticks: FlatSticks
     features: np.ndarray
     t1: float
@@ -64,7 +64,7 @@ class EnsembleStatistics:
     @property
     def samples(self) -> int:
         """Number of samples that finished."""
-        return int(self.tally.samples.number)
+        return int(self.accumulator.samples.number)
 
     @property
     def orders(self) -> int:
@@ -95,7 +95,7 @@ class EnsembleStatistics:
         values = np.concatenate([before, after])
         slips = values > 0
         clusters = self._clusters(values[slips], owner[slips])
-        return self._distribution("slip duration", "s", self.tally.slips, 0, self.tally.slip_bins, clusters)
+        return self._distribution("slip duration", "s", self.accumulator.slips, 0, self.accumulator.slip_bins, clusters)
 
     @cached_property
     def stick_count(self) -> Distribution:
@@ -119,12 +119,12 @@ class EnsembleStatistics:
         has = count > 0
         clusters = self._clusters(time[has] / count[has], np.flatnonzero(has))
         name = "mean stick duration of a sample"
-        return self._distribution(name, "s", self.tally.own_mean, 0, self.tally.own_mean_bins, clusters)
+        return self._distribution(name, "s", self.accumulator.own_mean, 0, self.accumulator.own_mean_bins, clusters)
 
     @property
     def endings(self) -> dict[Ending, Estimate]:
         """Share of all sticks that ended in each way."""
-        counts, total = self.tally.endings, self.tally.endings.sum()
+        counts, total = self.accumulator.endings, self.accumulator.endings.sum()
         clusters = self._clusters(self.sticks.ending, self.sticks.sample)
         errors = clusters.errors_of_shares(self.sticks.ending.astype(np.int64), len(counts))
         return {
@@ -151,12 +151,12 @@ class EnsembleStatistics:
         skipped = self.numbering.skipped(self.sticks)
         has = self.sticks.count - skipped >= number
         at = (self.sticks.first + skipped + number - 1)[has]
-        sums = self.tally.by_order.one(number - 1)
+        sums = self.accumulator.by_order.one(number - 1)
 
         def distribution(name: str) -> Distribution:
             index = QUANTITIES.index(name)
             clusters = self._clusters(self._column(name)[at], np.flatnonzero(has))
-            bins = _one_of(self.tally.order_bins[index], number - 1)
+            bins = _one_of(self.accumulator.order_bins[index], number - 1)
             label = f"{_ordinal(number)} {_NAMES[name][0]}"
             return self._distribution(label, self._unit(name), sums, index, bins, clusters)
 
@@ -205,18 +205,18 @@ class EnsembleStatistics:
     def _streamed(self, x: str, y: str) -> tuple[DyadicCounts | None, float | None, bool]:
         """Histogram and correlation of a pair, if they were summed over all samples."""
         if (x, y) == ("duration 1", "duration 2"):
-            return self.tally.first_two_bins, pearson_of(self.tally.first_two, 0, 1), True
+            return self.accumulator.first_two_bins, pearson_of(self.accumulator.first_two, 0, 1), True
         if (x, y) in PAIRS:
             places = (QUANTITIES.index(x), QUANTITIES.index(y))
-            return self.tally.pair_bins[PAIRS.index((x, y))], pearson_of(self.tally.sticks, *places), True
+            return self.accumulator.pair_bins[PAIRS.index((x, y))], pearson_of(self.accumulator.sticks, *places), True
         return None, None, False
 
     def _of_sticks(self, name: str) -> Distribution:
         index = QUANTITIES.index(name)
         clusters = self._clusters(self._column(name), self.sticks.sample)
         label = _NAMES[name][0]
-        bins = self.tally.stick_bins[index]
-        return self._distribution(label, self._unit(name), self.tally.sticks, index, bins, clusters)
+        bins = self.accumulator.stick_bins[index]
+        return self._distribution(label, self._unit(name), self.accumulator.sticks, index, bins, clusters)
 
     def _of_samples(self, name: str) -> Distribution:
         index = SAMPLE_QUANTITIES.index(name)
@@ -226,8 +226,8 @@ class EnsembleStatistics:
             values = self.features[:, FEATURES.index(name)]
         clusters = self._clusters(values, np.arange(len(values)))
         label, unit = _NAMES[name]
-        bins, whole = self.tally.sample_bins[index], name != "stick_fraction"
-        return self._distribution(label, unit, self.tally.samples, index, bins, clusters, whole)
+        bins, whole = self.accumulator.sample_bins[index], name != "stick_fraction"
+        return self._distribution(label, unit, self.accumulator.samples, index, bins, clusters, whole)
 
     def _distribution(
         self, name: str, unit: str, sums: PowerSums, index: int, bins: DyadicCounts, clusters: Clusters,

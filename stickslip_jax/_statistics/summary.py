@@ -81,8 +81,8 @@ def _notes(ensemble: Any, told: EnsembleStatistics) -> list[str]:
     for status, count in ensemble.status_counts.items():
         if status and count:
             notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
-    if ensemble.doubtful:
-        notes.append(f"In doubt by the last digits, counted above: {ensemble.doubtful:,} samples.")
+    if ensemble.near_grazing_samples:
+        notes.append(f"In doubt by the last digits, counted above: {ensemble.near_grazing_samples:,} samples.")
     return notes
 
 

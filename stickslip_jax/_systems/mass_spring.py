@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from .. import _checks
-from .._excitation.excitation import Drive
+from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
@@ -25,7 +25,7 @@ from .._types import Array, BoolArray, FloatArray, Scalar
 from .friction import Coulomb, FrictionLaw
 from .own import is_own
 from .resonance import check_no_resonance
-from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 _PASSED = StepCount(6.0, 1.0)
@@ -125,7 +125,7 @@ class MassSpring(System):
             return OscillatorModel(self, smooth)
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
 
-    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
         steps = PERIOD if self.has_closed_form and solver is None else SOLVED
         natural = 2 * math.pi * (self.mass / self.stiffness) ** 0.5
         force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
@@ -135,7 +135,7 @@ class MassSpring(System):
                 self._passing_time(), _PASSED
             ),
             "shortest period of the force": TimeScale(force, steps),
-            "shortest period of the base motion": TimeScale(shortest_period(drive), steps),
+            "shortest period of the base motion": TimeScale(shortest_period(excitation), steps),
         }
 
     def _passing_time(self) -> Any:
@@ -150,7 +150,7 @@ class MassSpring(System):
         held = self.friction.static * self.normal_force
         return held / jnp.sqrt(jnp.asarray(self.mass * self.stiffness, float)), held / self.mass
 
-    def state_scales(self, drive: Drive) -> tuple[Any, ...]:
+    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
         speed, _ = self.contact_scales
         return speed / self.angular_frequency, speed
 
@@ -205,10 +205,10 @@ class OscillatorModel(SwitchedModel):
     smooth: Signal | None
     steps_may_be_long: ClassVar[bool] = True
 
-    def inputs(self, t: FloatArray, pieces: Pieces) -> OscillatorInputs:
-        base, base_slope = added(t, pieces.base)
-        ground, ground_slope = added(t, pieces.ground)
-        force, force_slope = added(t, pieces.force)
+    def inputs(self, t: FloatArray, segments: Segments) -> OscillatorInputs:
+        base, base_slope = added(t, segments.base)
+        ground, ground_slope = added(t, segments.ground)
+        force, force_slope = added(t, segments.force)
         mass = self.system.mass
         return OscillatorInputs(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
 

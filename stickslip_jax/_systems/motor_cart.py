@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._excitation.excitation import Drive
+from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._numerics.elementary import sincos_of_small
@@ -28,7 +28,7 @@ from .._numerics.runge_kutta import runge_kutta_step
 from .._numerics.sharing import sincos
 from .._types import AnyArray, Array, BoolArray, FloatArray, Scalar
 from .friction import Coulomb, FrictionLaw
-from .switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
 
 _SOLVER = diffrax.Dopri8()
@@ -105,11 +105,11 @@ class MotorCart(System):
         assert isinstance(smooth, SourceVoltage)
         return CartModel(self, smooth)
 
-    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
         return {
             "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
             "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
-            "period of the voltage": TimeScale(shortest_period(drive), SOLVED),
+            "period of the voltage": TimeScale(shortest_period(excitation), SOLVED),
         }
 
     @property
@@ -117,13 +117,13 @@ class MotorCart(System):
         torque, arm = self.largest_friction_torque, self.eccentricity
         return arm * torque * self.resistance / self.motor_constant**2, arm * torque / self.motor_inertia
 
-    def state_scales(self, drive: Drive) -> tuple[Any, ...]:
-        voltage = voltage_of(drive)
+    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
+        voltage = voltage_of(excitation)
         most = abs(voltage.mean) + abs(voltage.amplitude)
         return 1.0, most / self.motor_constant, most / self.resistance
 
-    def check_drive(self, drive: Drive) -> None:
-        if not isinstance(voltage_of(drive), SourceVoltage) or drive.base or drive.ground:
+    def check_excitation(self, excitation: Excitation) -> None:
+        if not isinstance(voltage_of(excitation), SourceVoltage) or excitation.base or excitation.ground:
             raise ValueError(
                 "Argument base of a MotorCart must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), but another "
                 "motion was given."
@@ -191,7 +191,7 @@ class CartModel(SwitchedModel):
     system: MotorCart
     smooth: SourceVoltage
 
-    def inputs(self, t: FloatArray, pieces: Pieces) -> CartInputs:
+    def inputs(self, t: FloatArray, segments: Segments) -> CartInputs:
         return CartInputs(self.smooth.angular_frequency * t + self.smooth.phase)
 
     def slip(self, inputs: CartInputs, y: State, h: FloatArray, sign: FloatArray) -> State:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 
-from .._excitation.segments import Piece
+from .._excitation.segments import Segment
 from .._types import BoolArray, FloatArray
 from .friction import FrictionLaw
 
@@ -17,12 +17,12 @@ State = tuple[FloatArray, ...]
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
 
 
-class Pieces(NamedTuple):
+class Segments(NamedTuple):
     """The piece under way of every part that comes in pieces: of base velocity, ground acceleration and force."""
 
-    base: tuple[Piece, ...]
-    ground: tuple[Piece, ...]
-    force: tuple[Piece, ...]
+    base: tuple[Segment, ...]
+    ground: tuple[Segment, ...]
+    force: tuple[Segment, ...]
 
 
 class Base(NamedTuple):
@@ -33,7 +33,7 @@ class Base(NamedTuple):
 
 
 class SwitchedModel(eqx.Module):
-    """One system and its drive. `inputs` are what `inputs(t, pieces)` returned; `tau` is the time since that t.
+    """One system and its drive. `inputs` are what `inputs(t, segments)` returned; `tau` is the time since that t.
 
     `steps_may_be_long`: whether `slip` and `stick` are as exact over long times as over a step.
     """
@@ -41,7 +41,7 @@ class SwitchedModel(eqx.Module):
     steps_may_be_long: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def inputs(self, t: FloatArray, pieces: Pieces) -> Any:
+    def inputs(self, t: FloatArray, segments: Segments) -> Any:
         """What the drive does from time t on, until a piece ends."""
 
     @abc.abstractmethod

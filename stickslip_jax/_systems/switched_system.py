@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._excitation.excitation import Drive
+from .._excitation.excitation import Excitation
 from .._excitation.segments import added
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
@@ -25,7 +25,7 @@ from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._types import BoolArray, FloatArray, Scalar
 from .friction import Coulomb, FrictionLaw
 from .own_checks import check_fields, check_motion
-from .switched_model import NOISE_ULPS, Base, Pieces, State, SwitchedModel
+from .switched_model import NOISE_ULPS, Base, Segments, State, SwitchedModel
 from .system import OWN_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
 
 _NEWTON_STEPS = 2  # to the relative velocity zero; where it is linear in the state, the first one arrives
@@ -142,10 +142,10 @@ class SwitchedSystem(System):
     def switched_model(self, smooth: Signal | None, solver: Any) -> "GeneralModel":
         return GeneralModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
 
-    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
         return {
             OWN_TIME: TimeScale(self.shortest_time, SOLVED),
-            "shortest period of the base motion": TimeScale(shortest_period(drive), SOLVED),
+            "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
         }
 
     @property
@@ -159,9 +159,9 @@ class SwitchedSystem(System):
     def check_state(self, y0: tuple[Any, ...]) -> None:
         check_motion(self, y0)
 
-    def check_drive(self, drive: Drive) -> None:
-        super().check_drive(drive)
-        if drive.ground:
+    def check_excitation(self, excitation: Excitation) -> None:
+        super().check_excitation(excitation)
+        if excitation.ground:
             raise ValueError(
                 f"Argument base of a {type(self).__name__} must be a base velocity, but a ground acceleration was "
                 "given; write what the acceleration of the ground does into rates, as a function of time."
@@ -203,8 +203,8 @@ class GeneralModel(SwitchedModel):
     smooth: Signal | None
     solver: diffrax.AbstractERK
 
-    def inputs(self, t: FloatArray, pieces: Pieces) -> GeneralInputs:
-        return GeneralInputs(t, *added(t, pieces.base))
+    def inputs(self, t: FloatArray, segments: Segments) -> GeneralInputs:
+        return GeneralInputs(t, *added(t, segments.base))
 
     def slip(self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
         return self.slip_and_error(inputs, y, h, sign)[0]

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .. import _checks
-from .._excitation.excitation import Drive
+from .._excitation.excitation import Excitation
 from .._excitation.random import RandomPhase
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
@@ -82,7 +82,7 @@ class System(eqx.Module):
         """The system under a realised smooth drive; slips in closed form where there is one and `solver` is None."""
 
     @abc.abstractmethod
-    def time_scales(self, drive: Drive, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
         """Each time scale by name, of the system and of what drives it."""
 
     @property
@@ -93,7 +93,7 @@ class System(eqx.Module):
         The deceleration is that by the largest friction alone.
         """
 
-    def state_scales(self, drive: Drive) -> tuple[Any, ...]:
+    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
         """The typical size of each number of the state, by which errors are judged where that is small."""
         return (1.0,) * len(self.coordinates)
 
@@ -134,9 +134,9 @@ class System(eqx.Module):
     def check_state(self, y0: tuple[Any, ...]) -> None:
         """Check what it does in the initial state `y0`. Raises ValueError otherwise."""
 
-    def check_drive(self, drive: Drive) -> None:
-        """Check that `drive` can drive it. Raises ValueError otherwise."""
-        if isinstance(voltage_of(drive), SourceVoltage):
+    def check_excitation(self, excitation: Excitation) -> None:
+        """Check that `excitation` can drive it. Raises ValueError otherwise."""
+        if isinstance(voltage_of(excitation), SourceVoltage):
             raise ValueError(
                 f"Argument base of a {type(self).__name__} must be a base motion, but a SourceVoltage was given."
             )
@@ -179,14 +179,14 @@ class System(eqx.Module):
         return None
 
 
-def voltage_of(drive: Drive) -> Any:
-    """The smooth part of `drive` without its random phase."""
-    return drive.smooth.signal if isinstance(drive.smooth, RandomPhase) else drive.smooth
+def voltage_of(excitation: Excitation) -> Any:
+    """The smooth part of `excitation` without its random phase."""
+    return excitation.smooth.signal if isinstance(excitation.smooth, RandomPhase) else excitation.smooth
 
 
-def shortest_period(drive: Drive) -> Any:
-    """The shortest period of the smooth part of `drive`, s; infinity if there is none, None if it is not known."""
-    smooth = voltage_of(drive)
+def shortest_period(excitation: Excitation) -> Any:
+    """The shortest period of the smooth part of `excitation`, s; infinity if there is none, None if it is not known."""
+    smooth = voltage_of(excitation)
     return float("inf") if smooth is None else smooth.shortest_period
 
 

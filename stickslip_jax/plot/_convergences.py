@@ -57,8 +57,8 @@ def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
     ax.plot(
         numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
     )
-    settled = np.isfinite(low) & (numbers >= min(_SETTLED, numbers[-1]))
-    shown = np.concatenate([values, low[settled], high[settled], [result.final.value]])
+    resolved = np.isfinite(low) & (numbers >= min(_SETTLED, numbers[-1]))
+    shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
     margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
     ax.set_ylim(shown.min() - margin, shown.max() + margin)
 

@@ -9,7 +9,7 @@ from .._excitation.ground import GroundMotion
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
-from ._trajectory import Piece, check_simulation, check_window, joined, pieces_of, values_of
+from ._trajectory import Segment, check_simulation, check_window, joined, segments_of, values_of
 
 _LONG = 12  # letters of a name that leave no room for a symbol in the same line
 
@@ -41,12 +41,12 @@ def time_history(
     whose = "\nrelative to ground" if isinstance(one.base, GroundMotion) else ""
     height = 4.6 if len(coordinates) == 2 else 2.0 * len(coordinates) + 0.2
     axes = _style.axes_below_or_new(ax, tuple(coordinate.name for coordinate in coordinates), (6.4, height))
-    pieces = pieces_of(one, window)
-    _draw_band(axes, one, pieces)
+    segments = segments_of(one, window)
+    _draw_band(axes, one, segments)
     if one.system.rides_base:
-        _draw_base(axes[1], pieces, "ground" if isinstance(one.base, GroundMotion) else "base")
+        _draw_base(axes[1], segments, "ground" if isinstance(one.base, GroundMotion) else "base")
     for number, panel in enumerate(axes):
-        _draw_state(panel, pieces, number, one.system.body_name)
+        _draw_state(panel, segments, number, one.system.body_name)
         panel.set_ylabel(_label(coordinates[number], one.system.rides_base and number == 1) + whose)
         panel.set_xlim(window)
         if panel.xaxis.get_tick_params().get("labelbottom", True):
@@ -61,30 +61,31 @@ def _label(coordinate: Coordinate, holds_base: bool) -> str:
     return label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
 
 
-def _draw_state(panel: Axes, pieces: list[Piece], number: int, name: str) -> None:
+def _draw_state(panel: Axes, segments: list[Segment], number: int, name: str) -> None:
     """Part `number` of the state as a line, sticks thick and coloured."""
-    sticks = [piece for piece in pieces if piece.sticks]
-    times, values = (np.concatenate([values_of(piece, key) for piece in pieces]) for key in ("times", number))
+    sticks = [segment for segment in segments if segment.sticks]
+    times, values = (np.concatenate([values_of(segment, key) for segment in segments]) for key in ("times", number))
     panel.plot(times, values, color=_style.MASS, lw=_style.SLIP_WIDTH, label=name)
     stuck = (joined(sticks, "times"), joined(sticks, number))
     panel.plot(*stuck, color=_style.STICK, lw=_style.STICK_WIDTH, solid_capstyle="butt", label=f"{name}, stick")
 
 
-def _draw_base(panel: Axes, pieces: list[Piece], name: str) -> None:
+def _draw_base(panel: Axes, segments: list[Segment], name: str) -> None:
     """The base velocity as a line with upright jumps; where it is constant, from end to end."""
-    kept = [slice(None) if np.ptp(piece.base_velocity) > 0 else [0, -1] for piece in pieces]
+    kept = [slice(None) if np.ptp(segment.base_velocity) > 0 else [0, -1] for segment in segments]
     times, velocities = (
-        np.concatenate([values_of(piece, key)[points] for piece, points in zip(pieces, kept, strict=True)])
+        np.concatenate([values_of(segment, key)[points] for segment, points in zip(segments, kept, strict=True)])
         for key in ("times", "base_velocity")
     )
     panel.plot(times, velocities, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label=name)
 
 
-def _draw_band(axes: tuple[Axes, ...], one: Simulation, pieces: list[Piece]) -> None:
+def _draw_band(axes: tuple[Axes, ...], one: Simulation, segments: list[Segment]) -> None:
     """The values at which a stick is possible, as they change in time, if they do."""
     number = one.system.band_coordinate
     times, lowest, highest, state = (
-        np.concatenate([values_of(piece, key) for piece in pieces]) for key in ("times", "lowest", "highest", number)
+        np.concatenate([values_of(segment, key) for segment in segments])
+        for key in ("times", "lowest", "highest", number)
     )
     if not np.all(np.isfinite(lowest)):
         return

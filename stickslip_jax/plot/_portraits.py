@@ -10,22 +10,22 @@ from .._excitation.ground import GroundMotion
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
-from ._trajectory import Piece, check_simulation, check_window, has_steady_base, joined, pieces_of
+from ._trajectory import Segment, check_simulation, check_window, has_steady_base, joined, segments_of
 
 _POSITION, _SCALED = "position", "position_times_omega"
 
-Group = tuple[str, Callable[[Piece], bool], dict[str, Any]]
+Group = tuple[str, Callable[[Segment], bool], dict[str, Any]]
 """Label of some pieces, which they are, and how they look."""
 
 
-def _slip(sign: int) -> Callable[[Piece], bool]:
-    return lambda piece: not piece.sticks and np.sign(piece.base_velocity[0]) == sign
+def _slip(sign: int) -> Callable[[Segment], bool]:
+    return lambda segment: not segment.sticks and np.sign(segment.base_velocity[0]) == sign
 
 
 # On a base at rest a stick is a point: markers at its ends, as wide as the line, make it seen.
 _STICK: Group = (
     "stick",
-    lambda piece: piece.sticks,
+    lambda segment: segment.sticks,
     {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
 )
 _BY_BASE: tuple[Group, ...] = (
@@ -35,7 +35,7 @@ _BY_BASE: tuple[Group, ...] = (
     _STICK,
 )
 _ALIKE: tuple[Group, ...] = (
-    ("slip", lambda piece: not piece.sticks, {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
+    ("slip", lambda segment: not segment.sticks, {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
     _STICK,
 )
 
@@ -73,24 +73,24 @@ def phase_portrait(
             f"Argument abscissa must be {names} for a {type(one.system).__name__}, but {abscissa!r} was given."
         )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
-    pieces = pieces_of(one, window)
+    segments = segments_of(one, window)
     if first.period:
-        _draw_turning(ax, pieces, first, second)
+        _draw_turning(ax, segments, first, second)
     else:
-        _draw_plane(ax, one, pieces, abscissa)
+        _draw_plane(ax, one, segments, abscissa)
     _style.legend_above(ax, columns=2)
     return ax
 
 
-def _draw_plane(ax: Axes, one: Simulation, pieces: list[Piece], abscissa: str) -> None:
+def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: str) -> None:
     """The second coordinate against the first, the latter times omega if `abscissa` says so."""
     first, second = one.system.coordinates[:2]
     scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
     for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
-        chosen = [piece for piece in pieces if belongs(piece)]
+        chosen = [segment for segment in segments if belongs(segment)]
         if chosen:
-            ends = np.cumsum([len(piece.times) + 1 for piece in chosen]) - 2
-            starts = ends + 1 - [len(piece.times) for piece in chosen]
+            ends = np.cumsum([len(segment.times) + 1 for segment in chosen]) - 2
+            starts = ends + 1 - [len(segment.times) for segment in chosen]
             marked = np.union1d(starts, ends).tolist()
             ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
     centre = one.system.slip_centre
@@ -105,18 +105,18 @@ def _draw_plane(ax: Axes, one: Simulation, pieces: list[Piece], abscissa: str) -
         ax.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_turning(ax: Axes, pieces: list[Piece], first: Coordinate, second: Coordinate) -> None:
+def _draw_turning(ax: Axes, segments: list[Segment], first: Coordinate, second: Coordinate) -> None:
     """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
     assert first.period is not None
     period = first.period
-    still = [piece for piece in pieces if piece.sticks and np.ptp(piece.state[:2], axis=1).max() == 0]
+    still = [segment for segment in segments if segment.sticks and np.ptp(segment.state[:2], axis=1).max() == 0]
     points = set(map(id, still))
     for label, belongs, look in _ALIKE:
-        chosen = [piece for piece in pieces if belongs(piece) and id(piece) not in points]
+        chosen = [segment for segment in segments if belongs(segment) and id(segment) not in points]
         if chosen:
             ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1), period), label=label, **look)
     if still:
-        angles, speeds = np.transpose([[values[0] for values in piece.state[:2]] for piece in still])
+        angles, speeds = np.transpose([[values[0] for values in segment.state[:2]] for segment in still])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
     turn = _style.angle_axis(ax, period)

@@ -30,9 +30,17 @@ def sensitivity_curve(results: Any, ax: Axes | None = None, *, pathwise: bool = 
         np.array([getattr(point, name) for point in points])[order]
         for name in ("derivative", "standard_error", "pathwise")
     )
-    values, reach = values[order], _INTERVAL * errors
+    values, relative_bandwidth = values[order], _INTERVAL * errors
     color = _style.SERIES[0]
-    ax.fill_between(values, derivatives - reach, derivatives + reach, color=color, alpha=0.25, lw=0, label="95 % band")
+    ax.fill_between(
+        values,
+        derivatives - relative_bandwidth,
+        derivatives + relative_bandwidth,
+        color=color,
+        alpha=0.25,
+        lw=0,
+        label="95 % band",
+    )
     ax.plot(values, derivatives, color=color, lw=_style.SLIP_WIDTH, marker="o", ms=3.5, label="corrected")
     if pathwise and np.any(np.isfinite(paths)):
         ax.plot(values, paths, color=_style.SERIES[4], lw=_style.SLIP_WIDTH, ls="--", label="pathwise part alone")

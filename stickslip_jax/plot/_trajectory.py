@@ -19,7 +19,7 @@ _MOST_POINTS = 100_000
 _FEWEST_SLOTS = 8192
 
 
-class Piece(NamedTuple):
+class Segment(NamedTuple):
     """The trajectory between two neighbouring events: all slip or all stick, the base velocity without a jump.
 
     Arrays (points,): `times` in s; `state` in the units of the system's coordinates; `base_velocity` in m/s; `lowest`
@@ -73,7 +73,7 @@ def has_steady_base(one: Simulation) -> bool:
     return one.system.rides_base and isinstance(one.base, (VelocitySteps, BangBangLaw))
 
 
-def pieces_of(one: Simulation, window: tuple[float, float]) -> list[Piece]:
+def segments_of(one: Simulation, window: tuple[float, float]) -> list[Segment]:
     """The pieces of the trajectory inside the window (s), in order of time."""
     mask = np.asarray(one.sticks.mask)
     starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
@@ -98,19 +98,19 @@ def pieces_of(one: Simulation, window: tuple[float, float]) -> list[Piece]:
     parts = [np.split(values, firsts[begins][1:]) for values in (times, *state, *others)]
     rows = zip(*parts, sticks[begins], strict=True)
     size = len(state)
-    return [Piece(row[0], row[1 : 1 + size], *row[1 + size : -1], sticks=bool(row[-1])) for row in rows]
+    return [Segment(row[0], row[1 : 1 + size], *row[1 + size : -1], sticks=bool(row[-1])) for row in rows]
 
 
-def values_of(piece: Piece, name: str | int) -> np.ndarray:
+def values_of(segment: Segment, name: str | int) -> np.ndarray:
     """The values `name` of a piece: one of its names, or the number of a part of the state."""
-    return piece.state[name] if isinstance(name, int) else getattr(piece, name)
+    return segment.state[name] if isinstance(name, int) else getattr(segment, name)
 
 
-def joined(pieces: list[Piece], name: str | int) -> np.ndarray:
+def joined(segments: list[Segment], name: str | int) -> np.ndarray:
     """The values `name` of all pieces one after the other, with a NaN between them where the line is to break."""
-    if not pieces:
+    if not segments:
         return np.zeros(0)
-    return np.concatenate([values for piece in pieces for values in (values_of(piece, name), [np.nan])])[:-1]
+    return np.concatenate([values for segment in segments for values in (values_of(segment, name), [np.nan])])[:-1]
 
 
 def _knots(one: Simulation, window: tuple[float, float], events: np.ndarray) -> tuple[np.ndarray, float]:
@@ -136,8 +136,8 @@ def _numbers(one: Simulation, lengths: np.ndarray, sticks: np.ndarray) -> np.nda
     """Into how many parts to cut the time between neighbouring knots, which lasts `lengths` (s)."""
     numbers = np.full(len(lengths), _POINTS_PER_KNOT)
     if one.system.natural_frequency is not None:
-        turns = float(one.system.natural_frequency) * lengths.astype(float) / (2 * np.pi)
-        numbers = np.maximum(numbers, np.ceil(np.minimum(_POINTS_PER_TURN * turns, _MOST_POINTS)).astype(int))
+        steps = float(one.system.natural_frequency) * lengths.astype(float) / (2 * np.pi)
+        numbers = np.maximum(numbers, np.ceil(np.minimum(_POINTS_PER_TURN * steps, _MOST_POINTS)).astype(int))
     if has_steady_base(one):
         numbers = np.where(sticks, 1, numbers)  # a straight line
     share = _MOST_POINTS / numbers.sum()
@@ -156,9 +156,9 @@ def _follow(one: Simulation, times: np.ndarray, base_times: np.ndarray) -> tuple
     """The state at `times` (s); at `base_times` the base velocity (m/s), and the lowest and highest that can stick."""
     number = len(times)
     # Filled up to a power of two, so that few sizes are compiled.
-    room = max(_FEWEST_SLOTS, 1 << int(np.ceil(np.log2(len(times)))))
+    buffer = max(_FEWEST_SLOTS, 1 << int(np.ceil(np.log2(len(times)))))
     filled, base_filled = (
-        jnp.asarray(np.concatenate([values, np.full(room - number, values[-1])]), one.sticks.start.dtype)
+        jnp.asarray(np.concatenate([values, np.full(buffer - number, values[-1])]), one.sticks.start.dtype)
         for values in (times, base_times)
     )
     state = one.evaluate(filled)

@@ -32,7 +32,7 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
         title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
         plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
         plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
-    if ensemble.tally is not None:
+    if ensemble.accumulator is not None:
         for file, (title, draw) in _of_all_sticks(ensemble, first_sticks).items():
             plot.save(draw(), folder / file, title=f"{title} in {ensemble.samples} samples")
 

@@ -44,7 +44,7 @@ def as_json(study: Study) -> str:
     }
     content["samples"] = ensemble.samples
     content["not_finished"] = {status.name: count for status, count in _not_finished(study).items()}
-    content["in_doubt"] = ensemble.doubtful
+    content["in_doubt"] = ensemble.near_grazing_samples
     if study.first_sticks is not None:
         content["first_sticks"] = study.first_sticks.count
     content["seconds"] = {"compile": ensemble.compile_seconds, "run": ensemble.run_seconds}
@@ -60,16 +60,18 @@ def _row(estimate: Estimate) -> tuple[str, str, str, str]:
 
 
 def _endings(study: Study) -> list[str]:
-    samples, doubtful = study.ensemble.samples, study.ensemble.doubtful
+    samples, near_grazing_samples = study.ensemble.samples, study.ensemble.near_grazing_samples
     failed = _not_finished(study)
     lines = [
         f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
         for status, count in failed.items()
     ] or [f"All {samples} samples reached t1."]
-    if study.ensemble.key_words is None and samples > 1:
+    if study.ensemble.key_data is None and samples > 1:
         lines.append(f"Nothing is random here: all {samples} samples are the same.")
-    if doubtful:
-        lines.append(f"In doubt: {doubtful} of {samples} samples, where the last digits decide about an event.")
+    if near_grazing_samples:
+        lines.append(
+            f"In doubt: {near_grazing_samples} of {samples} samples, where the last digits decide about an event."
+        )
     return lines
 
 

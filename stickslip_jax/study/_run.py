@@ -70,7 +70,7 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
         first = _first_sticks(config, ensemble)
         write_netcdf(folder / DATA, config, ensemble, statistics, first)
         (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
-        if ensemble.tally is not None:
+        if ensemble.accumulator is not None:
             (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
         if config.output.figures:
             draw_figures(config, ensemble, first, folder)

@@ -31,7 +31,7 @@ def write_netcdf(
     Histograms and all that ``ensemble.statistics.to_xarray()`` tells stand in the group ``statistics``.
     """
     dataset_of_study(config, ensemble, statistics, first_sticks).to_netcdf(path, engine="h5netcdf")
-    if ensemble.tally is not None:
+    if ensemble.accumulator is not None:
         told = ensemble.statistics.to_xarray()
         told.to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
 
@@ -87,7 +87,7 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
         "date_created": datetime.now(UTC).isoformat(timespec="seconds"),
         "configuration": config.to_toml(),
         "samples_finished": ensemble.finished,
-        "samples_in_doubt": ensemble.doubtful,
+        "samples_in_doubt": ensemble.near_grazing_samples,
         "compile_seconds": ensemble.compile_seconds,
         "run_seconds": ensemble.run_seconds,
         "threads_used": ensemble.threads,
@@ -95,8 +95,8 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
     for status in Status:
         if status is not Status.FINISHED:
             attributes[f"samples_{status.name.lower()}"] = ensemble.status_counts[status]
-    if ensemble.key_words is not None:
-        attributes["key_words"] = np.array(ensemble.key_words, np.uint32)
+    if ensemble.key_data is not None:
+        attributes["key_data"] = np.array(ensemble.key_data, np.uint32)
     for section in ("system", "base", "run"):
         attributes |= _flat(section, getattr(config, section).model_dump(exclude_none=True))
     return attributes

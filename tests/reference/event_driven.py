@@ -204,7 +204,7 @@ def simulate_mass_spring(
 ) -> Run:
     """Simulate ``m x'' + c x' + k x = F(t) - mu_kinetic(|v_rel|) n sgn(v_rel)``, ``v_rel = x' - v(t)``, on ``[0, t1]``.
 
-    The functions of time are called as ``f(t, piece)``; `piece` counts the stretches between `breaks`, at which the
+    The functions of time are called as ``f(t, segment)``; `segment` counts the stretches between `breaks`, at which the
     base velocity may jump and the others jump or kink. `mu_kinetic` is called slightly below zero in the last step of
     a slip and should go on smoothly there. A stick ends when the needed force leaves ``[-mu_static n, mu_static n]``
     (RELEASED), at a jump of the base velocity (BASE_SWITCHED) or at `t1` (HORIZON). `max_step` must resolve the base

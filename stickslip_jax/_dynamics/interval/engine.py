@@ -31,7 +31,7 @@ class Scales(NamedTuple):
     """What the closed forms need to know of the system, and the horizon."""
 
     omega: FloatArray
-    per_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
+    inverse_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
     half_width: FloatArray
     t1: FloatArray
 
@@ -45,22 +45,22 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
     """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
     dtype = scales.omega.dtype
-    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.per_omega)
+    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.inverse_omega)
 
 
 def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
     """Whether the trajectory begins with a stick, given the first base velocity: then no slip comes before it."""
-    return sticks_from_start(motion.x, motion.p, velocity * scales.per_omega, scales.half_width)
+    return sticks_from_start(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width)
 
 
 def cross_interval(
     scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
 ) -> tuple[Motion, Totals, StickRecord]:
     """Cross one interval, cut at the horizon: the next state, the totals with this interval's stick, its record."""
-    omega, per_omega, a, t1 = scales
+    omega, inverse_omega, a, t1 = scales
     uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: it spoils the time, and that is reported
     span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.p, velocity * per_omega, a, omega * span)
+    passage = carry_across(motion.x, motion.p, velocity * inverse_omega, a, omega * span)
     t_end = jnp.where(uncut, motion.t + duration, t1)
     following = Motion(t_end, passage.x, passage.p)
 
@@ -68,8 +68,8 @@ def cross_interval(
     released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))
     ending = jnp.where(stuck, jnp.where(released, released_, jnp.where(uncut, switched, cut)), none)
     record = StickRecord(
-        start=motion.t + passage.entered * per_omega,
-        end=jnp.where(released, motion.t + passage.left * per_omega, t_end),
+        start=motion.t + passage.entered * inverse_omega,
+        end=jnp.where(released, motion.t + passage.left * inverse_omega, t_end),
         position=passage.position,
         ending=ending,
     )
@@ -77,7 +77,7 @@ def cross_interval(
         sticks=totals.sticks + stuck,
         censored=totals.censored + (stuck & ~released & ~uncut),
         # Not end - start, whose error grows with the time of day.
-        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * per_omega,
+        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * inverse_omega,
     )
     return following, totals, record
 

@@ -175,8 +175,8 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
 
         some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((max(width, 1), *leaf.shape[1:]), leaf.dtype), given)
         shapes = jax.eval_shape(run_block, some)
-        room = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
-        return lax.fori_loop(0, blocks, add_block, room) if lanes else room
+        buffer = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
+        return lax.fori_loop(0, blocks, add_block, buffer) if lanes else buffer
 
     mapped = custom_vmap(run)
 
@@ -201,9 +201,9 @@ def _run_block(what: _What, given: Given) -> Any:
     """The results of a block of lanes; all leaves have the lanes as their first axis."""
     durations = given.durations
     totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, given.start.t.shape), start_totals(durations.dtype))
-    room: Any = jnp.zeros_like(durations)
-    room = {"final": None, "sticks": _no_sticks(room.T), "beginnings": Motion(room, room, room)}[what]
-    block = _Block(jnp.zeros((), jnp.int32), given.start, totals, room)
+    buffer: Any = jnp.zeros_like(durations)
+    buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": Motion(buffer, buffer, buffer)}[what]
+    block = _Block(jnp.zeros((), jnp.int32), given.start, totals, buffer)
     block = _cross_all(given.scales, durations, given.velocities, block)
     if what == "final":
         return block.motion, block.totals
@@ -247,11 +247,11 @@ def _column(table: Array, number: IntArray) -> Array:
 
 
 @native_loop
-def _close_up(records: StickRecord, room: StickRecord, crossed: IntArray) -> StickRecord:
-    """The sticks among the first records (intervals, lanes), put into the first slots of `room` (lanes, slots)."""
+def _close_up(records: StickRecord, buffer: StickRecord, crossed: IntArray) -> StickRecord:
+    """The sticks among the first records (intervals, lanes), put into the first slots of `buffer` (lanes, slots)."""
 
     def put(number, carry):
-        lane, room, count = carry
+        lane, buffer, count = carry
         is_stick = records.ending[number, lane] >= 0
 
         def move(old, column):
@@ -260,9 +260,9 @@ def _close_up(records: StickRecord, room: StickRecord, crossed: IntArray) -> Sti
             entry = jnp.where(is_stick, lax.dynamic_slice(column, (number, lane), (1, 1)), spare)
             return lax.dynamic_update_slice(old, entry, (lane, count))
 
-        return lane, jax.tree.map(move, room, records), count + is_stick
+        return lane, jax.tree.map(move, buffer, records), count + is_stick
 
-    def close_lane(lane, room):
-        return lax.fori_loop(jnp.int32(0), crossed, put, (lane, room, jnp.zeros((), jnp.int32)))[1]
+    def close_lane(lane, buffer):
+        return lax.fori_loop(jnp.int32(0), crossed, put, (lane, buffer, jnp.zeros((), jnp.int32)))[1]
 
-    return lax.fori_loop(jnp.int32(0), jnp.int32(records.ending.shape[1]), close_lane, room)
+    return lax.fori_loop(jnp.int32(0), jnp.int32(records.ending.shape[1]), close_lane, buffer)

@@ -20,7 +20,7 @@ from .engine import Motion, Scales, cross_interval, scales_of, start_motion, sta
 class _Lanes(NamedTuple):
     """The state of every lane."""
 
-    words: tuple[Array, Array]  # the key words of the lane's sample
+    key_data: tuple[Array, Array]  # the key words of the lane's sample
     first: Array  # number of its next interval
     memory: Any  # what the law remembers
     motion: Motion
@@ -29,11 +29,11 @@ class _Lanes(NamedTuple):
     stalled: BoolArray  # whether the last block did not move it: the law has no more intervals
 
 
-def draw_block(law: BangBangLaw, words: tuple[Array, Array], first: Array, dtype: Any) -> tuple[Any, Array]:
+def draw_block(law: BangBangLaw, key_data: tuple[Array, Array], first: Array, dtype: Any) -> tuple[Any, Array]:
     """What is random in the `BLOCK` intervals from number `first` (lanes,) on, (BLOCK, lanes), and their numbers."""
-    draw = jax.vmap(lambda words, number: law.draw(words, number, dtype))
+    draw = jax.vmap(lambda key_data, number: law.draw(key_data, number, dtype))
     numbers = first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
-    return jax.vmap(draw, in_axes=(None, 0))(words, numbers), numbers
+    return jax.vmap(draw, in_axes=(None, 0))(key_data, numbers), numbers
 
 
 class IntervalEngine(Engine):
@@ -44,19 +44,19 @@ class IntervalEngine(Engine):
     t1: Scalar
     y0: tuple[Any, ...]
 
-    def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
         scales = self._scales(dtype)
-        x, velocity = realised_state(self.y0, words, dtype)
+        x, velocity = realised_state(self.y0, key_data, dtype)
         motion = start_motion(scales, (x, velocity))
-        memory = computed_once(lambda words: self.law.begin(words, dtype))(words)
+        memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
         zero = jnp.zeros((), jnp.uint32)
-        _, base, _ = self.law.next_interval(memory, self.law.draw(words, zero, dtype), dtype)
+        _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, zero, dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)
-        return _Lanes(words, zero, memory, motion, start_totals(dtype), at_start, jnp.zeros((), bool))
+        return _Lanes(key_data, zero, memory, motion, start_totals(dtype), at_start, jnp.zeros((), bool))
 
-    def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
+    def advance(self, state: _Lanes, dtype, buffer: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
         law, scales = self.law, self._scales(dtype)
-        drawn, _ = draw_block(law, state.words, state.first, dtype)
+        drawn, _ = draw_block(law, state.key_data, state.first, dtype)
 
         def step_one(lane, drawn):
             memory, motion, totals = lane
@@ -66,15 +66,15 @@ class IntervalEngine(Engine):
             return (memory, motion, totals), (jnp.stack(stick[:3]), stick.ending)
 
         def step(carry, drawn):
-            lanes, room, slot = carry
+            lanes, buffer, slot = carry
             lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, drawn)
-            return (lanes, room if room is None else room.with_slot(slot, *sticks), slot + 1), None
+            return (lanes, buffer if buffer is None else buffer.with_slot(slot, *sticks), slot + 1), None
 
-        carry = ((state.memory, state.motion, state.totals), room, slot)
-        ((memory, motion, totals), room, _), _ = lax.scan(step, carry, drawn, length=BLOCK)
+        carry = ((state.memory, state.motion, state.totals), buffer, slot)
+        ((memory, motion, totals), buffer, _), _ = lax.scan(step, carry, drawn, length=BLOCK)
         stalled = motion.t <= state.motion.t
         first = state.first + np.uint32(BLOCK)
-        return _Lanes(state.words, first, memory, motion, totals, state.at_start, stalled), room
+        return _Lanes(state.key_data, first, memory, motion, totals, state.at_start, stalled), buffer
 
     def ended(self, state: _Lanes) -> BoolArray:
         # Written so that a NaN time counts as ended.
@@ -86,7 +86,7 @@ class IntervalEngine(Engine):
             slips=count_slips(state.totals, state.at_start),
             stick_time=state.totals.stick_time,
             status=status_of(state.motion, jnp.asarray(self.t1, state.motion.t.dtype)),
-            doubts=jnp.zeros_like(state.totals.sticks),
+            near_grazing_count=jnp.zeros_like(state.totals.sticks),
         )
 
     def _scales(self, dtype) -> Scales:

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 
 from ..._events.records import StickRecord, no_stick
-from ..._excitation.segments import Feed
+from ..._excitation.segments import SegmentState
 from ..._numerics.sharing import sharing
 from ..._systems.switched_model import State, SwitchedModel
 from ..._types import FloatArray, IntArray
-from ..switched.engine import Streams, is_spent, next_feeds
+from ..switched.engine import SegmentLaws, following_segments, is_spent
 from ..switched.implicit_step import implicit_step
-from .stick_detector import Criterion, Step, Watch, start_watch, watch_step
+from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
 from .switch import Switch
 
 
@@ -64,9 +64,9 @@ class FixedLane(NamedTuple):
 
     t: FloatArray
     y: State
-    turns: IntArray
-    watch: Watch
-    feeds: tuple[Feed, ...]
+    steps: IntArray
+    detector: StickDetector
+    segment_states: tuple[SegmentState, ...]
 
 
 class Passage(NamedTuple):
@@ -85,19 +85,24 @@ def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
 
 
 def start_fixed(
-    field: Field, streams: Streams, criterion: Criterion, feeds: tuple[Feed, ...], y0: tuple, dtype
+    field: Field,
+    segment_laws: SegmentLaws,
+    criterion: Criterion,
+    segment_states: tuple[SegmentState, ...],
+    y0: tuple,
+    dtype,
 ) -> FixedLane:
     """The beginning of a trajectory."""
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
-    speed = field.model.relative_velocity(field.model.inputs(zero, streams.pieces(feeds)), zero, y)
-    return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_watch(criterion, speed, y[0]), feeds)
+    speed = field.model.relative_velocity(field.model.inputs(zero, segment_laws.segments(segment_states)), zero, y)
+    return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_detector(criterion, speed, y[0]), segment_states)
 
 
 @sharing
 def advance_fixed(
     field: Field,
-    streams: Streams,
+    segment_laws: SegmentLaws,
     criterion: Criterion,
     t1: FloatArray,
     step: FloatArray,
@@ -105,11 +110,11 @@ def advance_fixed(
     lane: FixedLane,
 ) -> tuple[FixedLane, StickRecord, Passage]:
     """One turn of the loop: the lane after it, the stick that ended in it, if any, and the step."""
-    inputs = field.model.inputs(lane.t, streams.pieces(lane.feeds))
-    live = (lane.t < t1) & ~is_spent(lane) & (lane.turns < most_steps)
+    inputs = field.model.inputs(lane.t, segment_laws.segments(lane.segment_states))
+    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
     stop = t1
-    for feed in lane.feeds:
-        stop = jnp.minimum(stop, feed.piece.end)
+    for segment_state in lane.segment_states:
+        stop = jnp.minimum(stop, segment_state.segment.end)
     left = jnp.where(live, stop - lane.t, 0)
     # Not a last step of a few units in the last place.
     to_stop = step * (1 + 1e-6) >= left
@@ -118,10 +123,12 @@ def advance_fixed(
     seen, rates, end_rates = field.seen(inputs, lane.t, h, lane.y, y)
 
     t = jnp.where(to_stop, stop, lane.t + h)
-    feeds, jumped = next_feeds(streams, lane.feeds, t, t < t1)
-    after = field.model.relative_velocity(field.model.inputs(t, streams.pieces(feeds)), jnp.zeros_like(t), y)
-    watch, record = watch_step(criterion, lane.watch, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
-    moved = FixedLane(t, y, lane.turns + 1, watch, feeds)
+    segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
+    after = field.model.relative_velocity(
+        field.model.inputs(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
+    )
+    detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
+    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
     return moved, record, Passage(lane.t, lane.y, rates, end_rates)

@@ -7,19 +7,19 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._events.records import StickRecord, count_slips, no_stick
-from ..._excitation.excitation import Drive
+from ..._excitation.excitation import Excitation
 from ..._excitation.random import realised_state
-from ..._excitation.segments import open_feed
+from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
 from ..._types import AnyInteger, Array, BoolArray, IntArray, Scalar
 from ..blocks import scan_in_blocks
 from ..lanes import BLOCK, Engine, LaneResults, Records
 from ..method import Regularized
-from ..switched.engine import Streams, has_ended, status_of_lane
+from ..switched.engine import SegmentLaws, has_ended, status_of_lane
 from .engine import Field, FixedLane, advance_fixed, start_fixed
-from .solve import Solver, Tables, solve_adaptive, start_watching, watch_one
-from .stick_detector import Criterion, Watch
+from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection
+from .stick_detector import Criterion, StickDetector
 from .switch import Switch
 
 
@@ -33,41 +33,41 @@ class _Lanes(NamedTuple):
 class FixedEngine(Engine):
     """Any system under any drive, up to `t1`, from `y0` (numbers, or `Uniform` values), in fixed steps.
 
-    `method`: with every option filled in (`settled`). A sample that takes more than `most_steps` is given up.
+    `method`: with every option filled in (`resolved`). A sample that takes more than `most_steps` is given up.
     """
 
     system: Any
-    drive: Drive
+    excitation: Excitation
     method: Regularized
     t1: Scalar
     y0: tuple[Any, ...]
     most_steps: AnyInteger
 
-    def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
-        smooth = _realised(self.drive, words, dtype)
-        y0 = realised_state(self.y0, words, dtype)
-        streams, own = Streams.of(self.system, self.drive), self.drive.words_of_pieces(words)
-        feeds = tuple(open_feed(law, own, dtype) for law in streams.all)
+    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+        smooth = _realised(self.excitation, key_data, dtype)
+        y0 = realised_state(self.y0, key_data, dtype)
+        segment_laws, own = SegmentLaws.of(self.system, self.excitation), self.excitation.segment_key_data(key_data)
+        segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
         field = field_of(self.system, smooth, self.method)
-        return _Lanes(start_fixed(field, streams, criterion_of(self.method), feeds, y0, dtype), smooth)
+        return _Lanes(start_fixed(field, segment_laws, criterion_of(self.method), segment_states, y0, dtype), smooth)
 
-    def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        streams, criterion = Streams.of(self.system, self.drive), criterion_of(self.method)
+    def advance(self, state: _Lanes, dtype, buffer: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
+        segment_laws, criterion = SegmentLaws.of(self.system, self.excitation), criterion_of(self.method)
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.method.step, dtype)
         most = jnp.asarray(self.most_steps, jnp.int32)
 
         def step_one(lane, smooth):
             field = field_of(self.system, smooth, self.method)
-            lane, stick, _ = advance_fixed(field, streams, criterion, t1, step, most, lane)
+            lane, stick, _ = advance_fixed(field, segment_laws, criterion, t1, step, most, lane)
             return lane, (jnp.stack(stick[:3]), stick.ending)
 
-        def turn(carry, _):
-            lanes, room, slot = carry
+        def one_step(carry, _):
+            lanes, buffer, slot = carry
             lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, state.smooth)
-            return (lanes, room if room is None else room.with_slot(slot, *sticks), slot + 1), None
+            return (lanes, buffer if buffer is None else buffer.with_slot(slot, *sticks), slot + 1), None
 
-        (lanes, room, _), _ = lax.scan(turn, (state.lane, room, slot), None, length=BLOCK)
-        return _Lanes(lanes, state.smooth), room
+        (lanes, buffer, _), _ = lax.scan(one_step, (state.lane, buffer, slot), None, length=BLOCK)
+        return _Lanes(lanes, state.smooth), buffer
 
     def ended(self, state: _Lanes) -> BoolArray:
         most = jnp.asarray(self.most_steps, jnp.int32)
@@ -77,7 +77,7 @@ class FixedEngine(Engine):
         def status(lane):
             return status_of_lane(lane, jnp.asarray(self.t1, lane.t.dtype))
 
-        return _results(state.lane.watch, jax.vmap(status)(state.lane))
+        return _results(state.lane.detector, jax.vmap(status)(state.lane))
 
 
 class AdaptiveBatch(NamedTuple):
@@ -87,7 +87,7 @@ class AdaptiveBatch(NamedTuple):
     """
 
     system: Any
-    drive: Drive
+    excitation: Excitation
     method: Regularized
     t1: Scalar
     y0: tuple[Any, ...]
@@ -95,7 +95,7 @@ class AdaptiveBatch(NamedTuple):
 
 def solve_batch(
     batch: AdaptiveBatch,
-    words: Array,
+    key_data: Array,
     first: AnyInteger,
     used: AnyInteger,
     *,
@@ -104,10 +104,10 @@ def solve_batch(
     keep: bool,
     dtype: Any,
 ) -> tuple[LaneResults, StickRecord | None]:
-    """Samples ``first .. first + samples - 1`` of the key `words`; with `keep`, a `StickRecord` (samples, steps) too.
+    """Samples ``first .. first + samples - 1`` of a key; with `keep`, a `StickRecord` (samples, steps) too.
 
-    `used`: how many of them are asked for; the others end at once. `sizes`: how many pieces of each part of the drive
-    to draw (`table_sizes`).
+    `used`: how many of them are asked for; the others end at once. `sizes`: how many segments of each part of the
+    excitation to draw (`table_sizes`).
     """
     places = jnp.arange(samples, dtype=jnp.uint32)
     method, t1 = batch.method, jnp.asarray(batch.t1, dtype)
@@ -115,29 +115,29 @@ def solve_batch(
     most = method.max_steps
 
     def one(place):
-        own = random_words(words, jnp.asarray(first, jnp.uint32) + place)
-        smooth = _realised(batch.drive, own, dtype)
-        tables = Tables.of(batch.system, batch.drive, own, sizes, dtype)
+        own = random_words(key_data, jnp.asarray(first, jnp.uint32) + place)
+        smooth = _realised(batch.excitation, own, dtype)
+        tables = Tables.of(batch.system, batch.excitation, own, sizes, dtype)
         field, criterion = field_of(batch.system, smooth, method), criterion_of(method)
         y0, until = realised_state(batch.y0, own, dtype), jnp.where(place < used, t1, 0)
         solution = solve_adaptive(field, tables, until, y0, Solver.of(method), most)
 
-        def turn(watch, index):
-            watch, record, _ = watch_one(field, tables, criterion, until, solution, watch, index)
-            return watch, record if keep else None
+        def one_step(detector, index):
+            detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)
+            return detector, record if keep else None
 
-        start = start_watching(field, tables, criterion, solution.y[0])
-        watch, records = scan_in_blocks(
-            turn,
+        start = start_detection(field, tables, criterion, solution.y[0])
+        detector, records = scan_in_blocks(
+            one_step,
             start,
             most,
             lambda _, index: index >= solution.steps,
             lambda _: no_stick(dtype) if keep else None,
         )
-        return watch, solution.status, records
+        return detector, solution.status, records
 
-    watches, statuses, records = jax.vmap(one)(places)
-    return _results(watches, statuses), records
+    detectors, statuses, records = jax.vmap(one)(places)
+    return _results(detectors, statuses), records
 
 
 def field_of(system: Any, smooth: Signal | None, method: Regularized) -> Field:
@@ -152,15 +152,15 @@ def criterion_of(method: Regularized) -> Criterion:
     return Criterion(method.threshold, method.minimum_duration)
 
 
-def _realised(drive: Drive, words: Any, dtype) -> Signal | None:
-    return jax.tree.map(lambda number: jnp.asarray(number, dtype), drive.realised(words, dtype))
+def _realised(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
+    return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realised(key_data, dtype))
 
 
-def _results(watch: Watch, status: IntArray) -> LaneResults:
+def _results(detector: StickDetector, status: IntArray) -> LaneResults:
     return LaneResults(
-        sticks=watch.totals.sticks,
-        slips=count_slips(watch.totals, watch.at_start),
-        stick_time=watch.totals.stick_time,
+        sticks=detector.totals.sticks,
+        slips=count_slips(detector.totals, detector.at_start),
+        stick_time=detector.totals.stick_time,
         status=status,
-        doubts=jnp.zeros_like(watch.totals.sticks),
+        near_grazing_count=jnp.zeros_like(detector.totals.sticks),
     )

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ... import _checks
-from ..._excitation.excitation import Drive
+from ..._excitation.excitation import Excitation
 from ..._numerics.known import largest, smallest
 from ..._systems.system import System
 from ..._types import Array, Scalar
@@ -21,7 +21,7 @@ from .switch import Switch
 _MOST_ADAPTIVE_STEPS = 16384
 
 
-def settled(system: System, drive: Drive, method: Regularized, dtype) -> Regularized:
+def resolved(system: System, excitation: Excitation, method: Regularized, dtype) -> Regularized:
     """`method` with every option filled in, its numbers as arrays of `dtype`.
 
     Raises ValueError where an option is needed because the system's scales are not known.
@@ -43,7 +43,7 @@ def settled(system: System, drive: Drive, method: Regularized, dtype) -> Regular
         duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
         duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
-    scales = _state_scales(system, drive, dtype)
+    scales = _state_scales(system, excitation, dtype)
     atol = method.rtol * scales if method.atol is None else method.atol
     if np.shape(atol) not in ((), scales.shape):
         raise ValueError(
@@ -64,19 +64,19 @@ def settled(system: System, drive: Drive, method: Regularized, dtype) -> Regular
     )
 
 
-def fixed_steps(system: System, drive: Drive, method: Regularized, t1: Scalar) -> int:
+def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
     """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each piece.
 
     Raises NotKnown where a number that it depends on is not known yet, ValueError for a step that is too long for the
     shortest time scale.
     """
-    horizon, shortest = largest(t1), smallest(step_for(system, drive, method))
-    return math.ceil(horizon / shortest) + sum(table_sizes(system, drive, horizon)) + 1
+    horizon, shortest = largest(t1), smallest(step_for(system, excitation, method))
+    return math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
 
 
-def _state_scales(system: System, drive: Drive, dtype) -> Array:
+def _state_scales(system: System, excitation: Excitation, dtype) -> Array:
     """The typical size of each state, by which errors are judged where the state itself is small."""
-    values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(drive)])
+    values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(excitation)])
     return jnp.where(values > 0, values, 1)
 
 

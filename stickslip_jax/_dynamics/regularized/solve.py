@@ -8,40 +8,40 @@ import jax
 import jax.numpy as jnp
 
 from ..._events.records import StickRecord
-from ..._excitation.excitation import Drive
-from ..._excitation.table import PieceTable
+from ..._excitation.excitation import Excitation
+from ..._excitation.table import SegmentTable
 from ..._status import Status
-from ..._systems.switched_model import Pieces
+from ..._systems.switched_model import Segments
 from ..._types import Array, FloatArray, IntArray
 from ..method import Regularized
-from ..switched.engine import Streams
+from ..switched.engine import SegmentLaws
 from .engine import Field, Passage
-from .stick_detector import Criterion, Watch, start_watch, watch_step
+from .stick_detector import Criterion, StickDetector, detect, start_detector
 
 
 class Tables(eqx.Module):
-    """All that comes in pieces, of one realisation; the order is that of `Streams`."""
+    """All that comes in pieces, of one realisation; the order is that of `SegmentLaws`."""
 
-    base: tuple[PieceTable, ...]
-    ground: tuple[PieceTable, ...]
-    force: tuple[PieceTable, ...]
+    base: tuple[SegmentTable, ...]
+    ground: tuple[SegmentTable, ...]
+    force: tuple[SegmentTable, ...]
 
     @classmethod
-    def of(cls, system: Any, drive: Drive, words: Any, sizes: tuple[int, ...], dtype) -> "Tables":
-        """The pieces that `words` choose, so many of each part (`table_sizes`)."""
-        streams, own = Streams.of(system, drive), drive.words_of_pieces(words)
-        tables = [PieceTable.of(law, own, size, dtype) for law, size in zip(streams.all, sizes, strict=True)]
-        second, third = len(streams.base), len(streams.base) + len(streams.ground)
+    def of(cls, system: Any, excitation: Excitation, key_data: Any, sizes: tuple[int, ...], dtype) -> "Tables":
+        """The pieces that `key_data` choose, so many of each part (`table_sizes`)."""
+        segment_laws, own = SegmentLaws.of(system, excitation), excitation.segment_key_data(key_data)
+        tables = [SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True)]
+        second, third = len(segment_laws.base), len(segment_laws.base) + len(segment_laws.ground)
         return cls(tuple(tables[:second]), tuple(tables[second:third]), tuple(tables[third:]))
 
     @property
-    def all(self) -> tuple[PieceTable, ...]:
+    def all(self) -> tuple[SegmentTable, ...]:
         """The tables in order."""
         return self.base + self.ground + self.force
 
-    def at(self, t: FloatArray) -> Pieces:
+    def at(self, t: FloatArray) -> Segments:
         """The pieces under way at time `t`."""
-        return Pieces(*(tuple(table.at(t) for table in part) for part in (self.base, self.ground, self.force)))
+        return Segments(*(tuple(table.at(t) for table in part) for part in (self.base, self.ground, self.force)))
 
     @property
     def end(self) -> FloatArray | float:
@@ -54,13 +54,13 @@ class Tables(eqx.Module):
     @property
     def times(self) -> Array | None:
         """When pieces end and others begin, s; None where that never happens."""
-        times = [table.pieces.begin[1:] for table in self.all]
+        times = [table.segments.begin[1:] for table in self.all]
         return jnp.concatenate(times) if sum(map(len, times)) else None
 
 
-def table_sizes(system: Any, drive: Drive, t1: Any) -> tuple[int, ...]:
+def table_sizes(system: Any, excitation: Excitation, t1: Any) -> tuple[int, ...]:
     """How many pieces of each part nearly every realisation needs until `t1`, which is no tracer."""
-    return tuple(law.pieces(t1) for law in Streams.of(system, drive).all)
+    return tuple(law.segments(t1) for law in SegmentLaws.of(system, excitation).all)
 
 
 class Solver(NamedTuple):
@@ -124,23 +124,23 @@ def solve_adaptive(
     return Solution(t, y, steps, jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8))
 
 
-def start_watching(field: Field, tables: Tables, criterion: Criterion, y: Array) -> Watch:
+def start_detection(field: Field, tables: Tables, criterion: Criterion, y: Array) -> StickDetector:
     """The watch at the beginning."""
     zero = jnp.zeros((), y.dtype)
-    return start_watch(
+    return start_detector(
         criterion, field.model.relative_velocity(field.model.inputs(zero, tables.at(zero)), zero, tuple(y)), y[0]
     )
 
 
-def watch_one(
+def detect_in_step(
     field: Field,
     tables: Tables,
     criterion: Criterion,
     t1: FloatArray,
     solution: Solution,
-    watch: Watch,
+    detector: StickDetector,
     index: IntArray,
-) -> tuple[Watch, StickRecord, Passage]:
+) -> tuple[StickDetector, StickRecord, Passage]:
     """Go over step number `index` of a solution; where there is none, nothing happens."""
     live = index < solution.steps
     index = jnp.where(live, index, 0)
@@ -149,15 +149,15 @@ def watch_one(
     following = jnp.where(solution.steps > 0, index + 1, 0)
     now, after = solution.t[following], tuple(solution.y[following])
     h = now - t
-    pieces, next_pieces = tables.at(t + h / 2), tables.at(now)
-    seen, rates, end_rates = field.seen(field.model.inputs(t, pieces), t, h, y, after)
+    segments, next_segments = tables.at(t + h / 2), tables.at(now)
+    seen, rates, end_rates = field.seen(field.model.inputs(t, segments), t, h, y, after)
     jumped = jnp.zeros((), bool)
-    for table, old, new in zip(tables.base, pieces.base, next_pieces.base, strict=True):
+    for table, old, new in zip(tables.base, segments.base, next_segments.base, strict=True):
         jumped = jumped | ((old.begin != new.begin) & table.jumps)
-    speed = field.model.relative_velocity(field.model.inputs(now, next_pieces), jnp.zeros_like(now), after)
-    moved, record = watch_step(
-        criterion, watch, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
+    speed = field.model.relative_velocity(field.model.inputs(now, next_segments), jnp.zeros_like(now), after)
+    moved, record = detect(
+        criterion, detector, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
     )
-    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, watch)
+    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
     return moved, record, Passage(t, y, rates, end_rates)

@@ -18,7 +18,7 @@ class Criterion(NamedTuple):
     minimum_duration: Scalar
 
 
-class Watch(NamedTuple):
+class StickDetector(NamedTuple):
     """What is known of the sticks so far.
 
     `inside`: whether the relative velocity is below the threshold. `crossed`: when it passed through zero in the last
@@ -55,23 +55,23 @@ class Step(NamedTuple):
     need1: FloatArray
 
 
-def start_watch(criterion: Criterion, speed: FloatArray, position: FloatArray) -> Watch:
+def start_detector(criterion: Criterion, speed: FloatArray, position: FloatArray) -> StickDetector:
     """The beginning of a trajectory with this relative velocity and position."""
     dtype = speed.dtype
     inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
-    return Watch(inside, zero, position, never, position, start_totals(dtype), jnp.zeros((), bool))
+    return StickDetector(inside, zero, position, never, position, start_totals(dtype), jnp.zeros((), bool))
 
 
-def watch_step(
+def detect(
     criterion: Criterion,
-    watch: Watch,
+    detector: StickDetector,
     step: Step,
     *,
     jumped: BoolArray,
     after: FloatArray,
     last: BoolArray,
     resolved: bool,
-) -> tuple[Watch, StickRecord]:
+) -> tuple[StickDetector, StickRecord]:
     """Go over one step.
 
     It may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. `resolved`: whether
@@ -81,19 +81,19 @@ def watch_step(
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
     inside = jnp.abs(step.r1) <= threshold
-    enters, leaves = ~watch.inside & inside, watch.inside & ~inside
+    enters, leaves = ~detector.inside & inside, detector.inside & ~inside
     entry = _crossing(threshold, step, entering=True) if resolved else _straight_entry(threshold, step)
     leave = _crossing(threshold, step, entering=False)
     leave = leave if resolved else _late_exit(threshold, step, leave)
     at = _position(step, entry)
-    start = jnp.where(enters, step.t + entry, watch.start)
-    position = jnp.where(enters, at, watch.position)
-    crossed, crossed_at = watch.crossed, watch.crossed_at
+    start = jnp.where(enters, step.t + entry, detector.start)
+    position = jnp.where(enters, at, detector.position)
+    crossed, crossed_at = detector.crossed, detector.crossed_at
     if not resolved:
         # A long step in which the mass comes to rest may end a little beyond; the next one brings it back.
-        late = enters & jnp.isfinite(watch.crossed)
-        start, position = jnp.where(late, watch.crossed, start), jnp.where(late, watch.crossed_at, position)
-        passes = ~watch.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
+        late = enters & jnp.isfinite(detector.crossed)
+        start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
+        passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
         crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
 
     now = step.t + step.h
@@ -105,21 +105,21 @@ def watch_step(
     ending = jnp.where(leaves, released, jnp.where(cut, horizon, switched))
     record = StickRecord(start, end, position, jnp.where(counts, ending, none))
     totals = Totals(
-        sticks=watch.totals.sticks + counts,
-        censored=watch.totals.censored + (counts & cut),
-        stick_time=watch.totals.stick_time + jnp.where(counts, end - start, 0),
+        sticks=detector.totals.sticks + counts,
+        censored=detector.totals.censored + (counts & cut),
+        stick_time=detector.totals.stick_time + jnp.where(counts, end - start, 0),
     )
     goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
-    watch = Watch(
+    detector = StickDetector(
         inside=goes_on,
         start=jnp.where(jumped, now, start),
         position=jnp.where(jumped, step.x1, position),
         crossed=crossed,
         crossed_at=crossed_at,
         totals=totals,
-        at_start=watch.at_start | (counts & (start <= 0)),
+        at_start=detector.at_start | (counts & (start <= 0)),
     )
-    return watch, record
+    return detector, record
 
 
 def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:

@@ -14,7 +14,7 @@ function, the guard, that is positive while the present mode lasts. Each turn of
 
 What can be missed: two falls in one step between which the guard has two more extrema, which the cubic through the
 ends of a step cannot show; so steps must be short against the shortest time scale (`time_scales.py` sees to it).
-Where something less than `_DOUBT` would have made or undone an event, that is counted (`_close_calls`).
+Where something less than `_NEAR_GRAZING` would have made or undone an event, that is counted (`_close_calls`).
 """
 
 import math
@@ -27,17 +27,17 @@ import numpy as np
 from jax import lax
 
 from ..._events.records import StickRecord, Totals, start_totals
-from ..._excitation.excitation import Drive
-from ..._excitation.segments import Feed, PieceLaw, next_feed
+from ..._excitation.excitation import Excitation
+from ..._excitation.segments import SegmentLaw, SegmentState, following_segment
 from ..._numerics.roots import look_ahead
 from ..._numerics.sharing import sharing
 from ..._status import Ending, Status
-from ..._systems.switched_model import NOISE_ULPS, Pieces, State, SwitchedModel
+from ..._systems.switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from ..._systems.system import System
 from ..._types import BoolArray, FloatArray, IntArray
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
-_DOUBT = {8: 1e-9, 4: 1e-3}  # of the guard's scale
+_NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # of the guard's scale
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
 _ERROR = {8: 1e-9, 4: 1e-5}  # of a step without a closed form, relative; its solver's estimate is far too high
 _LEAST_ERROR = 1e-20
@@ -57,47 +57,51 @@ class Lane(NamedTuple):
     pace: FloatArray  # the longest step that the error of those before allows
     event: FloatArray  # time of the last event at rest
     tries: IntArray
-    turns: IntArray  # of the loop so far
+    steps: IntArray  # of the loop so far
     stick_start: FloatArray
     stick_position: FloatArray
     totals: Totals
     at_start: BoolArray
-    doubts: IntArray
-    feeds: tuple[Feed, ...]
+    near_grazing_count: IntArray
+    segment_states: tuple[SegmentState, ...]
 
 
-class Streams(eqx.Module):
+class SegmentLaws(eqx.Module):
     """The laws of all parts of the drive that come in pieces; a lane's feeds follow their order."""
 
-    base: tuple[PieceLaw, ...]
-    ground: tuple[PieceLaw, ...]
-    force: tuple[PieceLaw, ...]
+    base: tuple[SegmentLaw, ...]
+    ground: tuple[SegmentLaw, ...]
+    force: tuple[SegmentLaw, ...]
 
     @classmethod
-    def of(cls, system: System, drive: Drive) -> "Streams":
+    def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
         """The parts of drive and force that come in pieces."""
-        return cls(drive.base, drive.ground, system.recorded_loads)
+        return cls(excitation.base, excitation.ground, system.recorded_loads)
 
     @property
-    def all(self) -> tuple[PieceLaw, ...]:
+    def all(self) -> tuple[SegmentLaw, ...]:
         return self.base + self.ground + self.force
 
-    def pieces(self, feeds: tuple[Feed, ...]) -> Pieces:
+    def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
         """The pieces under way."""
-        now = tuple(feed.piece for feed in feeds)
+        now = tuple(segment_state.segment for segment_state in segment_states)
         second, third = len(self.base), len(self.base) + len(self.ground)
-        return Pieces(now[:second], now[second:third], now[third:])
+        return Segments(now[:second], now[second:third], now[third:])
 
 
 def start_lane(
-    model: SwitchedModel, streams: Streams, feeds: tuple[Feed, ...], y0: tuple[Any, ...], step: FloatArray
+    model: SwitchedModel,
+    segment_laws: SegmentLaws,
+    segment_states: tuple[SegmentState, ...],
+    y0: tuple[Any, ...],
+    step: FloatArray,
 ) -> Lane:
     """The beginning of a trajectory, its mode settled."""
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
-    inputs = model.inputs(zero, streams.pieces(feeds))
-    y, sign = _settle(model, inputs, y, model.at_rest(inputs, y))
+    inputs = model.inputs(zero, segment_laws.segments(segment_states))
+    y, sign = _resolve_mode(model, inputs, y, model.at_rest(inputs, y))
     return Lane(
         zero,
         y,
@@ -112,18 +116,18 @@ def start_lane(
         start_totals(dtype),
         sign == 0,
         none,
-        feeds,
+        segment_states,
     )
 
 
 @sharing
 def advance(
-    model: SwitchedModel, streams: Streams, t1: FloatArray, step: FloatArray, lane: Lane
+    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, lane: Lane
 ) -> tuple[Lane, StickRecord]:
     """One turn of the loop; the stick that ended in it, if any."""
     dtype = lane.t.dtype
-    inputs = model.inputs(lane.t, streams.pieces(lane.feeds))
-    stop = jnp.minimum(t1, _first(feed.piece.end for feed in lane.feeds))
+    inputs = model.inputs(lane.t, segment_laws.segments(lane.segment_states))
+    stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
     left = stop - lane.t
     to_stop = lane.t + lane.target >= stop  # so written, for the sum may be rounded up to it
     h = jnp.where(to_stop, left, lane.target)
@@ -165,12 +169,12 @@ def advance(
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
-    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), turns=lane.turns + 1)
+    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
-    switched, record, edge, abrupt = _switch(model, streams, moved, landed, live & taken & to_stop, t1)
-    doubt = touched | (race & abrupt) | (edge < 2 * _DOUBT[dtype.itemsize])
-    switched = switched._replace(doubts=lane.doubts + doubt)
+    switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, live & taken & to_stop, t1)
+    near_grazing = touched | (race & abrupt) | (edge < 2 * _NEAR_GRAZING[dtype.itemsize])
+    switched = switched._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
     longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
     pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
     target = jnp.where(again & ~rough, guess * h, jnp.minimum(longest, pace))
@@ -195,7 +199,7 @@ class _Stretch(NamedTuple):
 
 def _close_calls(of: _Stretch, taken: BoolArray, landed: BoolArray, stopped: BoolArray) -> tuple[BoolArray, BoolArray]:
     """Whether the last digits decided whether there was an event, and whether they would if the mode ended abruptly."""
-    few = _DOUBT[of.s1.dtype.itemsize]
+    few = _NEAR_GRAZING[of.s1.dtype.itemsize]
     # Here the guard is so flat that it is near its lowest point: were that a little higher, or lower, there would be no
     # event, or one. (The guard of a slip that has only just begun at rest has never been high.)
     flat = (jnp.abs(of.d1) * of.step < math.sqrt(2 * few) * of.scale) & (of.sticking | (of.age > of.step))
@@ -214,7 +218,7 @@ def _pace(pace: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, 
     return jnp.where(rough, h * jnp.minimum(change, 0.8), faster)
 
 
-def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
+def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
     """Settle the mode after an event or at the end of a piece, and note the stick that ended.
 
     Also returned: how far from the edge of the stick's band it was decided whether the mass sticks (infinity if that
@@ -222,8 +226,8 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     """
     ended = at_stop & (lane.t < t1)
     was_stick = lane.sign == 0
-    feeds, jumped = next_feeds(streams, lane.feeds, lane.t, ended)
-    inputs = model.inputs(lane.t, streams.pieces(feeds))
+    segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
+    inputs = model.inputs(lane.t, segment_laws.segments(segment_states))
 
     on_base = model.on_base(inputs, lane.y)
     holds = model.can_stick(inputs, on_base)
@@ -232,10 +236,10 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     turned = jnp.where(was_stick | resting, model.release_sign(inputs, on_base), -lane.sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
-    settled_y, settled_sign = _settle(model, inputs, lane.y, resting | (was_stick & ~jumped))
-    settle = ended & ~slipping
-    sign = jnp.where(settle, settled_sign, sign)
-    y = _where(settle, settled_y, _where(landed & (sign == 0), on_base, lane.y))
+    resolved_y, resolved_sign = _resolve_mode(model, inputs, lane.y, resting | (was_stick & ~jumped))
+    resolve = ended & ~slipping
+    sign = jnp.where(resolve, resolved_sign, sign)
+    y = _where(resolve, resolved_y, _where(landed & (sign == 0), on_base, lane.y))
 
     cut = at_stop & ~(lane.t < t1)
     over = was_stick & ((sign != 0) | cut) & (lane.t > lane.stick_start)
@@ -259,7 +263,7 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
             y=y,
             sign=sign,
             totals=totals,
-            feeds=feeds,
+            segment_states=segment_states,
             event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
             at_start=lane.at_start & ~no_stick,
             stick_start=jnp.where(begins, lane.t, lane.stick_start),
@@ -271,22 +275,22 @@ def _switch(model, streams, lane, landed, at_stop, t1) -> tuple[Lane, StickRecor
     )
 
 
-def next_feeds(
-    streams: Streams, feeds: tuple[Feed, ...], t: FloatArray, ended: BoolArray
-) -> tuple[tuple[Feed, ...], BoolArray]:
+def following_segments(
+    segment_laws: SegmentLaws, segment_states: tuple[SegmentState, ...], t: FloatArray, ended: BoolArray
+) -> tuple[tuple[SegmentState, ...], BoolArray]:
     """The pieces under way after time `t`, where a step `ended` that may have come to the end of some, and whether a
     base velocity jumped.
     """
     following, jumped = [], jnp.zeros((), bool)
-    for law, feed in zip(streams.all, feeds, strict=True):
-        over = ended & (feed.piece.end <= t)
-        new = next_feed(law, feed, t.dtype)
-        following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, feed))
+    for law, segment_state in zip(segment_laws.all, segment_states, strict=True):
+        over = ended & (segment_state.segment.end <= t)
+        new = following_segment(law, segment_state, t.dtype)
+        following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, segment_state))
         jumped = jumped | (over & law.jumps)
     return tuple(following), jumped
 
 
-def _settle(model, inputs, y, resting):
+def _resolve_mode(model, inputs, y, resting):
     """The mode of a mass in the state `y`, found from nothing but whether it is at rest there."""
     on_base = model.on_base(inputs, y)
     held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
@@ -303,19 +307,19 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
 
 
-def has_ended(lane: Any, t1: FloatArray, most_turns: IntArray) -> BoolArray:
+def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
     """Whether nothing more will happen: the horizon, the end of the base motion, a NaN, or too many turns."""
     finite = jnp.ones((), bool)
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
-    return ~(lane.t < t1) | is_spent(lane) | (lane.turns >= most_turns) | ~finite
+    return ~(lane.t < t1) | is_spent(lane) | (lane.steps >= most_steps) | ~finite
 
 
 def is_spent(lane: Any) -> BoolArray:
     """Whether some part of the drive has come to its end."""
     spent = jnp.zeros((), bool)
-    for feed in lane.feeds:
-        spent = spent | feed.spent
+    for segment_state in lane.segment_states:
+        spent = spent | segment_state.spent
     return spent
 
 

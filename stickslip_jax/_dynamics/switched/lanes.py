@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._events.records import count_slips
-from ..._excitation.excitation import Drive
+from ..._excitation.excitation import Excitation
 from ..._excitation.random import realised_state
 from ..._excitation.smooth import Signal
 from ..._types import AnyInteger, Array, BoolArray, Scalar
 from ..lanes import BLOCK, Engine, LaneResults, Records
-from .engine import Lane, Streams, advance, has_ended, status_of_lane
+from .engine import Lane, SegmentLaws, advance, has_ended, status_of_lane
 from .run import lane_at_start
 
 
@@ -26,41 +26,41 @@ class _Lanes(NamedTuple):
 class SwitchedEngine(Engine):
     """Any system under any drive, up to `t1`, from `y0` (numbers, or `Uniform` values), by time steps of `step` s.
 
-    A sample that takes more than `most_turns` steps and tries is given up.
+    A sample that takes more than `most_steps` steps and tries is given up.
     """
 
     system: Any
-    drive: Drive
+    excitation: Excitation
     solver: Any
     t1: Scalar
     y0: tuple[Any, ...]
     step: Scalar
-    most_turns: AnyInteger
+    most_steps: AnyInteger
 
-    def begin(self, words: tuple[Array, Array], dtype) -> _Lanes:
-        y0 = realised_state(self.y0, words, dtype)
-        lane = lane_at_start(self.system, self.drive, words, y0, jnp.asarray(self.step, dtype), self.solver)
-        smooth = self.drive.realised(words, dtype)
+    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+        y0 = realised_state(self.y0, key_data, dtype)
+        lane = lane_at_start(self.system, self.excitation, key_data, y0, jnp.asarray(self.step, dtype), self.solver)
+        smooth = self.excitation.realised(key_data, dtype)
         return _Lanes(lane, jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth))
 
-    def advance(self, state: _Lanes, dtype, room: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        streams = Streams.of(self.system, self.drive)
+    def advance(self, state: _Lanes, dtype, buffer: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
+        segment_laws = SegmentLaws.of(self.system, self.excitation)
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step, dtype)
 
         def step_one(lane, smooth):
-            lane, stick = advance(self.system.switched_model(smooth, self.solver), streams, t1, step, lane)
+            lane, stick = advance(self.system.switched_model(smooth, self.solver), segment_laws, t1, step, lane)
             return lane, (jnp.stack(stick[:3]), stick.ending)
 
-        def turn(carry, _):
-            lanes, room, slot = carry
+        def one_step(carry, _):
+            lanes, buffer, slot = carry
             lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, state.smooth)
-            return (lanes, room if room is None else room.with_slot(slot, *sticks), slot + 1), None
+            return (lanes, buffer if buffer is None else buffer.with_slot(slot, *sticks), slot + 1), None
 
-        (lanes, room, _), _ = lax.scan(turn, (state.lane, room, slot), None, length=BLOCK)
-        return _Lanes(lanes, state.smooth), room
+        (lanes, buffer, _), _ = lax.scan(one_step, (state.lane, buffer, slot), None, length=BLOCK)
+        return _Lanes(lanes, state.smooth), buffer
 
     def ended(self, state: _Lanes) -> BoolArray:
-        most = jnp.asarray(self.most_turns, jnp.int32)
+        most = jnp.asarray(self.most_steps, jnp.int32)
         return jax.vmap(lambda lane: has_ended(lane, self._t1(lane), most))(state.lane)
 
     def results(self, state: _Lanes) -> LaneResults:
@@ -70,7 +70,7 @@ class SwitchedEngine(Engine):
             slips=count_slips(lanes.totals, lanes.at_start),
             stick_time=lanes.totals.stick_time,
             status=jax.vmap(lambda lane: status_of_lane(lane, self._t1(lane)))(lanes),
-            doubts=lanes.doubts,
+            near_grazing_count=lanes.near_grazing_count,
         )
 
     def _t1(self, lane: Lane) -> Array:

@@ -8,16 +8,16 @@ import jax
 from jaxtyping import Array
 
 from ..._events.sticks import sticks_in_order
-from ..._excitation.excitation import Drive
+from ..._excitation.excitation import Excitation
 from ..._numerics.known import NotKnown, largest
 from ..._status import Status
 from ..._systems.switched_model import State
 from ..._types import FloatArray, Scalar
 from ..method import Exact
 from ..path import Path, Run
-from ..time_scales import room_to_give
+from ..time_scales import max_steps_advice
 from ..validation import checked_step
-from .run import Beginnings, base_velocity_at, run_trajectory, state_at, turns_for
+from .run import Beginnings, base_velocity_at, run_trajectory, state_at, steps_for
 
 _MOST_KEPT = 2**25  # turns of the loop whose states are kept: about 3 GB
 _MOST_DOUBLINGS = 6  # of the turns of the loop, before a trajectory is given up
@@ -27,7 +27,7 @@ class StepPath(Path):
     """The states at the beginnings of time steps."""
 
     system: Any
-    drive: Drive
+    excitation: Excitation
     solver: Any
     beginnings: Beginnings
 
@@ -36,33 +36,33 @@ class StepPath(Path):
         return self.beginnings.t
 
     def state(self, time: FloatArray) -> State:
-        return state_at(self.system, self.drive, self.solver, self.beginnings, time)
+        return state_at(self.system, self.excitation, self.solver, self.beginnings, time)
 
     def base_velocity(self, time: FloatArray) -> FloatArray:
-        return base_velocity_at(self.drive, self.beginnings, time)
+        return base_velocity_at(self.excitation, self.beginnings, time)
 
 
 def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
     """One trajectory in time steps with located switches; again with more steps where they did not suffice."""
-    drive, step = checked_step(system, base, method, t1)
+    excitation, step = checked_step(system, base, method, t1)
     try:
-        turns = turns_for(system, drive, t1, step) if method.max_steps is None else method.max_steps
+        steps = steps_for(system, excitation, t1, step) if method.max_steps is None else method.max_steps
     except NotKnown:
         raise ValueError(
             "Argument method must give max_steps, Exact(max_steps=...), when t1 or the time scales are arguments of a "
-            f"function under jax.jit: {room_to_give(system, drive, method, t1)}."
+            f"function under jax.jit: {max_steps_advice(system, excitation, method, t1)}."
         ) from None
-    if turns > _MOST_KEPT:
+    if steps > _MOST_KEPT:
         raise ValueError(
-            f"Argument t1 must be shorter: {turns} steps would be kept, and at most {_MOST_KEPT} can be; "
+            f"Argument t1 must be shorter: {steps} steps would be kept, and at most {_MOST_KEPT} can be; "
             "simulate_ensemble keeps sticks only, for a single sample too."
         )
-    run: Run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
+    run: Run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
         if not _is_short(run):
             break
-        turns *= 2
-        run = _follow_steps(system, drive, method.solver, t1, y0, step, turns=turns, dtype=dtype)
+        steps *= 2
+        run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
     return run
 
 
@@ -73,9 +73,9 @@ def _is_short(run: Run) -> bool:
     return False
 
 
-@partial(jax.jit, static_argnames=("turns", "dtype"))
-def _follow_steps(system, drive, solver, t1, y0, step, *, turns, dtype) -> Run:
-    done = run_trajectory(system, drive, solver, t1, y0, step, turns=turns, dtype=dtype)
+@partial(jax.jit, static_argnames=("steps", "dtype"))
+def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> Run:
+    done = run_trajectory(system, excitation, solver, t1, y0, step, steps=steps, dtype=dtype)
     lane = done.lane
-    path = StepPath(system, drive, solver, done.beginnings)
-    return Run(sticks_in_order(*done.records), lane.totals, done.status, lane.t, lane.y, lane.doubts, path)
+    path = StepPath(system, excitation, solver, done.beginnings)
+    return Run(sticks_in_order(*done.records), lane.totals, done.status, lane.t, lane.y, lane.near_grazing_count, path)

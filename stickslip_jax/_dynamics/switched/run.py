@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 
 from ..._events.records import StickRecord, no_stick
-from ..._excitation.excitation import Drive
-from ..._excitation.segments import open_feed
+from ..._excitation.excitation import Excitation
+from ..._excitation.segments import first_segment
 from ..._excitation.voltage import SourceVoltage
 from ..._numerics.known import largest, smallest
-from ..._systems.switched_model import Pieces, State
+from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, Scalar
 from ..blocks import few_sizes, scan_in_blocks
-from .engine import Lane, Streams, advance, has_ended, start_lane, status_of_lane
+from .engine import Lane, SegmentLaws, advance, has_ended, start_lane, status_of_lane
 
-MOST_TURNS = 2**30  # they are counted in 32 bits
+MOST_STEPS = 2**30  # they are counted in 32 bits
 
 
 class Beginnings(NamedTuple):
@@ -26,7 +26,7 @@ class Beginnings(NamedTuple):
     t: Array
     y: tuple[Array, ...]
     sign: Array
-    pieces: Pieces
+    segments: Segments
 
 
 class Trajectory(eqx.Module):
@@ -38,63 +38,75 @@ class Trajectory(eqx.Module):
     beginnings: Beginnings
 
 
-def lane_at_start(system: Any, drive: Drive, words: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any) -> Lane:
-    """The beginning of the trajectory that `words` choose."""
+def lane_at_start(
+    system: Any, excitation: Excitation, key_data: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any
+) -> Lane:
+    """The beginning of the trajectory that `key_data` choose."""
     dtype = step.dtype
-    streams = Streams.of(system, drive)
-    model = system.switched_model(drive.realised(words, dtype), solver)
-    own = drive.words_of_pieces(words)
-    feeds = tuple(open_feed(law, own, dtype) for law in streams.all)
-    return start_lane(model, streams, feeds, y0, step)
+    segment_laws = SegmentLaws.of(system, excitation)
+    model = system.switched_model(excitation.realised(key_data, dtype), solver)
+    own = excitation.segment_key_data(key_data)
+    segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
+    return start_lane(model, segment_laws, segment_states, y0, step)
 
 
 def run_trajectory(
-    system: Any, drive: Drive, solver: Any, t1: Scalar, y0: tuple[Any, ...], step: Scalar, *, turns: int, dtype: Any
+    system: Any,
+    excitation: Excitation,
+    solver: Any,
+    t1: Scalar,
+    y0: tuple[Any, ...],
+    step: Scalar,
+    *,
+    steps: int,
+    dtype: Any,
 ) -> Trajectory:
-    """Follow one realisation for up to `turns` turns of the loop; where it ends earlier, the loop idles."""
+    """Follow one realisation for up to `steps` turns of the loop; where it ends earlier, the loop idles."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
-    streams, model = Streams.of(system, drive), system.switched_model(drive.signal, solver)
-    start = lane_at_start(system, drive, jnp.zeros(2, jnp.uint32), y0, step, solver)
-    most = jnp.asarray(turns, jnp.int32)
+    segment_laws, model = SegmentLaws.of(system, excitation), system.switched_model(excitation.signal, solver)
+    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver)
+    most = jnp.asarray(steps, jnp.int32)
 
     def beginning(lane):
-        return Beginnings(lane.t, lane.y, lane.sign, streams.pieces(lane.feeds))
+        return Beginnings(lane.t, lane.y, lane.sign, segment_laws.segments(lane.segment_states))
 
-    def turn(lane, _):
-        following, record = advance(model, streams, t1, step, lane)
+    def one_step(lane, _):
+        following, record = advance(model, segment_laws, t1, step, lane)
         return following, (record, beginning(lane))
 
     def idle(lane):
         return no_stick(dtype), beginning(lane)
 
-    lane, (records, beginnings) = scan_in_blocks(turn, start, turns, lambda lane, _: has_ended(lane, t1, most), idle)
+    lane, (records, beginnings) = scan_in_blocks(
+        one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle
+    )
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
 
 
-def state_at(system: Any, drive: Drive, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
+def state_at(system: Any, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the turn that holds it."""
-    model = system.switched_model(drive.signal, solver)
+    model = system.switched_model(excitation.signal, solver)
     # Among turns that begin together (tries of the same step), the last: it is the one that was taken.
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
-    t, y, sign, pieces = jax.tree.map(lambda values: values[index], beginnings)
-    inputs, h = model.inputs(t, pieces), time - t
+    t, y, sign, segments = jax.tree.map(lambda values: values[index], beginnings)
+    inputs, h = model.inputs(t, segments), time - t
     stuck, slid = model.stick(inputs, y, h), model.slip(inputs, y, jnp.where(sign == 0, 0, h), sign)
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
 
 
-def base_velocity_at(drive: Drive, beginnings: Beginnings, time: FloatArray) -> FloatArray:
+def base_velocity_at(excitation: Excitation, beginnings: Beginnings, time: FloatArray) -> FloatArray:
     """The base velocity at one `time`, m/s; 0 where nothing but a voltage or the ground's acceleration drives."""
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     velocity = jnp.zeros_like(time)
-    if drive.signal is not None and not isinstance(drive.signal, SourceVoltage):
-        velocity = velocity + drive.signal.value(time)
-    for piece in beginnings.pieces.base:
-        begin, value, slope = (values[index] for values in (piece.begin, piece.value, piece.slope))
+    if excitation.signal is not None and not isinstance(excitation.signal, SourceVoltage):
+        velocity = velocity + excitation.signal.value(time)
+    for segment in beginnings.segments.base:
+        begin, value, slope = (values[index] for values in (segment.begin, segment.value, segment.slope))
         velocity = velocity + value + slope * (time - begin)
     return velocity
 
 
-def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
+def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> int:
     """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece.
 
     Rounded up to one of few sizes, so that neighbouring lengths share a compilation; the loop stops when a trajectory
@@ -102,11 +114,11 @@ def turns_for(system: Any, drive: Drive, t1: Scalar, step: Scalar) -> int:
     counted in 32 bits.
     """
     horizon, shortest = largest(t1), smallest(step)
-    pieces = sum(law.pieces(horizon) for law in Streams.of(system, drive).all)
-    turns = 1.5 * (horizon / shortest) + 2 * pieces + 96
-    if turns > MOST_TURNS:
+    segments = sum(law.segments(horizon) for law in SegmentLaws.of(system, excitation).all)
+    steps = 1.5 * (horizon / shortest) + 2 * segments + 96
+    if steps > MOST_STEPS:
         raise ValueError(
-            f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_TURNS} steps of {shortest:.3g} s or "
+            f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
             "pieces of the motion."
         )
-    return few_sizes(math.ceil(turns))
+    return few_sizes(math.ceil(steps))
