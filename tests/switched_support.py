@@ -256,7 +256,7 @@ def follow(system, base, t1, y0, *, step, solver=None, steps=STEPS) -> Followed:
     """Simulate in time steps; compiled once for every kind of set-up."""
     method = ss.Exact(step=step, max_steps=steps, solver=solver)
     one = ss.simulate(system, base, t1=t1, y0=y0, method=method)
-    begun = one.switching_times
+    begun = one.step_starts
     middles = (begun + jnp.append(begun[1:], t1)) / 2
     times = (begun, middles, one.sticks.start, one.sticks.end)
     states = states_at(one, jnp.concatenate(times))

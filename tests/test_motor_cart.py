@@ -192,7 +192,7 @@ def energy_error(step):
     """
     system = ss.MotorCart(mu=0.5)
     one = ss.simulate(system, VOLTAGE, t1=1.0, y0=(0.7, 0.0, 0.0), method=ss.Exact(step=step))
-    knots = np.unique(np.asarray(one.switching_times))
+    knots = np.unique(np.asarray(one.step_starts))
     nodes, weights = np.polynomial.legendre.leggauss(6)
     times = knots[:-1, None] + np.diff(knots)[:, None] * (nodes + 1) / 2
     angle, speed, current = (np.asarray(values) for values in one.evaluate(times))

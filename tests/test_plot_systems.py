@@ -133,7 +133,7 @@ def test_history_is_the_trajectory(one):
         assert np.all(np.diff(times) >= 0)
         assert values == pytest.approx(state, abs=1e-12)
         # Every time step is drawn with five points between its ends, but for sticks that are straight lines.
-        steps = np.unique([*np.asarray(one.switching_times), *filled(one, "start"), *filled(one, "end")])
+        steps = np.unique([*np.asarray(one.step_starts), *filled(one, "start"), *filled(one, "end")])
         middles = (steps[:-1] + steps[1:]) / 2
         straight = np.any([(a < middles) & (middles < b) for a, b in zip(*ends_of(one), strict=True)], axis=0)
         bent = ~straight if isinstance(one.base, ss.VelocitySteps) else slice(None)
@@ -274,7 +274,7 @@ def test_portrait_is_the_trajectory(one):
     for piece, *ends in zip(sticks, *ends_of(one), strict=True):
         assert piece[[0, -1]] == pytest.approx(np.column_stack(exact(one, ends)[0]), abs=1e-9)
     points = np.concatenate([piece for drawn in ax.lines if drawn.get_marker() != "x" for piece in segments(drawn)])
-    states = np.column_stack(exact(one, np.unique(np.asarray(one.switching_times)))[0])
+    states = np.column_stack(exact(one, np.unique(np.asarray(one.step_starts)))[0])
     nearest = np.min(np.linalg.norm(points[None] - states[:, None], axis=2), axis=1)
     assert np.all(nearest < 1e-12)
 
@@ -293,7 +293,7 @@ def test_portrait_centres_and_abscissae(one, annotations_unchecked):
 
 @of("motor")
 def test_portrait_of_a_motor_breaks_where_a_turn_ends(one):
-    (angle, speed, _), _ = exact(one, np.unique(np.asarray(one.switching_times)))
+    (angle, speed, _), _ = exact(one, np.unique(np.asarray(one.step_starts)))
     assert angle[-1] > TURN
     ax = plot.phase_portrait(one)
     pieces = segments(line(ax, "slip"))

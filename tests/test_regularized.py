@@ -195,7 +195,7 @@ def test_a_short_pulse_is_not_stepped_over(fixed, delta):
     np.testing.assert_allclose(change, kick * np.array([math.sin(angle) / omega, math.cos(angle)]), atol=2e-3 * kick)
     stuck = simulate(pulse(delta, 0.05, (0.0, 0.05), at, pace))
     for run in (one, stuck):
-        off = np.abs(np.asarray(run.switching_times)[:, None] - [at, at + delta])
+        off = np.abs(np.asarray(run.step_starts)[:, None] - [at, at + delta])
         assert np.all(np.min(off, axis=0) <= 2 * np.spacing(at))
     start, end, position, ending = sticks(stuck)
     assert ending.tolist() == [ss.Ending.BASE_SWITCHED, ss.Ending.HORIZON]

@@ -95,7 +95,7 @@ def test_gradients_are_finite_where_nothing_sticks():
 def energy_error(system, base, y0, **method):
     """Energy gained less the work of force, damper and friction, by quadrature over the steps; and the work done."""
     one = ss.simulate(system, base, t1=T1, y0=y0, method=ss.Exact(**method))
-    knots = np.unique(np.concatenate([np.asarray(one.switching_times), [T1]]))
+    knots = np.unique(np.concatenate([np.asarray(one.step_starts), [T1]]))
     nodes, weights = np.polynomial.legendre.leggauss(10)
     times = knots[:-1, None] + np.diff(knots)[:, None] * (nodes + 1) / 2
     x, p = (np.asarray(values) for values in one.evaluate(times))
@@ -175,7 +175,7 @@ def followed(values):
             jax.vmap(base.rate)(times) + system.damping * v + system.stiffness * x - jax.vmap(system.force.value)(times)
         )
 
-    begun = one.switching_times
+    begun = one.step_starts
     middle = (begun + jnp.append(begun[1:], T1)) / 2
     inside = jnp.any((middle[:, None] >= start) & (middle[:, None] <= end) & one.sticks.mask, axis=1)
     lasting = jnp.append(begun[1:], T1) - begun > 1e-6

@@ -27,8 +27,8 @@ def crossing(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
     Seen on both sides of 0, near misses included. The window is as wide as `distance` moves, to first order, when the
     parameters move `bandwidth` times the direction of differentiation: ``u = distance / (bandwidth |d distance|)``, and
     the derivative is ``sign(d distance) K(u) / bandwidth`` with ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every
-    weight is bounded, what does not move is left out, and the answer is what a central difference of that step would give
-    to first order. It is linear in the direction only in expectation: forward mode alone.
+    weight is bounded, what does not move is left out, and the answer is what a central difference of that step would
+    give to first order. It is linear in the direction only in expectation: forward mode alone.
     """
     return 0 * distance
 

@@ -32,8 +32,8 @@ class Simulation(eqx.Module):
       could just hold it; a jump of the base or the horizon came just before or after an event. Close means about
       1e-9 of the scale (float32: 1e-3). 0 where no time steps were made.
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
-    - `switching_times`: the instants at which the base velocity jumps (or may; of a trajectory in time steps: at which
-      its steps begin), s.
+    - `step_starts`: the instants at which the steps of the simulation begin, s: time steps, or where the motion is known
+      in closed form the whole intervals of the base velocity.
     - `system`, `base`, `t1`, `method`: what was simulated, and how; a `Regularized` method has its options filled in.
     """
 
@@ -66,8 +66,8 @@ class Simulation(eqx.Module):
         return self.totals.stick_time / self.t1
 
     @property
-    def switching_times(self) -> Float[Array, "*batch intervals"]:
-        """The instants at which the base's intervals begin, s, as the simulation added them up; spare slots hold t1."""
+    def step_starts(self) -> Float[Array, "*batch steps"]:
+        """The instants at which the steps of the simulation begin, s; spare slots hold the end."""
         return self._path.times
 
     def evaluate(self, times: AnyArray | float) -> tuple[FloatArray, ...]:

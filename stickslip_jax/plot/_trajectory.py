@@ -119,7 +119,7 @@ def _knots(one: Simulation, window: tuple[float, float], events: np.ndarray) -> 
     Those on an end but for round-off are left out, and some of very many time steps.
     """
     # As the simulation counted time: a jump that ends a stick is the same instant as its end, to the last bit.
-    steps = np.asarray(one.switching_times)
+    steps = np.asarray(one.step_starts)
     begin, end = (steps.dtype.type(time) for time in window)
     round_off = min(256 * float(np.finfo(steps.dtype).eps) * end, (end - begin) / 4)
     steps, events = (
