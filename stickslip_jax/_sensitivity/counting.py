@@ -8,13 +8,11 @@ rate, for every stick. No kernel is needed for that race, and no stick is unused
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from .._dynamics.interval.engine import Scales, scales_of, start_motion, status_of
-from .._dynamics.interval.lanes import draw_block
+from .._dynamics.interval.lanes import is_over
 from .._dynamics.lanes import Engine
 from .._events.records import start_totals
 from .._excitation.laws import BangBangLaw, PoissonSwitching
@@ -60,15 +58,12 @@ class Flux(NamedTuple):
         return cls(zeros, zeros)
 
 
-class _Lanes(NamedTuple):
-    """The state of every lane."""
+class _Motion(NamedTuple):
+    """The motion of one lane, the flux that it has seen, and how often its base has switched."""
 
-    key_data: tuple[Array, Array]  # the key words of the lane's sample
-    first: Array  # number of its next interval
     lane: IntervalLane
     flux: Flux
     switches: IntArray
-    stalled: BoolArray
 
 
 class IntervalCounting(Engine):
@@ -86,47 +81,37 @@ class IntervalCounting(Engine):
     likelihood: Likelihood | None
     fixed_start: bool = eqx.field(static=True)
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, _Motion]:
         x, velocity = realised_state(self.y0, key_data, dtype)
-        motion = start_motion(self._scales(dtype), (x, velocity))
-        none, zero = jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
-        lane = IntervalLane(self.law.begin(key_data, dtype), motion, start_totals(dtype), zero)
-        flux = Flux.none(len(self.bandwidths), dtype)
-        return _Lanes(key_data, none.astype(jnp.uint32), lane, flux, none, jnp.zeros((), bool))
+        motion = start_motion(self.shared(dtype), (x, velocity))
+        lane = IntervalLane(self.law.begin(key_data, dtype), motion, start_totals(dtype), jnp.zeros((), dtype))
+        return key_data, _Motion(lane, Flux.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
 
-    def advance(self, state: _Lanes, dtype, buffer: Any, slot: Array | int) -> tuple[_Lanes, Any]:
-        scales = self._scales(dtype)
-        drawn, numbers = draw_block(self.law, state.key_data, state.first, dtype)
+    def shared(self, dtype) -> Scales:
+        return scales_of(self.system, self.t1, dtype)
 
-        def step_one(lane, flux, switches, drawn, is_first):
-            moved, stick, edges, duration = cross_with_edges(self.law, scales, lane, drawn)
-            arrival = stick.start - lane.motion.t
-            flux = self._with_flux(flux, edges, arrival, is_first & self.fixed_start)
-            return moved, flux, switches + (lane.motion.t + duration < scales.t1)
+    def draw(self, sample: Any, number: Array, dtype) -> tuple[Any, BoolArray]:
+        return self.law.draw(sample, number, dtype), number == 0
 
-        def step(lanes, inputs):
-            return jax.vmap(step_one)(*lanes, *inputs), None
+    def step(self, shared: Scales, sample: Any, motion: _Motion, drawn: tuple[Any, BoolArray]) -> tuple[_Motion, None]:
+        (lane, flux, switches), (drawn, is_first) = motion, drawn
+        moved, stick, edges, duration = cross_with_edges(self.law, shared, lane, drawn)
+        flux = self._with_flux(flux, edges, stick.start - lane.motion.t, is_first & self.fixed_start)
+        return _Motion(moved, flux, switches + (lane.motion.t + duration < shared.t1)), None
 
-        begun = (state.lane, state.flux, state.switches)
-        (lane, flux, switches), _ = lax.scan(step, begun, (drawn, numbers == 0))
-        stalled = lane.motion.t <= state.lane.motion.t
-        return _Lanes(state.key_data, state.first + np.uint32(len(numbers)), lane, flux, switches, stalled), buffer
+    def ended(self, motion: _Motion, before: _Motion) -> BoolArray:
+        return is_over(motion.lane.motion, before.lane.motion, self.t1)
 
-    def ended(self, state: _Lanes) -> BoolArray:
-        # Written so that a NaN time counts as ended.
-        t = state.lane.motion.t
-        return ~(t < jnp.asarray(self.t1, t.dtype)) | state.stalled
-
-    def results(self, state: _Lanes) -> Counted:
-        motion, totals, flux = state.lane.motion, state.lane.totals, state.flux
+    def results(self, sample: Any, motion: _Motion) -> Counted:
+        totals, flux = motion.lane.totals, motion.flux
         time, births = totals.stick_time, flux.births
         if self.likelihood is not None:
             # log p = switches log(rate) - rate t1 + ..., of a Poisson process.
             rate = jnp.asarray(self.likelihood.rate, time.dtype)
-            score = weighted_flux(state.switches / rate - self.t1, rate, jnp.ones((), bool))
+            score = weighted_flux(motion.switches / rate - self.t1, rate, jnp.ones((), bool))
             births = tuple(born + (totals.sticks - self.likelihood.sticks) * score for born in births)
             time = time + (time - self.likelihood.stick_time) * score
-        status = status_of(motion, jnp.asarray(self.t1, time.dtype))
+        status = status_of(motion.lane.motion, jnp.asarray(self.t1, time.dtype))
         return Counted(status, time, totals.sticks, births, flux.near)
 
     def _with_flux(self, total: Flux, edges: Edges, arrival: FloatArray, is_fixed: BoolArray | bool) -> Flux:
@@ -145,6 +130,3 @@ class IntervalCounting(Engine):
             tuple(near + through(edges, bandwidth, hits, hits)
                   for near, bandwidth in zip(total.near, bandwidths, strict=True)),
         )  # fmt: skip
-
-    def _scales(self, dtype) -> Scales:
-        return scales_of(self.system, self.t1, dtype)

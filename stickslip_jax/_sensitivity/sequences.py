@@ -6,13 +6,14 @@ what a stick of no length adds there, or what it changes if a stick is parted in
 more is told by the sticks themselves: one from t = 0 falls to nothing.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._numerics.random_bits import random_words
+from .._dynamics.lanes import follow_block, lanes_at_start
 from .._status import Ending
 from .._types import AnyArray, Array, IntArray
 from .edges import Edges
@@ -61,36 +62,39 @@ def record_sequences(
     engine: TracedIntervals | TracedSteps, key_data: Array, first: Array, *, lanes: int, buffer: BufferSizes, dtype: Any
 ) -> Recorded:
     """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks and edges."""
-    number = first + jnp.arange(lanes, dtype=jnp.uint32)
-    state, certain = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*random_words(key_data, number))
+    engine = dataclasses.replace(engine, with_edges=buffer.edges > 0)
+    start = lanes_at_start(engine, key_data, first, lanes, dtype)
 
-    def advance(state):
+    def advance(carry):
         # A lane that has ended idles: nothing happens after the horizon.
-        following, trace = engine.advance(state, dtype, with_edges=buffer.edges > 0)
-        live = ~engine.ended(state)
-        return jax.tree.map(lambda new, old: _where(live, new, old), following, state), trace
+        now, ended = carry
+        after, trace = follow_block(engine, now, dtype, stacked=True)
+        following = jax.tree.map(lambda new, old: _where(~ended, new, old), after, now)
+        return (following, ended | jax.vmap(engine.ended)(after.motion, now.motion)), trace
 
-    shapes = jax.eval_shape(advance, state)[1]
+    begun = start, jnp.zeros(lanes, bool)
+    shapes = jax.eval_shape(advance, begun)[1]
 
-    def idle(state):
+    def idle(carry):
         none = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-        return state, none._replace(sticks=none.sticks._replace(ending=none.sticks.ending - 1))
+        return carry, none._replace(sticks=none.sticks._replace(ending=none.sticks.ending - 1))
 
-    def block(state, _):
-        return lax.cond(jnp.all(engine.ended(state)), idle, advance, state)
+    def block(carry, _):
+        return lax.cond(jnp.all(carry[1]), idle, advance, carry)
 
-    state, trace = lax.scan(block, state, None, length=buffer.blocks)
+    (now, _), trace = lax.scan(block, begun, None, length=buffer.blocks)
+    certain = now.sample.certain
     sticks, moments, may_be_near = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
     kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, buffer.slots)
     near, moments_found = None, jnp.zeros_like(sticks_found)
     if buffer.edges > 0:
         moments, is_moment, moments_found = _gathered(may_be_near, moments, buffer.edges)
-        near = engine.edges(state, moments)
+        near = engine.edges(now.sample, moments)
         # In what is certain to come there is nothing to take a density of, but for when the base changes.
         near = near.only(is_moment & (near.time >= certain), is_moment)
     start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
     ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
-    status = jnp.asarray(engine.status(state), jnp.int32)
+    status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion), jnp.int32)
     return Recorded(start, end, ending, certain, status, sticks_found, moments_found, near)
 
 

@@ -3,7 +3,7 @@
 In most turns nothing is near. Those in which something may be are set aside for a block, and looked at together.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,20 +11,19 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._dynamics.lanes import Engine
-from .._dynamics.switched.lanes import SwitchedEngine
+from .._dynamics.switched.lanes import Shared, SwitchedEngine
 from .._events.records import StickRecord
 from .._status import Ending
-from .._types import AnyArray, Array, BoolArray, FloatArray
+from .._types import AnyArray, Array, BoolArray
 from .counting import Counted, Flux
 from .kernels import crossing, ending, hits, through
-from .traces import Trace, TracedSteps
+from .traces import Sample, StepMotion, Trace, TracedSteps
 
 
-class _Lanes(NamedTuple):
-    """The state of every lane; `certain` (s): until when nothing in it is random."""
+class _Motion(NamedTuple):
+    """The motion of one lane, and the flux that it has seen."""
 
-    steps: Any
-    certain: FloatArray
+    traced: StepMotion
     flux: Flux
 
 
@@ -37,31 +36,39 @@ class StepCounting(Engine):
     steps: SwitchedEngine
     bandwidths: AnyArray
     fixed_start: bool = eqx.field(static=True)
+    looks_back = True
 
     @property
     def _traced(self) -> TracedSteps:
-        return TracedSteps(self.steps, self.fixed_start)
+        return TracedSteps(self.steps, self.fixed_start, with_edges=len(self.bandwidths) > 0)
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
-        steps, certain = self._traced.begin(key_data, dtype)
-        return _Lanes(steps, certain, Flux.none(len(self.bandwidths), dtype))
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, _Motion]:
+        sample, traced = self._traced.begin(key_data, dtype)
+        return sample, _Motion(traced, Flux.none(len(self.bandwidths), dtype))
 
-    def advance(self, state: _Lanes, dtype, buffer: Any, slot: Array | int) -> tuple[_Lanes, Any]:
-        steps, trace = self._traced.advance(state.steps, dtype, with_edges=len(self.bandwidths) > 0)
-        flux = state.flux if trace.moments is None else self._with_flux(state, trace)
-        return _Lanes(steps, state.certain, flux), buffer
+    def shared(self, dtype) -> Shared:
+        return self.steps.shared(dtype)
 
-    def ended(self, state: _Lanes) -> BoolArray:
-        return self._traced.ended(state.steps)
+    def step(self, shared: Shared, sample: Sample, motion: _Motion, drawn: None) -> tuple[_Motion, Trace]:
+        traced, trace = self._traced.step(shared, sample, motion.traced, drawn)
+        return _Motion(traced, motion.flux), trace
 
-    def results(self, state: _Lanes) -> Counted:
-        totals = self.steps.results(state.steps.steps)
-        return Counted(totals.status, totals.stick_time, totals.sticks, *state.flux)
+    def after_block(self, samples: Sample, motions: _Motion, records: Trace) -> _Motion:
+        if records.moments is None:
+            return motions
+        return motions._replace(flux=self._with_flux(samples, motions.flux, records))
 
-    def _with_flux(self, state: _Lanes, trace: Trace) -> Flux:
+    def ended(self, motion: _Motion, before: _Motion) -> BoolArray:
+        return self._traced.ended(motion.traced, before.traced)
+
+    def results(self, sample: Sample, motion: _Motion) -> Counted:
+        totals = self.steps.results(sample.own, motion.traced.lane)
+        return Counted(totals.status, totals.stick_time, totals.sticks, *motion.flux)
+
+    def _with_flux(self, samples: Sample, flux: Flux, trace: Trace) -> Flux:
         """The flux with what came through the edges of a block."""
-        bandwidths = jnp.asarray(self.bandwidths, state.certain.dtype)
-        flux = self._from_start(state, trace.sticks, bandwidths)
+        bandwidths = jnp.asarray(self.bandwidths, samples.certain.dtype)
+        flux = self._from_start(samples, flux, trace.sticks, bandwidths)
         assert trace.may_be_near is not None
         steps, lanes = trace.may_be_near.shape
         found = jnp.cumsum(trace.may_be_near.reshape(-1))
@@ -72,7 +79,7 @@ class StepCounting(Engine):
             wanted = done + jnp.arange(1, lanes + 1)
             at = jnp.minimum(jnp.searchsorted(found, wanted), steps * lanes - 1)
             lane, exists = at % lanes, wanted <= found[-1]
-            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], (state.steps.steps.smooth, state.certain))
+            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], samples)
             edges = self._traced.edges_of(jax.tree.map(lambda leaf: leaf[at], moments), smooth)
             edges = edges.only(exists & (edges.time >= certain), exists)
 
@@ -84,11 +91,11 @@ class StepCounting(Engine):
 
         return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), flux))[1]
 
-    def _from_start(self, state: _Lanes, sticks: StickRecord, bandwidths: Array) -> Flux:
+    def _from_start(self, samples: Sample, flux: Flux, sticks: StickRecord, bandwidths: Array) -> Flux:
         """The flux with what sticks from t = 0 that may fall to nothing add."""
 
         def add(flux, stick):
-            is_random = (state.certain == 0) | (stick.ending == Ending.BASE_SWITCHED)
+            is_random = (samples.certain == 0) | (stick.ending == Ending.BASE_SWITCHED)
             may_vanish = (stick.ending >= 0) & (stick.start == 0) & (stick.ending != Ending.HORIZON) & is_random
             duration = stick.end - stick.start
             births, near = (
@@ -96,7 +103,7 @@ class StepCounting(Engine):
             )
             return jax.tree.map(jnp.add, flux, Flux(births, near)), None
 
-        return lax.scan(add, state.flux, sticks)[0]
+        return lax.scan(add, flux, sticks)[0]
 
 
 def _put(so_far: Array, lane: Array, more: Array) -> Array:

@@ -1,18 +1,16 @@
-"""Lanes that hand out, beside their sticks, how near sticks and slips of no length were."""
+"""Engines that record, beside the sticks, how near sticks and slips of no length were."""
 
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax import lax
 
-from .._dynamics.interval.engine import scales_of, start_motion, status_of
-from .._dynamics.interval.lanes import IntervalEngine, draw_block
-from .._dynamics.lanes import BLOCK
-from .._dynamics.switched.engine import SegmentLaws, advance
-from .._dynamics.switched.lanes import SwitchedEngine
+from .._dynamics.interval.engine import Scales, scales_of, start_motion, status_of
+from .._dynamics.interval.lanes import IntervalEngine, is_over
+from .._dynamics.lanes import Engine
+from .._dynamics.switched.engine import Lane, SegmentLaws, advance
+from .._dynamics.switched.lanes import Shared, SwitchedEngine
 from .._events.records import StickRecord, start_totals
 from .._excitation.random import RandomPhase, realised_state
 from .._types import Array, BoolArray, FloatArray, IntArray
@@ -21,9 +19,9 @@ from .step_edges import Moment, crossed_at, edges_of_moment, may_be_near
 
 
 class Trace(NamedTuple):
-    """What `BLOCK` intervals or turns hold, at most one stick each; all arrays (BLOCK, lanes).
+    """The record of one interval or step, with at most one stick.
 
-    `moments`: what the engine finds edges from; `may_be_near`: in which there may be any. None without edges.
+    `moments`: what the engine finds edges from; `may_be_near`: whether there may be any. None without edges.
     """
 
     sticks: StickRecord
@@ -31,129 +29,114 @@ class Trace(NamedTuple):
     may_be_near: BoolArray | None
 
 
-class TracedIntervals(eqx.Module):
-    """An `IntervalEngine` that hands out edges."""
+class Sample(NamedTuple):
+    """What stays: that of the engine that is traced, and until when nothing is random, s."""
+
+    own: Any
+    certain: FloatArray
+
+
+class TracedIntervals(Engine):
+    """An `IntervalEngine` that records edges too, if asked to.
+
+    `fixed_start`: whether all samples begin in the same state.
+    """
 
     engine: IntervalEngine
     fixed_start: bool = eqx.field(static=True)
+    with_edges: bool = eqx.field(static=True, default=True)
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> Any:
-        """One lane at t = 0, and until when nothing in it is random, s."""
-        engine = self.engine
-        x, velocity = realised_state(engine.y0, key_data, dtype)
-        motion = start_motion(scales_of(engine.system, engine.t1, dtype), (x, velocity))
-        zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.uint32)
-        memory = engine.law.begin(key_data, dtype)
-        first, _, _ = engine.law.next_interval(memory, engine.law.draw(key_data, none, dtype), dtype)
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, IntervalLane]:
+        law, zero = self.engine.law, jnp.zeros((), dtype)
+        x, velocity = realised_state(self.engine.y0, key_data, dtype)
+        motion = start_motion(self.shared(dtype), (x, velocity))
+        memory = law.begin(key_data, dtype)
+        first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         lane = IntervalLane(memory, motion, start_totals(dtype), zero)
-        return (key_data, none, lane, jnp.zeros((), bool)), first if self.fixed_start else zero
+        return Sample(key_data, first if self.fixed_start else zero), lane
 
-    def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
-        """Take all lanes a block further."""
-        engine, (key_data, first, start, _) = self.engine, state
-        scales = scales_of(engine.system, engine.t1, dtype)
-        drawn, numbers = draw_block(engine.law, key_data, first, dtype)
+    def shared(self, dtype) -> Scales:
+        return scales_of(self.engine.system, self.engine.t1, dtype)
 
-        def step_one(lane, drawn):
-            moved, stick, edges, _ = cross_with_edges(engine.law, scales, lane, drawn)
-            if not with_edges:
-                return moved, Trace(stick, None, None)
-            return moved, Trace(stick, edges, edges.any & (edges.time <= scales.t1))
+    def draw(self, sample: Sample, number: Array, dtype) -> Any:
+        return self.engine.law.draw(sample.own, number, dtype)
 
-        lane, trace = lax.scan(jax.vmap(step_one), start, drawn, length=BLOCK)
-        return (key_data, first + np.uint32(len(numbers)), lane, lane.motion.t <= start.motion.t), trace
+    def step(self, shared: Scales, sample: Sample, motion: IntervalLane, drawn: Any) -> tuple[IntervalLane, Trace]:
+        moved, stick, edges, _ = cross_with_edges(self.engine.law, shared, motion, drawn)
+        if not self.with_edges:
+            return moved, Trace(stick, None, None)
+        return moved, Trace(stick, edges, edges.any & (edges.time <= shared.t1))
 
-    def edges(self, state: Any, moments: Edges) -> Edges:
+    def edges(self, samples: Sample, moments: Edges) -> Edges:
         """The edges of moments (slots, lanes)."""
         return moments
 
-    def ended(self, state: Any) -> BoolArray:
-        """Which lanes have come to the end of their sample."""
-        _, _, lane, stalled = state
-        return ~(lane.motion.t < jnp.asarray(self.engine.t1, lane.motion.t.dtype)) | stalled
+    def ended(self, motion: IntervalLane, before: IntervalLane) -> BoolArray:
+        return is_over(motion.motion, before.motion, self.engine.t1)
 
-    def status(self, state: Any) -> IntArray:
-        """The `Status` of every lane."""
-        motion = state[2].motion
-        return status_of(motion, jnp.asarray(self.engine.t1, motion.t.dtype))
+    def results(self, sample: Sample, motion: IntervalLane) -> IntArray:
+        """The `Status`."""
+        return status_of(motion.motion, jnp.asarray(self.engine.t1, motion.motion.t.dtype))
 
 
-class _Followed(NamedTuple):
-    """What a `SwitchedEngine` keeps of its lanes, and `Moment.crossed` of each."""
+class StepMotion(NamedTuple):
+    """A lane of the switched engine, and `Moment.crossed` of it."""
 
-    steps: Any
+    lane: Lane
     crossed: FloatArray
 
 
-class TracedSteps(eqx.Module):
-    """A `SwitchedEngine` that hands out edges."""
+class TracedSteps(Engine):
+    """A `SwitchedEngine` that records edges too, if asked to; `fixed_start` as for `TracedIntervals`."""
 
     engine: SwitchedEngine
     fixed_start: bool = eqx.field(static=True)
+    with_edges: bool = eqx.field(static=True, default=True)
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> Any:
-        """One lane at t = 0, and until when nothing in it is random, s."""
-        state = self.engine.begin(key_data, dtype)
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, StepMotion]:
+        smooth, lane = self.engine.begin(key_data, dtype)
         laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
-        ends = [
-            segment_state.segment.end
-            for law, segment_state in zip(laws, state.lane.segment_states, strict=True)
-            if law.is_random
-        ]
-        certain = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomPhase)
-        followed = _Followed(state, -jnp.ones((), dtype))
-        return followed, jnp.min(jnp.stack(ends)) if certain else jnp.zeros((), dtype)
+        ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
+        is_certain = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomPhase)
+        certain = jnp.min(jnp.stack(ends)) if is_certain else jnp.zeros((), dtype)
+        return Sample(smooth, certain), StepMotion(lane, -jnp.ones((), dtype))
 
-    def advance(self, state: Any, dtype, with_edges: bool) -> tuple[Any, Trace]:
-        """Take all lanes a block further."""
-        engine = self.engine
-        segment_laws = SegmentLaws.of(engine.system, engine.excitation)
-        t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
+    def shared(self, dtype) -> Shared:
+        return self.engine.shared(dtype)
 
-        smooth = state.steps.smooth
+    def step(self, shared: Shared, sample: Sample, motion: StepMotion, drawn: None) -> tuple[StepMotion, Trace]:
+        lane, crossed = motion
+        model = self.engine.system.switched_model(sample.own, self.engine.solver)
+        moved, stick = advance(model, *shared, lane)
+        if not self.with_edges:
+            return StepMotion(moved, crossed), Trace(stick, None, None)
+        moment = Moment.of(lane, moved, crossed)
+        following = crossed_at(shared.segment_laws, shared.t1, moment)
+        return StepMotion(moved, following), Trace(stick, moment, may_be_near(model, *shared, moment))
 
-        def advance_one(lane, crossed, smooth):
-            model = engine.system.switched_model(smooth, engine.solver)
-            moved, stick = advance(model, segment_laws, t1, step, lane)
-            if not with_edges:
-                return (moved, crossed), Trace(stick, None, None)
-            moment = Moment.of(lane, moved, crossed)
-            following = crossed_at(segment_laws, t1, moment)
-            return (moved, following), Trace(stick, moment, may_be_near(model, segment_laws, t1, step, moment))
-
-        def one_step(now, _):
-            lanes, crossed = now
-            return jax.vmap(advance_one)(lanes, crossed, smooth)
-
-        (lanes, crossed), trace = lax.scan(one_step, (state.steps.lane, state.crossed), None, length=BLOCK)
-        return _Followed(state.steps._replace(lane=lanes), crossed), trace
-
-    def edges(self, state: _Followed, moments: Moment) -> Edges:
+    def edges(self, samples: Sample, moments: Moment) -> Edges:
         """The edges of moments (slots, lanes)."""
-        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, state.steps.smooth)
+        return jax.vmap(self.edges_of, in_axes=(0, None))(moments, samples.own)
 
     def edges_of(self, moments: Moment, smooth: Any) -> Edges:
-        """The edges of moments (moments,), each under its own smooth drive."""
-        engine, dtype = self.engine, moments.t.dtype
-        segment_laws = SegmentLaws.of(engine.system, engine.excitation)
-        t1, step = jnp.asarray(engine.t1, dtype), jnp.asarray(engine.step, dtype)
+        """The edges of moments (moments,), each under its own smooth excitation."""
+        engine, shared = self.engine, self.shared(moments.t.dtype)
 
         def edges_of(moment, smooth):
-            return edges_of_moment(engine.system.switched_model(smooth, engine.solver), segment_laws, t1, step, moment)
+            return edges_of_moment(engine.system.switched_model(smooth, engine.solver), *shared, moment)
 
         return jax.vmap(edges_of)(moments, smooth)
 
-    def ended(self, state: Any) -> BoolArray:
-        """Which lanes have come to the end of their sample."""
-        return self.engine.ended(state.steps)
+    def ended(self, motion: StepMotion, before: StepMotion) -> BoolArray:
+        return self.engine.ended(motion.lane, before.lane)
 
-    def status(self, state: Any) -> IntArray:
-        """The `Status` of every lane."""
-        return jnp.asarray(self.engine.results(state.steps).status)
+    def results(self, sample: Sample, motion: StepMotion) -> IntArray:
+        """The `Status`."""
+        return jnp.asarray(self.engine.results(sample.own, motion.lane).status)
 
 
 def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedSteps:
-    """`engine`, to hand out edges; `fixed_start` tells that all samples begin in the same state."""
+    """`engine`, with edges; `fixed_start`: whether all samples begin in the same state."""
     if isinstance(engine, IntervalEngine):
         return TracedIntervals(engine, fixed_start)
     return TracedSteps(engine, fixed_start)

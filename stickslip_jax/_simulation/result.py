@@ -32,8 +32,8 @@ class Simulation(eqx.Module):
       could just hold it; a jump of the base or the horizon came just before or after an event. Close means about
       1e-9 of the scale (float32: 1e-3). 0 where no time steps were made.
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
-    - `step_starts`: the instants at which the steps of the simulation begin, s: time steps, or where the motion is known
-      in closed form the whole intervals of the base velocity.
+    - `step_starts`: the instants at which the steps of the simulation begin, s: time steps, or where the motion
+      is known in closed form the whole intervals of the base velocity.
     - `system`, `base`, `t1`, `method`: what was simulated, and how; a `Regularized` method has its options filled in.
     """
 

@@ -1,39 +1,32 @@
-"""Lanes of the interval engine: each takes one base interval after the other, drawn as it goes."""
+"""Lanes of the interval engine: a step is a whole base interval, drawn as it comes."""
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jax import lax
 
-from ..._events.records import Totals, count_slips, start_totals
+from ..._events.records import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.laws import BangBangLaw
 from ..._excitation.random import realised_state
 from ..._numerics.compiling import computed_once
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
-from ..lanes import BLOCK, Engine, LaneResults, Records
+from ..lanes import Engine, LaneResults
 from .engine import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
 
 
-class _Lanes(NamedTuple):
-    """The state of every lane."""
+class _Sample(NamedTuple):
+    """What stays: the sample's key data, and whether it begins with a stick."""
 
-    key_data: tuple[Array, Array]  # the key words of the lane's sample
-    first: Array  # number of its next interval
-    memory: Any  # what the law remembers
+    key_data: tuple[Array, Array]
+    at_start: BoolArray
+
+
+class _Lane(NamedTuple):
+    """The motion of one lane; `memory`: what the law remembers."""
+
+    memory: Any
     motion: Motion
     totals: Totals
-    at_start: BoolArray  # whether the sample began with a stick
-    stalled: BoolArray  # whether the last block did not move it: the law has no more intervals
-
-
-def draw_block(law: BangBangLaw, key_data: tuple[Array, Array], first: Array, dtype: Any) -> tuple[Any, Array]:
-    """What is random in the `BLOCK` intervals from number `first` (lanes,) on, (BLOCK, lanes), and their numbers."""
-    draw = jax.vmap(lambda key_data, number: law.draw(key_data, number, dtype))
-    numbers = first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
-    return jax.vmap(draw, in_axes=(None, 0))(key_data, numbers), numbers
 
 
 class IntervalEngine(Engine):
@@ -44,50 +37,40 @@ class IntervalEngine(Engine):
     t1: Scalar
     y0: tuple[Any, ...]
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
-        scales = self._scales(dtype)
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[_Sample, _Lane]:
+        scales = self.shared(dtype)
         x, velocity = realised_state(self.y0, key_data, dtype)
         motion = start_motion(scales, (x, velocity))
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
-        zero = jnp.zeros((), jnp.uint32)
-        _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, zero, dtype), dtype)
+        _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)
-        return _Lanes(key_data, zero, memory, motion, start_totals(dtype), at_start, jnp.zeros((), bool))
+        return _Sample(key_data, at_start), _Lane(memory, motion, start_totals(dtype))
 
-    def advance(self, state: _Lanes, dtype, buffer: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        law, scales = self.law, self._scales(dtype)
-        drawn, _ = draw_block(law, state.key_data, state.first, dtype)
+    def shared(self, dtype) -> Scales:
+        return scales_of(self.system, self.t1, dtype)
 
-        def step_one(lane, drawn):
-            memory, motion, totals = lane
-            duration, velocity, memory = law.next_interval(memory, drawn, dtype)
-            duration = jnp.where(duration >= scales.t1, scales.t1, duration)  # no infinity enters the arithmetic
-            motion, totals, stick = cross_interval(scales, motion, totals, duration, velocity)
-            return (memory, motion, totals), (jnp.stack(stick[:3]), stick.ending)
+    def draw(self, sample: _Sample, number: Array, dtype) -> Any:
+        return self.law.draw(sample.key_data, number, dtype)
 
-        def step(carry, drawn):
-            lanes, buffer, slot = carry
-            lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, drawn)
-            return (lanes, buffer if buffer is None else buffer.with_slot(slot, *sticks), slot + 1), None
+    def step(self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any) -> tuple[_Lane, StickRecord]:
+        duration, velocity, memory = self.law.next_interval(motion.memory, drawn, shared.t1.dtype)
+        duration = jnp.where(duration >= shared.t1, shared.t1, duration)  # no infinity enters the arithmetic
+        moved, totals, stick = cross_interval(shared, motion.motion, motion.totals, duration, velocity)
+        return _Lane(memory, moved, totals), stick
 
-        carry = ((state.memory, state.motion, state.totals), buffer, slot)
-        ((memory, motion, totals), buffer, _), _ = lax.scan(step, carry, drawn, length=BLOCK)
-        stalled = motion.t <= state.motion.t
-        first = state.first + np.uint32(BLOCK)
-        return _Lanes(state.key_data, first, memory, motion, totals, state.at_start, stalled), buffer
+    def ended(self, motion: _Lane, before: _Lane) -> BoolArray:
+        return is_over(motion.motion, before.motion, self.t1)
 
-    def ended(self, state: _Lanes) -> BoolArray:
-        # Written so that a NaN time counts as ended.
-        return ~(state.motion.t < jnp.asarray(self.t1, state.motion.t.dtype)) | state.stalled
-
-    def results(self, state: _Lanes) -> LaneResults:
+    def results(self, sample: _Sample, motion: _Lane) -> LaneResults:
         return LaneResults(
-            sticks=state.totals.sticks,
-            slips=count_slips(state.totals, state.at_start),
-            stick_time=state.totals.stick_time,
-            status=status_of(state.motion, jnp.asarray(self.t1, state.motion.t.dtype)),
-            near_grazing_count=jnp.zeros_like(state.totals.sticks),
+            sticks=motion.totals.sticks,
+            slips=count_slips(motion.totals, sample.at_start),
+            stick_time=motion.totals.stick_time,
+            status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
+            near_grazing_count=jnp.zeros_like(motion.totals.sticks),
         )
 
-    def _scales(self, dtype) -> Scales:
-        return scales_of(self.system, self.t1, dtype)
+
+def is_over(motion: Motion, before: Motion, t1: Scalar) -> BoolArray:
+    """Whether a sample has come to the horizon, or had no further interval since `before`; a NaN time is over too."""
+    return ~(motion.t < jnp.asarray(t1, motion.t.dtype)) | (motion.t <= before.t)

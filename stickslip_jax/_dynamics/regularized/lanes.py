@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from ..._events.records import StickRecord, count_slips, no_stick
 from ..._excitation.excitation import Excitation
@@ -14,7 +13,7 @@ from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
 from ..._types import AnyInteger, Array, BoolArray, IntArray, Scalar
 from ..blocks import scan_in_blocks
-from ..lanes import BLOCK, Engine, LaneResults, Records
+from ..lanes import Engine, LaneResults
 from ..method import Regularized
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
 from .engine import Field, FixedLane, advance_fixed, start_fixed
@@ -23,17 +22,21 @@ from .stick_detector import Criterion, StickDetector
 from .switch import Switch
 
 
-class _Lanes(NamedTuple):
-    """The state of every lane, and the smooth drive of its sample."""
+class Shared(NamedTuple):
+    """What all steps need: the laws of the excitation's segments, the criterion of a stick, horizon and step (s)."""
 
-    lane: FixedLane
-    smooth: Signal | None
+    segment_laws: SegmentLaws
+    criterion: Criterion
+    t1: Array
+    step: Array
+    most_steps: Array
 
 
 class FixedEngine(Engine):
-    """Any system under any drive, up to `t1`, from `y0` (numbers, or `Uniform` values), in fixed steps.
+    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), in fixed steps.
 
-    `method`: with every option filled in (`resolved`). A sample that takes more than `most_steps` is given up.
+    `method`: with every option filled in (`resolved`). A sample that takes more than `most_steps` is given up. What
+    stays throughout a sample is the smooth part of its excitation.
     """
 
     system: Any
@@ -43,41 +46,33 @@ class FixedEngine(Engine):
     y0: tuple[Any, ...]
     most_steps: AnyInteger
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realised(self.excitation, key_data, dtype)
         y0 = realised_state(self.y0, key_data, dtype)
-        segment_laws, own = SegmentLaws.of(self.system, self.excitation), self.excitation.segment_key_data(key_data)
+        segment_laws, own = (
+            SegmentLaws.of(self.system, self.excitation),
+            self.excitation.segment_key_data(key_data),
+        )
         segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
         field = field_of(self.system, smooth, self.method)
-        return _Lanes(start_fixed(field, segment_laws, criterion_of(self.method), segment_states, y0, dtype), smooth)
+        return smooth, start_fixed(field, segment_laws, criterion_of(self.method), segment_states, y0, dtype)
 
-    def advance(self, state: _Lanes, dtype, buffer: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        segment_laws, criterion = SegmentLaws.of(self.system, self.excitation), criterion_of(self.method)
+    def shared(self, dtype) -> Shared:
+        laws, most = SegmentLaws.of(self.system, self.excitation), jnp.asarray(self.most_steps, jnp.int32)
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.method.step, dtype)
-        most = jnp.asarray(self.most_steps, jnp.int32)
+        return Shared(laws, criterion_of(self.method), t1, step, most)
 
-        def step_one(lane, smooth):
-            field = field_of(self.system, smooth, self.method)
-            lane, stick, _ = advance_fixed(field, segment_laws, criterion, t1, step, most, lane)
-            return lane, (jnp.stack(stick[:3]), stick.ending)
+    def step(
+        self, shared: Shared, sample: Signal | None, motion: FixedLane, drawn: None
+    ) -> tuple[FixedLane, StickRecord]:
+        lane, stick, _ = advance_fixed(field_of(self.system, sample, self.method), *shared, motion)
+        return lane, stick
 
-        def one_step(carry, _):
-            lanes, buffer, slot = carry
-            lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, state.smooth)
-            return (lanes, buffer if buffer is None else buffer.with_slot(slot, *sticks), slot + 1), None
+    def ended(self, motion: FixedLane, before: FixedLane) -> BoolArray:
+        return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
 
-        (lanes, buffer, _), _ = lax.scan(one_step, (state.lane, buffer, slot), None, length=BLOCK)
-        return _Lanes(lanes, state.smooth), buffer
-
-    def ended(self, state: _Lanes) -> BoolArray:
-        most = jnp.asarray(self.most_steps, jnp.int32)
-        return jax.vmap(lambda lane: has_ended(lane, jnp.asarray(self.t1, lane.t.dtype), most))(state.lane)
-
-    def results(self, state: _Lanes) -> LaneResults:
-        def status(lane):
-            return status_of_lane(lane, jnp.asarray(self.t1, lane.t.dtype))
-
-        return _results(state.lane.detector, jax.vmap(status)(state.lane))
+    def results(self, sample: Signal | None, motion: FixedLane) -> LaneResults:
+        return _results(motion.detector, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
 
 
 class AdaptiveBatch(NamedTuple):

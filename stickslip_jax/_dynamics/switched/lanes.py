@@ -1,32 +1,33 @@
-"""Lanes of the switched engine: each takes one time step after the other."""
+"""Lanes of the switched engine: a step is a time step, taken or tried."""
 
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
-from ..._events.records import count_slips
+from ..._events.records import StickRecord, count_slips
 from ..._excitation.excitation import Excitation
 from ..._excitation.random import realised_state
 from ..._excitation.smooth import Signal
 from ..._types import AnyInteger, Array, BoolArray, Scalar
-from ..lanes import BLOCK, Engine, LaneResults, Records
+from ..lanes import Engine, LaneResults
 from .engine import Lane, SegmentLaws, advance, has_ended, status_of_lane
 from .run import lane_at_start
 
 
-class _Lanes(NamedTuple):
-    """The state of every lane, and the smooth drive of its sample."""
+class Shared(NamedTuple):
+    """What all steps need: the laws of the excitation's segments, the horizon and the time step (s)."""
 
-    lane: Lane
-    smooth: Signal | None
+    segment_laws: SegmentLaws
+    t1: Array
+    step: Array
 
 
 class SwitchedEngine(Engine):
-    """Any system under any drive, up to `t1`, from `y0` (numbers, or `Uniform` values), by time steps of `step` s.
+    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), by time steps of `step` s.
 
-    A sample that takes more than `most_steps` steps and tries is given up.
+    A sample that takes more than `most_steps` steps, tries included, is given up. What stays throughout a sample is the
+    smooth part of its excitation.
     """
 
     system: Any
@@ -34,43 +35,33 @@ class SwitchedEngine(Engine):
     solver: Any
     t1: Scalar
     y0: tuple[Any, ...]
-    step: Scalar
+    step_length: Scalar
     most_steps: AnyInteger
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> _Lanes:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
         y0 = realised_state(self.y0, key_data, dtype)
-        lane = lane_at_start(self.system, self.excitation, key_data, y0, jnp.asarray(self.step, dtype), self.solver)
+        step = jnp.asarray(self.step_length, dtype)
+        lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver)
         smooth = self.excitation.realised(key_data, dtype)
-        return _Lanes(lane, jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth))
+        return jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth), lane
 
-    def advance(self, state: _Lanes, dtype, buffer: Records | None, slot: Array | int) -> tuple[_Lanes, Records | None]:
-        segment_laws = SegmentLaws.of(self.system, self.excitation)
-        t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step, dtype)
+    def shared(self, dtype) -> Shared:
+        laws = SegmentLaws.of(self.system, self.excitation)
+        return Shared(laws, jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype))
 
-        def step_one(lane, smooth):
-            lane, stick = advance(self.system.switched_model(smooth, self.solver), segment_laws, t1, step, lane)
-            return lane, (jnp.stack(stick[:3]), stick.ending)
+    def step(self, shared: Shared, sample: Signal | None, motion: Lane, drawn: None) -> tuple[Lane, StickRecord]:
+        return advance(self.system.switched_model(sample, self.solver), *shared, motion)
 
-        def one_step(carry, _):
-            lanes, buffer, slot = carry
-            lanes, sticks = jax.vmap(step_one, out_axes=(0, (1, 0)))(lanes, state.smooth)
-            return (lanes, buffer if buffer is None else buffer.with_slot(slot, *sticks), slot + 1), None
+    def ended(self, motion: Lane, before: Lane) -> BoolArray:
+        return has_ended(motion, self._t1(motion), jnp.asarray(self.most_steps, jnp.int32))
 
-        (lanes, buffer, _), _ = lax.scan(one_step, (state.lane, buffer, slot), None, length=BLOCK)
-        return _Lanes(lanes, state.smooth), buffer
-
-    def ended(self, state: _Lanes) -> BoolArray:
-        most = jnp.asarray(self.most_steps, jnp.int32)
-        return jax.vmap(lambda lane: has_ended(lane, self._t1(lane), most))(state.lane)
-
-    def results(self, state: _Lanes) -> LaneResults:
-        lanes = state.lane
+    def results(self, sample: Signal | None, motion: Lane) -> LaneResults:
         return LaneResults(
-            sticks=lanes.totals.sticks,
-            slips=count_slips(lanes.totals, lanes.at_start),
-            stick_time=lanes.totals.stick_time,
-            status=jax.vmap(lambda lane: status_of_lane(lane, self._t1(lane)))(lanes),
-            near_grazing_count=lanes.near_grazing_count,
+            sticks=motion.totals.sticks,
+            slips=count_slips(motion.totals, motion.at_start),
+            stick_time=motion.totals.stick_time,
+            status=status_of_lane(motion, self._t1(motion)),
+            near_grazing_count=motion.near_grazing_count,
         )
 
     def _t1(self, lane: Lane) -> Array:
