@@ -9,7 +9,8 @@ OUT ?= results/study
 ROUNDS ?= 15
 ONLY ?=
 # Own processes, a trajectory and its derivatives, ensembles, statistics, sensitivities.
-FAST := $(foreach name,fresh_process derivatives streaming statistics_edges sensitivity_edges,tests/test_$(name).py)
+FAST := $(addprefix tests/,package/test_fresh_process.py simulation/test_derivatives.py statistics/test_streaming.py \
+	statistics/test_edges.py sensitivity/test_edges.py)
 SMOKE := benchmarks/.build/smoke
 
 .PHONY: study test test-fast check-slow lint format bench bench-smoke versions clean
@@ -22,7 +23,7 @@ test: $(READY)
 
 # What one runs while working: under a minute on two cores once the compilation cache is warm.
 test-fast: $(READY)
-	$(BIN)/python -m pytest -n auto --dist worksteal tests/test_architecture.py $(FAST)
+	$(BIN)/python -m pytest -n auto --dist worksteal tests/package/test_architecture.py $(FAST)
 
 # The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest.
 versions:

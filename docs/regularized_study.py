@@ -3,7 +3,7 @@
 For five systems, four shapes and seven widths, `stickslip_jax.Regularized` is compared with the exact method under the
 same base motions and initial states. Written next to this file: ``regularized_convergence.png`` (errors over width) and
 ``regularized_table.md`` (errors, fitted orders and the orders in theory, with their reason). The tests in
-``tests/test_regularized_convergence.py`` measure by the functions of this file.
+``tests/dynamics/regularized/test_convergence.py`` measure by the functions of this file.
 
 Widths are relative to `Regularized`'s own scale of velocity: what the spring makes of friction, ``mu n / sqrt(k m)``;
 of the motor, what friction takes from its speed. The solver's own errors stay below those of the width by `RTOL`: of

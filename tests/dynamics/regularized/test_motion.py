@@ -1,0 +1,400 @@
+"""Regularised dynamics: against scipy, closed forms and the exact engine; in batches, ensembles and derivatives."""
+
+import math
+from functools import cache
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from support.interval import evaluate_compiled, padded, simulate_compiled
+
+import stickslip_jax as ss
+from stickslip_jax._dynamics.regularized.switch import Switch
+from stickslip_jax._dynamics.switched.implicit_step import _balance
+
+SLOTS, STEPS, POINTS = 80, 2048, 41
+PHI = {
+    "tanh": np.tanh,
+    "linear": lambda s: np.clip(s, -1, 1),
+    "arctan": lambda s: 2 / np.pi * np.arctan(s),
+    "rational": lambda s: s / np.sqrt(1 + s * s),
+}
+LAWS = {
+    "coulomb": (ss.Coulomb(0.6), lambda r: 0.6 + 0 * r, None),
+    "static": (ss.Coulomb(0.5, 0.7), lambda r: 0.5 + 0 * r, 0.7),
+    "weakening": (ss.VelocityWeakening(0.6, 0.8), lambda r: 0.6 / (1 + 0.8 * r), None),
+    "stribeck": (ss.Stribeck(0.5, 0.7, 0.4, 2.0, 0.05), lambda r: 0.5 + 0.2 * np.exp(-6.25 * r**2) + 0.05 * r, None),
+}
+# Each shape and each law once; `test_grip` looks at all of them together.
+PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]
+TSIT = diffrax.Tsit5()
+SOLVERS = {"tanh": TSIT, "linear": None, "arctan": TSIT, "rational": None}
+
+
+def grip(shape, law, r, width):
+    """The friction coefficient as documented: ``kinetic phi``, and a hump that is the static one at two widths."""
+    _, kinetic, static = LAWS[law]
+    rubbing = kinetic(np.abs(r)) * PHI[shape](r / width)
+    if static is None:
+        return rubbing
+    part = np.abs(r) / (2 * width)
+    weight = np.where(part < 1, part * (2 - part), np.exp(-((np.maximum(part, 1) - 1.0) ** 2)))
+    return (1 - weight) * rubbing + weight * static * np.sign(r)
+
+
+class Case(NamedTuple):
+    """One lane: `pace` is the step, or the relative tolerance of adaptive steps."""
+
+    system: Any
+    base: ss.VelocitySteps
+    y0: tuple
+    t1: float
+    width: float
+    pace: float
+
+
+def case(
+    law="coulomb", k=3.0, damping=0.2, push=1.0, mu=None, durations=(2.1, 1.7, 9.0), speeds=(0.5, -0.3, 0.4),
+    y0=(1.0, 0.5), t1=5.0, width=0.1, pace=1e-8, m=1.2, n=1.5,
+):  # fmt: skip
+    friction = LAWS[law][0] if mu is None else ss.Coulomb(mu)
+    system = ss.MassSpring(m, k, n, friction, jnp.asarray(damping), ss.Harmonic(push, 0.7, 0.2))
+    return Case(system, padded(durations, speeds, SLOTS), y0, t1, width, pace)
+
+
+def follow(item, shape="tanh", fixed=False, **options):
+    pace = {"step": item.pace} if fixed else {"rtol": item.pace}
+    method = ss.Regularized(item.width, shape, max_steps=STEPS, **pace, **options)
+    return ss.simulate(item.system, item.base, t1=item.t1, y0=item.y0, method=method)
+
+
+@cache
+def program(shape="tanh", fixed=False):
+    """`follow`, compiled once for each structure of what comes in."""
+    compiled = jax.jit(lambda item: follow(item, shape, fixed, **({} if fixed else {"solver": SOLVERS[shape]})))
+    return lambda item: compiled(as_floats(item))
+
+
+def as_floats(tree):
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+
+
+def sticks(one, number=...):
+    mask = np.asarray(one.sticks.mask)[number]
+    return [np.asarray(getattr(one.sticks, name))[number][mask] for name in ("start", "end", "position", "ending")]
+
+
+def by_scipy(item, field, times, speed=None, threshold=None):
+    """States at `times` and the end by LSODA from jump to jump; when ``|speed(y, v)|`` passes the threshold."""
+    edges = np.cumsum([0.0, *item.base.durations])
+    y, states, passages = np.array(item.y0, float), np.zeros((len(item.y0), len(times))), []
+    for begin, end, v in zip(edges[:-1], edges[1:], np.asarray(item.base.velocities), strict=True):
+        if begin < min(end, item.t1):
+            events = None if speed is None else [lambda t, y, v: abs(speed(y, v)) - threshold]
+            options = {"args": (v,), "events": events, "rtol": 1e-11, "atol": 1e-12, "dense_output": True}
+            arc = solve_ivp(field, (begin, min(end, float(item.t1))), y, "LSODA", **options)
+            y, inside = arc.y[:, -1], (times >= begin) & (times <= end)
+            states[:, inside] = arc.sol(times[inside]) if np.any(inside) else 0
+            passages += [] if speed is None else list(arc.t_events[0])
+    return states, y, np.array(passages)
+
+
+def field_of(item, shape, law, mu=None):
+    s, damping, scale = item.system, float(item.system.damping), 1 if mu is None else mu / 0.6
+
+    def field(t, y, v):
+        load = math.cos(0.7 * t + 0.2) * s.force.amplitude - damping * y[1] - s.stiffness * y[0]
+        return [y[1], (load - s.normal_force * grip(shape, law, y[1] - v, item.width) * scale) / s.mass]
+
+    return field
+
+
+@pytest.mark.parametrize(("shape", "law"), [*PAIRS[:3], pytest.param(*PAIRS[3], marks=pytest.mark.slow)])
+def test_against_scipy(shape, law):
+    """Adaptive steps: their ends by the tolerance, what is between them by a cubic. Fixed steps: of second order."""
+    times, steps = np.linspace(0, 5, POINTS), (0.02, 0.01, 0.005)
+    states, end, _ = by_scipy(case(law), field_of(case(law), shape, law), times)
+    one = program(shape)(case(law))
+    assert one.status == ss.Status.FINISHED
+    np.testing.assert_allclose(one.final_state, end, atol=3e-8)
+    np.testing.assert_allclose(evaluate_compiled(one, times), states, atol=1e-5)
+    if shape in ("tanh", "rational"):
+        runs = [program(shape, True)(case(law, pace=step)) for step in steps]
+        errors = [np.max(np.abs(np.array(one.final_state) - end)) for one in runs]
+        assert errors[0] < 5e-5
+        assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2, abs=0.1)
+        np.testing.assert_allclose(evaluate_compiled(runs[2], times), states, atol=2e-5)
+
+
+@pytest.mark.parametrize("shape", PHI)
+@pytest.mark.parametrize("law", LAWS)
+def test_grip(shape, law):
+    """Odd, by the definition, largest what a stick holds, and Coulomb's coefficient far away."""
+    width, switch = 0.03, Switch(0.03, shape)
+    r = np.concatenate([np.linspace(0, 10, 4001) * width, np.geomspace(1e-9, 1e4, 200) * width])
+    found = np.asarray(switch.grip(LAWS[law][0], jnp.asarray(r)))
+    np.testing.assert_allclose(found, grip(shape, law, r, width), rtol=1e-13, atol=1e-15)
+    np.testing.assert_array_equal(np.asarray(switch.grip(LAWS[law][0], jnp.asarray(-r))), -found)
+    if law == "static":
+        assert np.max(found) == pytest.approx(0.7, abs=1e-12)
+        assert found[-1] == pytest.approx(0.5, abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", PHI)
+@pytest.mark.parametrize("law", ["coulomb", "static"])
+def test_the_friction_of_an_implicit_stage(shape, law):
+    """For any width, against bisection; of several solutions the first, in which the mass sticks."""
+    grids = np.meshgrid(np.geomspace(1e-12, 1e2, 29), [1e-9, 1e-3, 0.03, 0.1, 0.11, 2.0])
+    (width, speed), stiffness = (grid.ravel() for grid in grids), 0.2
+    solve = jax.vmap(lambda w, v: _balance(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness)))
+    found = jax.jit(solve)(jnp.asarray(width), jnp.asarray(speed))
+    low, high = np.full_like(speed, 1e-40), speed
+    if law == "static":
+        rises = speed <= 2 * width + stiffness * 0.7  # then the hump holds it, below two widths
+        low, high = np.where(rises, low, 2 * width), np.where(rises, np.minimum(2 * width, speed), speed)
+    for _ in range(100):
+        middle = np.sqrt(low) * np.sqrt(high)
+        above = middle + stiffness * grip(shape, law, middle, width) > speed
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    np.testing.assert_allclose(found, grip(shape, law, high, width), rtol=1e-10)
+
+
+def test_fixed_steps_are_stable_for_any_width():
+    base = ss.PoissonSwitching(1.0, 1.0).sample(jax.random.key(3), 50.0, capacity=SLOTS)
+    exact = simulate_compiled(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), base, 50.0, (0.0, 1.0))
+    times = np.linspace(0, 50, 401)
+    most = np.max(np.abs(evaluate_compiled(exact, times)[0]))
+    system = {"mu": 1.0, "damping": 0.0, "push": 0.0, "k": 4.0, "m": 1.0, "n": 1.0}
+    system |= {"y0": (0.0, 1.0), "t1": 50.0, "pace": 0.05}
+
+    for width in (1e-12, 1e-9, 1e-6, 1e-4, 1e-2, 1.0, 1e2):
+        one = program("tanh", True)(case(durations=base.durations, speeds=base.velocities, width=width, **system))
+        assert one.status == ss.Status.FINISHED
+        assert np.max(np.abs(evaluate_compiled(one, times)[0])) < 1.1 * most
+        if width <= 1e-6:
+            assert float(one.stick_fraction) == pytest.approx(float(exact.stick_fraction), rel=0.1)
+
+
+def pulse(delta, speed, start, at, pace):
+    """A base of constant velocity but for a pulse."""
+    return case(damping=0.0, push=0.0, durations=(at, delta, 9.0), speeds=(speed, 5.0, speed), y0=start, pace=pace)
+
+
+@pytest.mark.parametrize("delta", [1e-6, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_short_pulse_is_not_stepped_over(fixed, delta):
+    """While the mass slides, friction turns round for the pulse: a kick, which the spring turns."""
+    simulate, pace, at, omega = program("tanh", fixed), 0.02 if fixed else 1e-8, 3.0, math.sqrt(3.0 / 1.2)
+    one, calm = (simulate(pulse(delta, -5.0, (0.2, 0.0), begin, pace)) for begin in (at, 6.0))
+    angle, kick = omega * (2 - delta / 2), 2 * 0.6 * 1.5 * delta / 1.2
+    change = np.array(one.final_state) - np.array(calm.final_state)
+    np.testing.assert_allclose(change, kick * np.array([math.sin(angle) / omega, math.cos(angle)]), atol=2e-3 * kick)
+    stuck = simulate(pulse(delta, 0.05, (0.0, 0.05), at, pace))
+    for run in (one, stuck):
+        off = np.abs(np.asarray(run.step_starts)[:, None] - [at, at + delta])
+        assert np.all(np.min(off, axis=0) <= 2 * np.spacing(at))
+    start, end, position, ending = sticks(stuck)
+    assert ending.tolist() == [ss.Ending.BASE_SWITCHED, ss.Ending.HORIZON]
+    np.testing.assert_allclose([*start, *end], [0, at + delta, at, 5], rtol=1e-15)
+    np.testing.assert_allclose(position, [0, evaluate_compiled(stuck, np.full(POINTS, start[1]))[0][0]], atol=1e-14)
+
+    def field(t, y, _):
+        v = jnp.where((t >= at) & (t < at + delta), 5.0, -5.0)
+        return jnp.stack([y[1], (-3.0 * y[0] - 1.5 * 0.6 * jnp.tanh((y[1] - v) / 0.1)) / 1.2])
+
+    if not fixed:
+        controller, save = diffrax.PIDController(rtol=1e-8, atol=1e-8), diffrax.SaveAt(steps=True)
+        plain = {"max_steps": 512, "stepsize_controller": controller, "saveat": save}
+        blind = diffrax.diffeqsolve(diffrax.ODETerm(field), TSIT, 0.0, 5.0, None, jnp.array([0.2, 0.0]), **plain)
+        assert not np.any((blind.ts >= at) & (blind.ts <= at + delta))
+        np.testing.assert_allclose(blind.ys[np.sum(np.isfinite(blind.ts)) - 1], calm.final_state, atol=1e-7)
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_sticks_are_what_evaluate_shows(fixed):
+    """They begin and end at the threshold, and last for the shortest duration, by default of the documented size."""
+    one = program("tanh", fixed)(case(width=0.02, pace=0.0025 if fixed else 1e-8, t1=5.0))
+    threshold = 0.02 * (0.45 + math.log(0.6 * 1.5 / math.sqrt(1.2 * 3.0) / 0.02) / 4)
+    assert float(one.method.threshold) == pytest.approx(threshold, rel=1e-12)
+    shortest = max(10 * threshold / (0.6 * 1.5 / 1.2), 0.005 if fixed else 0)
+    assert float(one.method.minimum_duration) == pytest.approx(shortest, rel=1e-12)
+    assert one.sticks.count > 0
+    for begin, stop, x, code in zip(*sticks(one), strict=True):
+        assert stop - begin >= shortest
+        states = evaluate_compiled(one, np.linspace(begin, stop, POINTS))
+        creep = np.abs(np.asarray(states[1]) - (0.5, -0.3, 0.4)[np.searchsorted([2.1, 3.8], (begin + stop) / 2)])
+        assert np.all(creep <= threshold * 1.001)
+        assert creep[0] == pytest.approx(threshold, rel=1e-3)
+        assert x == pytest.approx(float(states[0][0]), abs=1e-14)
+        assert code == (ss.Ending.HORIZON if stop == 5 else ss.Ending.RELEASED)
+        assert stop == 5 or creep[-1] == pytest.approx(threshold, rel=1e-3)
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_pass_is_no_stick_and_a_short_base_is_reported(fixed):
+    pace = 0.02 if fixed else 1e-8
+    still = {"push": 0.0, "durations": (9.0,), "speeds": (0.0,), "y0": (2.0, 0.0)}
+    one = program("tanh", fixed)(case(mu=0.05, width=0.01, pace=pace, **still))
+    v = np.asarray(evaluate_compiled(one, np.linspace(0, 5, POINTS))[1])
+    assert np.sum(v[1:] * v[:-1] < 0) >= 2
+    assert one.sticks.count == 0
+    short = program("tanh", fixed)(case(durations=(1.0, 1.0, 1.0), pace=pace))
+    assert (int(short.status), float(short.time_reached)) == (ss.Status.BASE_TOO_SHORT, 3.0)
+
+
+POINT = {"mu": 0.6, "width": 0.1, "stiffness": 3.0, "first": 2.1}
+WEIGHTS = np.array([1.0, 0.7, -0.4, 0.3])
+
+
+def at_point(point, pace):
+    """A case by its parameters, one of which is when the base first jumps (and all that follows is later)."""
+    item = as_floats(case(mu=point["mu"], width=point["width"], k=point["stiffness"], pace=pace))
+    return item._replace(base=ss.VelocitySteps(item.base.durations.at[0].set(point["first"]), item.base.velocities))
+
+
+@cache
+def differences():
+    """Central differences of what `told` tells, by scipy: (told, parameters)."""
+
+    def exact(point):
+        item, scale = at_point(point, 1e-8), point["mu"] * 1.5 / math.sqrt(1.2 * point["stiffness"])
+        item = jax.tree.map(np.asarray, item)._replace(base=item.base, width=point["width"])
+        threshold = point["width"] * (0.45 + math.log(scale / point["width"]) / 4)
+        field = field_of(item, "tanh", "coulomb", point["mu"])
+        _, end, passages = by_scipy(item, field, np.zeros(0), lambda y, v: y[1] - v, threshold)
+        return np.array([*end, passages[np.argmin(np.abs(passages - 2.4))], point["first"] + 1.7])
+
+    moved = [[exact(POINT | {name: POINT[name] + way * 1e-3}) for way in (1, -1)] for name in POINT]
+    return np.stack([(high - low) / 2e-3 for high, low in moved], axis=1)
+
+
+def watched(one):
+    """End state, start and end of the first stick."""
+    return jnp.stack([*one.final_state, one.sticks.start[0], one.sticks.end[0]])
+
+
+@pytest.mark.parametrize("fixed", [pytest.param(True, marks=pytest.mark.slow), False])
+def test_derivatives(fixed):
+    """Reverse and forward, against differences; fixed steps find a stick's start to first order in the step only."""
+    pace, forward = (0.0025, {}) if fixed else (1e-9, {"solver": TSIT, "adjoint": diffrax.ForwardMode()})
+    point = as_floats(POINT)
+
+    def told(point, options):
+        return watched(follow(at_point(point, pace), fixed=fixed, **options))
+
+    seed = {name: jnp.asarray(number) for name, number in zip(POINT, (0.7, 0.2, -0.5, 0.4), strict=True)}
+    _, tangent = jax.jit(lambda point: jax.jvp(lambda point: told(point, forward), (point,), (seed,)))(point)
+    options = forward and {"solver": TSIT}
+    back = jax.jit(jax.grad(lambda point: WEIGHTS @ told(point, options)))(point)
+    along = sum(float(back[name] * seed[name]) for name in POINT)
+    assert along == pytest.approx(float(WEIGHTS @ tangent), rel=1e-8 if fixed else 1e-6)
+    expected = differences() @ np.array([float(value) for value in seed.values()])
+    np.testing.assert_allclose(tangent[:2], expected[:2], rtol=1e-4)
+    np.testing.assert_allclose(tangent[2:], expected[2:], rtol=5e-3 if fixed else 1e-4)
+    slopes = WEIGHTS @ differences()
+    np.testing.assert_allclose([back[name] for name in POINT], slopes, rtol=3e-4, atol=1e-3 if fixed else 0)
+
+
+def test_vmap_in_float32():
+    """Over width and friction; 250 steps of a few units in the last place."""
+    items = [as_floats(case(mu=mu, width=width, pace=0.02)) for mu, width in ((0.6, 0.1), (0.3, 0.02))]
+    exact = [np.stack(program("tanh", True)(item).final_state) for item in items]
+    single = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *items)
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
+        found = jax.jit(jax.vmap(lambda item: jnp.stack(follow(item, fixed=True).final_state)))(single)
+    assert found.dtype == jnp.float32
+    np.testing.assert_allclose(found, exact, atol=2e-5)
+
+
+class Own(ss.SwitchedSystem):
+    """The system of `case` written by hand."""
+
+    mu: float = 0.6
+    traces: ClassVar[list] = []
+    state_names = ("position in m", "velocity in m/s")
+
+    def rates(self, t, y, base, friction):
+        if isinstance(t, jax.core.Tracer):
+            self.traces.append(t)
+        force = jnp.cos(0.7 * t + 0.2) - 0.2 * y[1] - 3.0 * y[0]
+        return y[1], (force - 1.5 * self.mu * friction) / 1.2
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_system_written_by_hand(fixed):
+    """The same steps, with thresholds given by hand; another width and threshold need no compilation."""
+    counts = []
+    Own.traces.clear()
+    for width in (0.1, 0.05):
+        item = case(width=width, pace=0.02 if fixed else 1e-6)
+        known = program("tanh", fixed)(item)
+        given = {name: float(getattr(known.method, name)) for name in ("threshold", "minimum_duration")}
+        pace = {"step": 0.02} if fixed else {"rtol": 1e-6, "atol": known.method.atol, "solver": TSIT}
+        method = ss.Regularized(width, "tanh", **given, **pace, max_steps=STEPS)
+        own = ss.simulate(Own(), item.base, t1=5.0, y0=(1.0, 0.5), method=method)
+        np.testing.assert_allclose(own.final_state, known.final_state, atol=1e-9)
+        for values, expected in zip(sticks(own), sticks(known), strict=True):
+            np.testing.assert_allclose(values, expected, atol=1e-9)
+        assert {name: float(getattr(own.method, name)) for name in given} == given
+        counts.append(len(Own.traces))
+    assert counts[0] == counts[1] > 0
+
+
+def test_ensembles_of_fixed_steps():
+    """Samples are simulations, whatever the chunks and threads; those that need more than 264 steps are given up."""
+    system, law, t1 = case().system, ss.PoissonSwitching(0.5, 1.0), 5.2
+    method = ss.Regularized(0.05, "tanh", step=0.02, max_steps=264)
+    options = {"t1": t1, "samples": 10, "key": jax.random.key(1), "method": method, "keep": "sticks"}
+    options["y0"] = (ss.Uniform(-1.0, 1.0), 0.5)
+    many, other = (ss.simulate_ensemble(system, law, chunk=c, threads=n, **options) for c, n in ((8, 1), (5, 2)))
+    for values, others in zip(many.flat_sticks, other.flat_sticks, strict=True):
+        np.testing.assert_array_equal(values, others)
+    statuses = []
+    for number in range(10):
+        base, start = many.realisation(number)
+        one = program("tanh", True)(Case(system, padded(base.durations, base.velocities, SLOTS), start, t1, 0.05, 0.02))
+        lengths = np.diff(np.unique(np.minimum([0.0, *np.cumsum(base.durations)], t1)))
+        statuses.append(ss.Status.OUT_OF_STEPS if np.sum(np.ceil(lengths / 0.02 - 1e-6)) > 264 else ss.Status.FINISHED)
+        assert float(one.method.threshold) == pytest.approx(float(many.method.threshold), rel=1e-12)
+        if statuses[-1] == ss.Status.FINISHED:
+            for values, expected in zip(sticks(many, number), sticks(one), strict=True):
+                np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-9)
+    finished, stick_time = statuses.count(ss.Status.FINISHED), np.sum(many.flat_sticks.end - many.flat_sticks.start)
+    assert many.totals.status.tolist() == statuses
+    assert 0 < finished == many.finished < 10 < 100 * stick_time
+    assert f"NOT FINISHED: {10 - finished} samples, because all time steps allowed were used" in repr(many)
+    assert ss.stick_fraction(many).value == pytest.approx(stick_time / (finished * t1), rel=1e-12)
+
+
+def test_carts():
+    """Against scipy, and an ensemble against its samples."""
+    system, law, width = ss.MotorCart(mu=0.5), ss.RandomPhase(ss.SourceVoltage(0.0, 2.0, 10.0)), 0.02
+    method, y0 = ss.Regularized(width, "tanh", rtol=1e-7, solver=TSIT, max_steps=1024), (ss.Uniform(0.3, 1.2), 0.0, 0.0)
+    options = {"t1": 0.5, "method": method}
+    many = ss.simulate_ensemble(system, law, samples=4, chunk=2, key=jax.random.key(2), y0=y0, keep="sticks", **options)
+    for number in range(4):
+        base, start = many.realisation(number)
+        one = ss.simulate(system, base, y0=start, **options)
+        assert one.sticks.count > 0
+        for values, expected in zip(sticks(many, number), sticks(one), strict=True):
+            np.testing.assert_allclose(values, expected, atol=1e-6)
+
+    def field(t, y, _):
+        (a, w, c), m, d = y, 5.0, 0.01
+        s, u = math.sin(a), 2.0 * math.sin(10.0 * t + float(base.phase))
+        torque = 5.33e-2 * c - 1.545e-4 * w - 0.5 * m * 9.81 * d * abs(s) * math.tanh(d * w / width)
+        turn = (torque - m * d * d * s * math.cos(a) * w * w) / (1.21e-4 + m * d * d * s * s)
+        return [w, turn, (u - 0.307 * c - 5.33e-2 * w) / 1.88e-4]
+
+    item, threshold = Case(system, padded([1.0], [0.0], 1), start, 0.5, width, 0), float(one.method.threshold)
+    _, end, passages = by_scipy(item, field, np.zeros(0), lambda y, _: 0.01 * y[1], threshold)
+    np.testing.assert_allclose(one.final_state, end, atol=1e-5)
+    for instant in np.concatenate([values[(values > 0) & (values < 0.5)] for values in sticks(one)[:2]]):
+        assert np.min(np.abs(passages - instant)) < 1e-6

@@ -1,0 +1,204 @@
+"""The shape of the code: imports go one way, files and functions stay small, importing has no side effects."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "stickslip_jax"
+ROOT = Path(__file__).parents[2] / PACKAGE
+TESTS = Path(__file__).parents[1]
+
+# From the ground up: a module imports only from its own folder and from entries before its own.
+ROWS = (
+    "_types",
+    "_status",
+    "_checks",
+    "_fast_cpu",
+    "_compilation_cache",
+    "_numerics",
+    "_excitation",
+    "_systems",
+    "_events",
+    "_dynamics",
+    "_simulation",
+    "_statistics",
+    "_ensemble",
+    "_sensitivity",
+    "plot",
+    "papers",
+    "study",
+    "_cli",
+    "__init__",
+    "__main__",
+)
+FILE_LINES, FUNCTION_LINES = 400, 60
+
+MODULES = {path.relative_to(ROOT).with_suffix("").parts: path for path in sorted(ROOT.rglob("*.py"))}
+
+
+def name_of(parts) -> str:
+    return "/".join(parts)
+
+
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(), filename=str(path))
+
+
+def imports_of(tree: ast.Module):
+    """All import statements, in functions too, but not those for type checkers only."""
+    hidden = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            hidden.update(id(inner) for part in node.body for inner in ast.walk(part))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom) and id(node) not in hidden]
+
+
+def modules_named(target: tuple[str, ...], names: list[str]) -> set[tuple[str, ...]]:
+    """The package's modules behind ``from target import names``."""
+    found = set()
+    for name in names:
+        if (*target, name) in MODULES:
+            found.add((*target, name))
+        elif (*target, name, "__init__") in MODULES:
+            found.add((*target, name, "__init__"))
+        elif target in MODULES:
+            found.add(target)
+        elif name != "__version__":  # plain text, which the package's __init__ holds for everybody
+            found.add((*target, "__init__"))
+    return found
+
+
+def uses(parts: tuple[str, ...]) -> set[tuple[str, ...]]:
+    """Which of the package's own modules the module `parts` imports."""
+    found = set()
+    for node in imports_of(tree_of(MODULES[parts])):
+        if isinstance(node, ast.ImportFrom):
+            module = tuple(node.module.split(".")) if node.module else ()
+            if node.level:
+                target = parts[: len(parts) - node.level] + module
+            elif module[:1] == (PACKAGE,):
+                target = module[1:]
+            else:
+                continue
+            found |= modules_named(target, [alias.name for alias in node.names])
+        else:
+            for alias in node.names:
+                if alias.name.split(".")[0] == PACKAGE:
+                    found |= modules_named(tuple(alias.name.split(".")[1:]), ["*"])
+    return found
+
+
+@pytest.mark.parametrize("parts", MODULES, ids=name_of)
+def test_every_module_has_its_row(parts):
+    assert parts[0] in ROWS
+
+
+@pytest.mark.parametrize("parts", MODULES, ids=name_of)
+def test_imports_go_one_way(parts):
+    row = ROWS.index(parts[0])
+    wrong = [name_of(other) for other in uses(parts) if other[0] != parts[0] and ROWS.index(other[0]) >= row]
+    assert wrong == []
+
+
+def test_no_circle_of_imports():
+    graph = {parts: uses(parts) - {parts} for parts in MODULES}
+    while leaves := [parts for parts, others in graph.items() if not others & graph.keys()]:
+        for parts in leaves:
+            del graph[parts]
+    assert [name_of(parts) for parts in graph] == []
+
+
+@pytest.mark.parametrize("parts", MODULES, ids=name_of)
+def test_imports_are_named_and_public(parts):
+    """No star imports, nothing private of JAX, and matplotlib only where figures are drawn."""
+    for node in imports_of(tree_of(MODULES[parts])):
+        names = [alias.name for alias in node.names]
+        modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else names
+        assert "*" not in names
+        for module in modules:
+            full = [module, *(f"{module}.{name}" for name in names)]
+            assert not any(item.startswith("jax._src") for item in full), ast.unparse(node)
+            assert module.split(".")[0] != "matplotlib" or parts[0] == "plot", ast.unparse(node)
+    assert "jax._src" not in MODULES[parts].read_text()
+
+
+def test_whatever_is_imported_is_declared():
+    """By the package or by the extras that its users may install."""
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    needs = [*project["dependencies"], *extras["study"], *extras["tables"]]
+    declared = {re.split("[^A-Za-z0-9_]", need)[0] for need in needs}
+    imported = set()
+    for path in MODULES.values():
+        for node in imports_of(tree_of(path)):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif node.level == 0 and node.module:
+                imported.add(node.module.split(".")[0])
+    assert imported - set(sys.stdlib_module_names) - {PACKAGE} <= declared
+
+
+OTHERS = [path for name in ("tests", "benchmarks", "tools") for path in sorted((ROOT.parent / name).rglob("*.py"))]
+FILES = [*MODULES.values(), *OTHERS]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(TESTS.parent)))
+def test_files_and_functions_are_small(path):
+    text = path.read_text()
+    assert len(text.splitlines()) <= FILE_LINES
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert node.end_lineno - node.lineno + 1 <= FUNCTION_LINES, node.name
+
+
+IMPORT_QUIETLY = """
+import json, os, sys, warnings
+import jax, diffrax, equinox, jaxtyping, numpy
+before, seen = dict(os.environ), dict(jax.config.values)
+errors, filters = numpy.geterr(), list(warnings.filters)
+import stickslip_jax
+changed = {name: value for name, value in jax.config.values.items() if seen.get(name) != value}
+print(json.dumps({
+    "environment": dict(os.environ) != before,
+    "flags": {name: repr(value) for name, value in changed.items()},
+    "numpy": numpy.geterr() != errors,
+    "warnings": list(warnings.filters) != filters,
+    "float64": str(jax.numpy.ones(1).dtype),
+    "matplotlib": "matplotlib.pyplot" in sys.modules,
+    "numba": "numba" in sys.modules,
+}))
+"""
+
+IMPORT_BEFORE_JAX_STARTS = """
+import jax, stickslip_jax
+jax.config.update("jax_num_cpu_devices", 2)
+print(len(jax.devices("cpu")))
+"""
+
+
+def python(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True).stdout
+
+
+def test_importing_changes_nothing():
+    """No flag of JAX, no environment variable, no warning filter; float64 stays the user's choice."""
+    assert json.loads(python(IMPORT_QUIETLY)) == {
+        "environment": False,
+        "flags": {},
+        "numpy": False,
+        "warnings": False,
+        "float64": "float32",
+        "matplotlib": False,
+        "numba": False,
+    }
+
+
+def test_importing_does_not_start_jax():
+    """What must be set before JAX starts, such as the number of devices, can still be set after the import."""
+    assert python(IMPORT_BEFORE_JAX_STARTS).strip() == "2"

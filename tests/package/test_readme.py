@@ -1,0 +1,29 @@
+"""The code in README and documents runs and prints what they say."""
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = {"README.md": 5, "docs/regularized.md": 2, "docs/statistics.md": 4, "docs/sensitivity.md": 1}
+"""And how many pieces of code each holds."""
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    "document",
+    [pytest.param(name, marks=pytest.mark.slow) if name == "docs/regularized.md" else name for name in DOCUMENTS],
+)
+def test_documents_print_what_they_say(document):
+    text = (ROOT / document).read_text(encoding="utf-8")
+    parts = re.findall(r"```python\n(.*?)```\s+(?:[^`]*?```\n(.*?)```)?", text, flags=re.DOTALL)
+    assert len(parts) == DOCUMENTS[document]
+    names: dict = {}
+    for code, promised in parts:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(code, names)
+        assert printed.getvalue() == promised

@@ -1,0 +1,82 @@
+"""The programs that the benchmarks compare with do the same work: same sticks, same states, on the same gaps."""
+
+import math
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+from support.interval import simulate_compiled
+
+import stickslip_jax as ss
+from benchmarks.baselines import c_yardstick, diffrax_events, numba_scalar, scipy_events
+from benchmarks.baselines.event_driver import switching_velocities
+
+SLOTS, LANES = 400, 6
+
+
+PROGRAMS = {
+    "C, events": partial(c_yardstick.given_gaps, "events"),
+    "C, intervals": partial(c_yardstick.given_gaps, "intervals"),
+    "numba": numba_scalar.given_gaps,
+}
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("w", [0.4, 2.0, 6.0])
+def test_compiled_programs_agree_with_the_engine(program, w):
+    law = ss.PoissonSwitching(speed=w, rate=0.5, first_sign="positive")
+    system = ss.MassSpring(mass=1.0, stiffness=1.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    bases = [law.sample(jax.random.key(lane), 300.0, capacity=SLOTS) for lane in range(LANES)]
+    gaps = np.array([base.durations for base in bases])
+    c = PROGRAMS[program](w=w, t1=300.0, gaps=gaps, y0=(0.3, 0.1))
+    for lane, base in enumerate(bases):
+        one = simulate_compiled(system, base, 300.0, (0.3, 0.1))
+        assert c.sticks[lane] == int(one.sticks.count)
+        # 150 switches multiply the programs' own last-place differences by far less than 10^4.
+        assert c.stick_time[lane] == pytest.approx(float(one.stick_time), abs=1e-9)
+        assert c.z[lane] == pytest.approx(float(one.final_state[0]), abs=1e-9)
+        assert c.u[lane] == pytest.approx(float(one.final_state[1]), abs=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("program", [scipy_events, diffrax_events], ids=["scipy", "diffrax"])
+def test_general_solvers_agree_with_the_engine(program):
+    law = ss.PoissonSwitching(speed=2.0, rate=0.5, first_sign="positive")
+    system = ss.MassSpring(mass=1.0, stiffness=1.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    base = law.sample(jax.random.key(5), 30.0, capacity=SLOTS)
+    gaps = np.asarray(base.durations)[:60]
+    found = program.simulate(gaps=gaps, velocities=switching_velocities(2.0, gaps), t1=30.0, y0=(0.3, 0.1))
+    one = simulate_compiled(system, base, 30.0, (0.3, 0.1))
+    count = int(one.sticks.count)
+    assert len(found.start) == count > 2
+    # Their tolerance is 1e-8 a step; arrivals at a small angle magnify it a hundredfold.
+    np.testing.assert_allclose(found.start, np.asarray(one.sticks.start)[:count], atol=1e-5)
+    np.testing.assert_allclose(found.end, np.asarray(one.sticks.end)[:count], atol=1e-5)
+
+
+@pytest.mark.parametrize("program", ["events", "intervals"])
+@pytest.mark.parametrize("chain", [0, 1])
+def test_c_statistics_agree_with_the_engine(program, chain):
+    """Other random numbers, the same law: z-scores of the means (4.5 sd: eight checks, false alarm 5e-5)."""
+    n = 20_000
+    c = c_yardstick.simulate(program, w=2.0, rate=0.5, t1=100.0, samples=n, y0=(0.0, 2.0), seed=3, chain=chain)
+    system = ss.MassSpring(mass=1.0, stiffness=1.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    law = ss.PoissonSwitching(speed=2.0, rate=0.5)
+    many = ss.simulate_ensemble(system, law, t1=100.0, samples=n, key=jax.random.key(8), y0=(0.0, 2.0))
+    pairs = [
+        (c.sticks, c.sticks_squared, ss.mean_stick_count(many), 1.0),
+        (c.stick_time, c.stick_time_squared, ss.stick_fraction(many), 100.0),
+    ]
+    for total, squares, estimate, scale in pairs:
+        mean = total / n
+        error = math.hypot(math.sqrt((squares / n - mean**2) / n), scale * estimate.standard_error)
+        assert abs(mean - scale * estimate.value) < 4.5 * error
+
+
+def test_the_yardsticks_own_mathematics():
+    x = np.linspace(-300.0, 300.0, 10_001)
+    sine, cosine, angle = c_yardstick.probe_math(x)
+    np.testing.assert_allclose(sine, np.sin(x), atol=1e-13)
+    np.testing.assert_allclose(cosine, np.cos(x), atol=1e-13)
+    np.testing.assert_allclose(np.exp(1j * angle), np.exp(1j * x), atol=1e-12)

@@ -1,0 +1,138 @@
+"""Intervals and errors are honest: coverage by simulation, the memoryless identity, predicted accuracies reached."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+from support.statistics import statistics_of
+
+import stickslip_jax as ss
+from stickslip_jax._numerics.moments import Moments
+
+SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
+GROUPS, SIZE = 1000, 50
+STATISTICS = [ss.stick_fraction, ss.mean_stick_count, ss.mean_stick_duration]
+
+
+@pytest.fixture(scope="module")
+def many():
+    """Samples for many small studies; their mean stands for the truth, with an error 1 / sqrt(1000) of a study's."""
+    return ss.simulate_ensemble(
+        SYSTEM, POISSON, t1=40.0, samples=GROUPS * SIZE, key=jax.random.key(11), y0=(0.0, 1.0), keep="sticks"
+    )
+
+
+def small_studies(many, number):
+    """Ensembles of `SIZE` samples each."""
+    features, at = many.retained.features, np.concatenate([[0], np.cumsum(many.finished_sticks().count)])
+    sticks = many.finished_sticks()
+    for first in range(0, number * SIZE, SIZE):
+        rows, own = features[first : first + SIZE], slice(at[first], at[first + SIZE])
+        some = type(sticks)(sticks.count[first : first + SIZE], *(column[own] for column in sticks[1:]))
+        yield dataclasses.replace(
+            many, moments=Moments.of(rows), retained=many.retained._replace(sticks=some, features=rows)
+        )
+
+
+def assert_covers(hits, level):
+    """As often as promised: binomial error, 4 standard deviations."""
+    rate, error = np.mean(hits), math.sqrt(level * (1 - level) / len(hits))
+    assert abs(rate - level) < 4 * error, f"covers {rate:.3f} of {level}"
+
+
+@pytest.mark.parametrize("level", [0.9, 0.95])
+@pytest.mark.parametrize("statistic", STATISTICS, ids=lambda statistic: statistic.__name__)
+def test_t_intervals_cover_as_often_as_they_promise(many, statistic, level):
+    truth, hits = statistic(many).value, []
+    for study in small_studies(many, GROUPS):
+        low, high = statistic(study).interval(level)
+        hits.append(low <= truth <= high)
+    assert_covers(hits, level)
+
+
+@pytest.mark.parametrize(
+    "statistic",
+    [
+        pytest.param(ss.stick_fraction, marks=pytest.mark.slow),
+        pytest.param(ss.mean_stick_count, marks=pytest.mark.slow),
+        ss.mean_stick_duration,
+    ],
+    ids=lambda statistic: statistic.__name__,
+)
+def test_bootstrap_intervals_cover_as_often_as_they_promise(many, statistic):
+    truth, hits = statistic(many).value, []
+    for number, study in enumerate(small_studies(many, 250)):
+        low, high = ss.bootstrap_interval(study, statistic, level=0.9, resamples=300, seed=number)
+        hits.append(low <= truth <= high)
+    assert_covers(hits, 0.9)
+
+
+def test_errors_of_distributions_are_honest(many):
+    """Scores of estimates of small studies against those of all samples have mean 0 and standard deviation 1."""
+
+    def estimates(told):
+        return told.duration.mean, told.duration.variance, told.slip_duration.mean, told.own_mean_duration.mean
+
+    truth = [one.value for one in estimates(many.statistics)]
+    found = [estimates(statistics_of(one.finished_sticks(), t1=40.0)) for one in small_studies(many, 200)]
+    for exact, column in zip(truth, zip(*found, strict=True), strict=True):
+        scores = [(one.value - exact) / one.standard_error for one in column]
+        # Of 200 scores the mean has error 1 / sqrt(200) = 0.071, their spread 1 / sqrt(400) = 0.05; errors from 50
+        # samples make scores wider, by 2 % for normal values.
+        assert abs(np.mean(scores)) < 4 * 0.071
+        assert abs(np.std(scores) - 1.02) < 4 * 0.05
+
+
+# Friction, speed, rate: w = speed / (a omega) from 0.5 to 5 and rate / omega from 0.1 to 1.5.
+POINTS = [(1.0, 1.0, 1.0), (1.0, 0.25, 0.2), (0.4, 1.0, 3.0), (2.0, 1.0, 0.6), (1.0, 2.0, 1.5), (0.7, 0.5, 0.4)]
+
+
+@pytest.mark.parametrize(("mu", "speed", "rate"), POINTS)
+def test_sticks_ended_by_a_switch_number_rate_times_stick_time(mu, speed, rate):
+    """A Poisson base has no memory: while the mass sticks, switches come at their rate, whatever went before."""
+    system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=mu))
+    law = ss.PoissonSwitching(speed=speed, rate=rate)
+    many = ss.simulate_ensemble(
+        system, law, t1=60.0, samples=20_000, key=jax.random.key(3), y0=(0.0, 0.3), keep="sticks"
+    )
+    sticks = many.flat_sticks
+    switched = np.bincount(sticks.sample, weights=sticks.ending == ss.Ending.BASE_SWITCHED, minlength=many.samples)
+    excess = switched - rate * many.totals.stick_time
+    assert switched.sum() > 2000
+    assert abs(excess.mean()) < 4 * excess.std() / math.sqrt(many.samples)
+    share, told = many.statistics.endings[ss.Ending.BASE_SWITCHED], ss.mean_stick_count(many)
+    assert share.value * told.value == pytest.approx(switched.mean())
+
+
+@pytest.mark.parametrize("statistic", [ss.stick_fraction, ss.mean_stick_duration], ids=lambda one: one.__name__)
+def test_convergence_predicts_the_samples_that_an_error_takes(many, statistic):
+    found = ss.convergence(many, statistic)
+    assert found.numbers[0] == 2
+    assert found.numbers[-1] == len(many.retained.features)
+    assert found.values[-1] == pytest.approx(statistic(many).value)
+    low, high = found.band(0.9)
+    assert np.all((high - low)[5:] > 0)
+    # The standard error from so many samples is the wanted share of the value, to what 1000 samples tell of a spread.
+    number = found.samples_for(0.01)
+    features = many.retained.features[:number]
+    reached = statistic(dataclasses.replace(many, moments=Moments.of(features)))
+    assert reached.standard_error / reached.value == pytest.approx(0.01, rel=4 / math.sqrt(2 * number) + 0.02)
+
+
+def test_running_values_are_those_of_the_first_samples(many):
+    found = ss.convergence(many, ss.mean_stick_duration, points=5)
+    for number, value, error in zip(found.numbers, found.values, found.errors, strict=True):
+        part = dataclasses.replace(many, moments=Moments.of(many.retained.features[:number]))
+        one = ss.mean_stick_duration(part)
+        assert (value, error) == (pytest.approx(one.value, rel=1e-9), pytest.approx(one.standard_error, rel=1e-6))
+
+
+def test_joint_histograms_converge_with_the_root_of_the_number(many):
+    found = ss.histogram_convergence(many, bins=10)
+    assert found.distances[-1] < found.distances[3] < found.distances[0] <= 1
+    assert found.slope == pytest.approx(-0.5, abs=0.1)
+    half = found.samples_for(found.distances[-1] / 2)
+    assert half == pytest.approx(4 * found.numbers[-1], rel=0.01)

@@ -1,0 +1,237 @@
+"""Sums and histograms of sticks against plain Python, by compiled loops and by NumPy, which give the same counts."""
+
+import math
+import sys
+
+import jax
+import numpy as np
+import pytest
+from support.statistics import made_up_sticks, sticks_from
+
+import stickslip_jax as ss
+from stickslip_jax._ensemble import parts as ensemble_parts
+from stickslip_jax._events.stick_stream import StickCollector, StickStream
+from stickslip_jax._numerics import loops
+from stickslip_jax._statistics import compiled_stick_sums, stick_sums
+
+SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
+WAYS = pytest.mark.parametrize("by", [stick_sums, compiled_stick_sums], ids=["numpy", "compiled"])
+TYPES = pytest.mark.parametrize("dtype", [np.float64, np.float32])
+T1 = 100.0
+
+
+def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
+    """Made-up records of lanes that go from sample to sample and then idle, with NaN wherever there is no stick.
+
+    Returns the three arrays that a gatherer takes, and the sticks of each sample as a plain list.
+    """
+    stuck = rng.random((slots, lanes)) < share
+    gaps = rng.exponential(1.0, (2, slots, lanes)).astype(dtype)
+    sample = rng.integers(0, 2, (blocks, lanes)).cumsum(axis=0) * lanes + np.arange(lanes)
+    values, ending = np.full((slots, 3, lanes), np.nan, dtype), np.full((slots, lanes), -1, np.int8)
+    found = [[] for _ in range(samples)]
+    for lane in range(lanes):
+        t, before = dtype(0), None
+        for slot in range(slots):
+            whose = sample[slot // (slots // blocks), lane]
+            t, before = (t if whose == before else dtype(0)), whose
+            if not stuck[slot, lane]:
+                continue
+            # The first stick of every other sample begins at once.
+            start = t + (gaps[0, slot, lane] if t > 0 or whose % 2 else dtype(0))
+            t = start + gaps[1, slot, lane]
+            values[slot, :, lane] = start, t, dtype(rng.normal())
+            ending[slot, lane] = rng.integers(3)
+            if whose < samples:
+                found[whose].append((*values[slot, :, lane], ending[slot, lane]))
+    return (values, ending, sample), found
+
+
+def gathered(parts, samples, finished=None):
+    gatherer = StickCollector()
+    gatherer.restart(samples)
+    for part in parts:
+        gatherer.add(*part)
+    return gatherer.sticks if finished is None else gatherer.sticks.only(finished)
+
+
+def joined(lists):
+    return [entry for one in lists for entry in one]
+
+
+def without_numba(monkeypatch):
+    monkeypatch.setattr(loops, "compiled", lambda: None)
+
+
+@TYPES
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("compiled", [True, False])
+def test_sticks_come_in_order_of_samples_and_time(seed, dtype, compiled, monkeypatch):
+    if not compiled:
+        without_numba(monkeypatch)
+    (values, ending, sample), found = records(np.random.default_rng(seed), dtype)
+    whole, pieces = [(values, ending, sample)], []
+    for block in range(3):
+        own = slice(24 * block, 24 * block + 24)
+        pieces.append((values[own], ending[own], sample[block : block + 1]))
+    finished = np.arange(9) != 3
+    for parts in (whole, pieces):
+        for chosen in (None, finished):
+            sticks = gathered(parts, 9, chosen).in_order()
+            kept = [one if chosen is None or chosen[i] else [] for i, one in enumerate(found)]
+            assert sticks.count.tolist() == [len(one) for one in kept]
+            assert sticks.start.dtype == dtype
+            for column, entries in zip(sticks[1:], zip(*joined(kept), strict=True), strict=True):
+                np.testing.assert_array_equal(column, np.array(entries, column.dtype))
+
+
+def moments_by_hand(rows):
+    """Number, mean, scatter and third moments with exactly rounded sums."""
+    d = len(rows[0])
+    mean = [math.fsum(row[a] for row in rows) / len(rows) for a in range(d)]
+    scatter = [[math.fsum((r[a] - mean[a]) * (r[b] - mean[b]) for r in rows) for b in range(d)] for a in range(d)]
+    return len(rows), mean, scatter, [math.fsum((row[a] - mean[a]) ** 3 for row in rows) for a in range(d)]
+
+
+def assert_sums(sums, rows):
+    assert int(sums.number) == len(rows)
+    if not rows:
+        return
+    number, mean, scatter, third = moments_by_hand(rows)
+    scale = np.abs(rows).max()
+    np.testing.assert_allclose(sums.mean, mean, rtol=0, atol=1e-13 * scale)
+    np.testing.assert_allclose(sums.scatter, scatter, rtol=0, atol=1e-12 * number * scale**2)
+    np.testing.assert_allclose(sums.third, third, rtol=0, atol=1e-11 * number * scale**3)
+    np.testing.assert_array_equal(sums.smallest, np.min(rows, axis=0))
+    np.testing.assert_array_equal(sums.largest, np.max(rows, axis=0))
+
+
+def assert_bins(bins, rows, group=None):
+    """Every number, or tuple of numbers, counted where it belongs, one after the other."""
+    expected = np.zeros_like(bins.counts)
+    for at, row in enumerate(rows):
+        place = [math.floor(math.ldexp(x, -e)) - first for x, e, first in zip(row, bins.exponent, bins.first,
+                                                                             strict=True)]  # fmt: skip
+        expected[(*([] if group is None else [group[at]]), *place)] += 1
+    np.testing.assert_array_equal(bins.counts, expected)
+    if len(rows):
+        assert (bins.low, bins.high) == (tuple(np.min(rows, axis=0)), tuple(np.max(rows, axis=0)))
+        assert all(size <= bins.most for size in bins.counts.shape[-len(rows[0]) :])
+
+
+def slips_by_hand(samples, dtype, any_at_zero):
+    """Durations of the slips, in the arithmetic of the sticks."""
+    before, after = [], []
+    for sticks in samples:
+        last = dtype(0)
+        for start, end, _, _ in sticks:
+            before.append(float(dtype(start) - last))
+            last = dtype(end)
+        after.append(float(max(dtype(T1) - last, dtype(0))))
+    return [slip for slip in before if slip > 0 or not any_at_zero] + [slip for slip in after if slip > 0]
+
+
+@WAYS
+@TYPES
+@pytest.mark.parametrize("rest", [False, True])
+@pytest.mark.parametrize("orders", [1, 3, 40])
+def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
+    (values, ending, sample), found = records(np.random.default_rng(orders), dtype)
+    stream = gathered([(values, ending, sample)], 9)
+    rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, _ in one] for one in found]
+    every = joined(rows)
+    told = by.sums_of_sticks(stream, T1)
+    assert_sums(told.sticks, every)
+    for a, bins in enumerate(told.stick_bins):
+        assert_bins(bins, [(row[a],) for row in every])
+    for bins, (x, y) in zip(told.pair_bins, ((1, 2), (0, 1)), strict=True):
+        assert_bins(bins, [(row[x], row[y]) for row in every])
+    slips = slips_by_hand(found, dtype, any(one and one[0][0] == 0 for one in found))
+    assert_sums(told.slips, [(slip,) for slip in slips])
+    assert_bins(told.slip_bins, [(slip,) for slip in slips])
+
+    skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
+    assert np.any(skipped) != rest
+    numbered = [one[skip:] for one, skip in zip(rows, skipped, strict=True)]
+    told = by.sums_of_orders(stream, skipped, orders)
+    by_order = [[one[order] for one in numbered if len(one) > order] for order in range(orders)]
+    for order, mine in enumerate(by_order):
+        assert_sums(told.by_order.one(order), mine)
+    group = [order for order, mine in enumerate(by_order) for _ in mine]
+    for a, bins in enumerate(told.order_bins):
+        assert_bins(bins, [(row[a],) for row in joined(by_order)], group)
+    first_two = [(one[0][1], one[1][1]) for one in numbered if len(one) > 1]
+    assert_sums(told.first_two, first_two)
+    assert_bins(told.first_two_bins, first_two)
+
+
+def assert_same(one, other):
+    """To the last bit but for sums, whose round-off depends on the order."""
+    for mine, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        if np.asarray(mine).dtype.kind == "f":
+            np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
+        else:
+            np.testing.assert_array_equal(mine, theirs)
+
+
+@TYPES
+@pytest.mark.parametrize("samples", [0, 1, 4000])
+def test_both_ways_agree_on_many_sticks_and_on_none(samples, dtype):
+    """Tens of thousands of sticks: many blocks of the compiled loops, the last not full."""
+    sticks = made_up_sticks(np.random.default_rng(samples), samples)
+    sticks = sticks._replace(**{name: getattr(sticks, name).astype(dtype) for name in ("start", "end", "position")})
+    nothing = sticks_from([[]] * samples)
+    for one in (sticks, nothing):
+        stream = StickStream.of(one)
+        assert_same(stick_sums.sums_of_sticks(stream, T1), compiled_stick_sums.sums_of_sticks(stream, T1))
+        skipped = np.zeros(samples, int)
+        for orders in (1, 10):
+            assert_same(stick_sums.sums_of_orders(stream, skipped, orders),
+                        compiled_stick_sums.sums_of_orders(stream, skipped, orders))  # fmt: skip
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("keep", ["statistics", "sticks"])
+def test_ensembles_without_numba_are_the_same(keep, threads, monkeypatch):
+    run = {"t1": 30.0, "samples": 900, "key": jax.random.key(3), "y0": (0.0, 1.0), "keep": keep}
+    compiled = ss.simulate_ensemble(SYSTEM, POISSON, threads=threads, chunk=300, **run)
+    again = ss.simulate_ensemble(SYSTEM, POISSON, threads=3 - threads, chunk=300, **run)
+    for mine, theirs in zip(jax.tree.leaves(compiled.accumulator), jax.tree.leaves(again.accumulator), strict=True):
+        np.testing.assert_array_equal(mine, theirs)  # whatever the threads
+    without_numba(monkeypatch)
+    plain = ss.simulate_ensemble(SYSTEM, POISSON, threads=threads, chunk=300, **run)
+    assert_same(compiled.accumulator, plain.accumulator)
+    for mine, theirs in zip(compiled.retained.sticks, plain.retained.sticks, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize("keep", ["statistics", "sticks"])
+def test_an_ensemble_without_sticks(keep):
+    run = {"t1": 0.5, "samples": 300, "y0": (30.0, 0.0), "keep": keep}
+    many = ss.simulate_ensemble(SYSTEM, ss.Constant(1.0), **run)
+    assert many.statistics.duration.number == 0
+    assert many.accumulator.slips.number == 300
+    assert many.accumulator.endings.tolist() == [0, 0, 0]
+
+
+def test_without_numba_the_loops_are_not_there(monkeypatch):
+    assert loops.compiled() is not None
+    monkeypatch.delattr("stickslip_jax._numerics.numba_loops")
+    monkeypatch.setitem(sys.modules, "stickslip_jax._numerics.numba_loops", None)
+    loops.compiled.cache_clear()
+    try:
+        assert loops.compiled() is None
+        ensemble_parts.prepare(np.float64)  # by NumPy
+    finally:
+        monkeypatch.undo()
+        loops.compiled.cache_clear()
+
+
+def test_gathering_begins_anew():
+    parts, found = records(np.random.default_rng(5), np.float64)
+    gatherer = StickCollector()
+    for samples in (9, 4):
+        gatherer.restart(samples)
+        gatherer.add(*parts)
+        assert gatherer.sticks.count.tolist() == [len(one) for one in found[:samples]]

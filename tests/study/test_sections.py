@@ -1,0 +1,160 @@
+"""What the sections of a study's file say is what the simulation is given."""
+
+import jax
+import numpy as np
+import pytest
+from support.study import HARMONIC, TIMES, TONES, VALUES, G, config_file, mass_spring, write_records
+
+import stickslip_jax as ss
+from stickslip_jax.study._config import MotorCartRunConfig, RunConfig, StudyConfig
+from stickslip_jax.study._examples import EXAMPLES
+from stickslip_jax.study._reading import read_config
+
+
+@pytest.fixture(autouse=True)
+def _records(tmp_path):
+    write_records(tmp_path)
+
+
+def same(one, other) -> bool:
+    """Whether two systems or laws are of the same kind and hold the same numbers."""
+    alike = jax.tree.structure(one) == jax.tree.structure(other)
+    return alike and jax.tree.all(jax.tree.map(np.array_equal, one, other))
+
+
+SYSTEMS = {
+    "mu": ("[system]\nmu = 0.3", mass_spring(ss.Coulomb(0.3))),
+    "Coulomb": ("[system.friction]\nmu = 0.3\nmu_static = 0.4", mass_spring(ss.Coulomb(0.3, 0.4))),
+    "VelocityWeakening": (
+        '[system.friction]\nlaw = "VelocityWeakening"\nmu_static = 0.4\nweakening = 2',
+        mass_spring(ss.VelocityWeakening(0.4, 2.0)),
+    ),
+    "Stribeck": (
+        '[system.friction]\nlaw = "Stribeck"\nmu = 0.3\nmu_static = 0.4\nstribeck_speed = 0.1\nexponent = 2.0\n'
+        "viscous = 0.2",
+        mass_spring(ss.Stribeck(0.3, 0.4, 0.1, 2.0, 0.2)),
+    ),
+    "damping": ("[system]\ndamping = 0.1", mass_spring(damping=0.1)),
+    "no damping": ("[system]\ndamping = 0", mass_spring()),
+    "Harmonic force": (
+        f"[system.force]\n{HARMONIC}phase = 0.1\noffset = 0.2",
+        mass_spring(force=ss.Harmonic(0.5, 1.5, 0.1, 0.2)),
+    ),
+    "SumOfHarmonics force": (
+        '[system.force]\nlaw = "SumOfHarmonics"\namplitudes = [0.5, 0.2]\nangular_frequencies = [1.5, 4]\n'
+        "phases = [1, 2]",
+        mass_spring(force=ss.SumOfHarmonics(*TONES, [1.0, 2.0])),
+    ),
+    "Recorded force": (
+        '[system.force]\nlaw = "Recorded"\nfile = "record.csv"\nvalue_column = "value"\nscale = 2.0',
+        mass_spring(force=ss.Recorded(TIMES, 2 * VALUES)),
+    ),
+    "MotorCart": ('[system]\nmodel = "MotorCart"', ss.MotorCart()),
+    "other MotorCart": (
+        '[system]\nmodel = "MotorCart"\nmu = 0.5\ninductance = 1e-4\nequation = "printed"',
+        ss.MotorCart(mu=0.5, inductance=1e-4, equation="printed"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SYSTEMS)
+def test_system(tmp_path, case):
+    text, expected = SYSTEMS[case]
+    config = read_config(config_file(tmp_path, text))
+    assert same(config.system.build(), expected)
+    assert read_config(config_file(tmp_path, config.to_toml())) == config
+
+
+BASES = {
+    "Harmonic": (HARMONIC, ss.RandomPhase(ss.Harmonic(0.5, 1.5))),
+    "Harmonic of no random phase": (HARMONIC + "random_phase = false\noffset = 1", ss.Harmonic(0.5, 1.5, offset=1.0)),
+    "Harmonic of given phase": (HARMONIC + "phase = 0.3", ss.Harmonic(0.5, 1.5, 0.3)),
+    "SumOfHarmonics": (
+        'law = "SumOfHarmonics"\namplitudes = [0.5, 0.2]\nangular_frequencies = [1.5, 4.0]',
+        ss.RandomPhase(ss.SumOfHarmonics(*TONES)),
+    ),
+    "SumOfHarmonics of given phases": (
+        'law = "SumOfHarmonics"\namplitudes = [0.5, 0.2]\nangular_frequencies = [1.5, 4.0]\nphases = [1, 2]',
+        ss.SumOfHarmonics(*TONES, [1.0, 2.0]),
+    ),
+    "Recorded": ('law = "Recorded"\ntimes = [0, 1, 3]\nvalues = [1, -1, 2]', ss.Recorded([0, 1, 3], [1, -1, 2])),
+    "Recorded in a file": ('law = "Recorded"\nfile = "record.csv"', ss.Recorded(TIMES, 2 * VALUES)),
+    "Recorded, columns by white space": (
+        'law = "Recorded"\nfile = "late.txt"\ndelimiter = "whitespace"\nshift = true',
+        ss.Recorded(TIMES, VALUES),
+    ),
+    "GroundAcceleration": ('law = "GroundAcceleration"\nfile = "record.AT2"', ss.GroundAcceleration(TIMES, G * VALUES)),
+    "scaled GroundAcceleration": (
+        'law = "GroundAcceleration"\nfile = "record.AT2"\nscale = -2.0',
+        ss.GroundAcceleration(TIMES, -2 * (G * VALUES)),
+    ),
+    "GroundAcceleration in a table": (
+        'law = "GroundAcceleration"\nfile = "record.csv"\ntime_column = "time"\nvalue_column = 2\nscale = 9.80665',
+        ss.GroundAcceleration(TIMES, G * VALUES),
+    ),
+    "KanaiTajimi": ('law = "KanaiTajimi"\nrms = 2.0\nrise = 1', ss.KanaiTajimi(2.0, rise=1.0)),
+    "WithJumps": (
+        f'law = "WithJumps"\n[base.motion]\n{HARMONIC}[base.jumps]\nrate = 2.0',
+        ss.WithJumps(ss.RandomPhase(ss.Harmonic(0.5, 1.5)), ss.PoissonSwitching(1.0, 2.0)),
+    ),
+    "WithJumps on a record": (
+        'law = "WithJumps"\n[base.motion]\nlaw = "Recorded"\nfile = "record.csv"\n'
+        '[base.jumps]\nlaw = "SquareWave"\nspeed = 1\nperiod = 2',
+        ss.WithJumps(ss.Recorded(TIMES, 2 * VALUES), ss.SquareWave(1.0, 2.0)),
+    ),
+}
+VOLTAGES = {
+    "usual": ("", ss.RandomPhase(ss.SourceVoltage())),
+    "other": ("[base]\nmean = 2.0\namplitude = 0.4", ss.RandomPhase(ss.SourceVoltage(2.0, 0.4))),
+    "given phase": ('[base]\nlaw = "SourceVoltage"\nphase = 1.0', ss.SourceVoltage(phase=1.0)),
+}
+
+
+@pytest.mark.parametrize("case", BASES)
+def test_base(tmp_path, case):
+    text, expected = BASES[case]
+    config = read_config(config_file(tmp_path, f"[base]\n{text}"))
+    assert same(config.base.build(), expected)
+    assert read_config(config_file(tmp_path, config.to_toml())) == config
+
+
+@pytest.mark.parametrize("case", VOLTAGES)
+def test_voltage(tmp_path, case):
+    text, expected = VOLTAGES[case]
+    config = read_config(config_file(tmp_path, f'[system]\nmodel = "MotorCart"\n{text}'))
+    assert same(config.base.build(), expected)
+    assert read_config(config_file(tmp_path, config.to_toml())) == config
+
+
+def test_usual_motor_cart_is_the_papers(tmp_path):
+    config = read_config(config_file(tmp_path, '[system]\nmodel = "MotorCart"'))
+    paper = ss.papers.motor_cart()
+    assert same((config.system.build(), config.base.build(), config.run.y0()), (paper.system, paper.law, paper.y0))
+    assert config.run.t1 == paper.t1
+
+
+def test_initial_states_and_method(tmp_path):
+    text = "[run]\ninitial_position = { low = -1, high = 1 }\ninitial_velocity = 0.5\nstep = 0.01\nmax_steps = 900\n"
+    config = read_config(config_file(tmp_path, text + 'solver = "Tsit5"'))
+    assert same(config.run.y0(), (ss.Uniform(-1.0, 1.0), 0.5))
+    method = config.run.method()
+    assert (method.step, method.max_steps, type(method.solver).__name__) == (0.01, 900, "Tsit5")
+    assert read_config(config_file(tmp_path, config.to_toml())) == config
+    text = "[run]\ninitial_angle = 0.7\ninitial_current = { low = 0, high = 2 }\nstep = 1e-4"
+    config = read_config(config_file(tmp_path, f'[system]\nmodel = "MotorCart"\n{text}'))
+    assert same(config.run.y0(), (0.7, 0.0, ss.Uniform(0.0, 2.0)))
+    assert same(config.run.method(), ss.Exact(1e-4))
+
+
+def test_run_without_a_start_takes_that_of_the_system():
+    cart = StudyConfig.model_validate({"system": {"model": "MotorCart"}, "run": RunConfig(samples=3)})
+    assert cart.run == MotorCartRunConfig(samples=3)
+    assert StudyConfig(run=RunConfig(samples=3)).run.y0() == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_example_is_a_file_to_start_from(tmp_path, name):
+    config = read_config(None, {"samples": 5}, example=name)
+    assert config.run.samples == 5
+    assert name in config.output.directory
+    assert read_config(config_file(tmp_path, config.to_toml())) == config
