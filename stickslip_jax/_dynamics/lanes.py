@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .._events.sticks import NUMBERS
 from .._numerics.packing import Layout, packed, unpacked
 from .._numerics.random_bits import stored_words
 from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
@@ -51,16 +52,16 @@ class Records(NamedTuple):
     Times and positions share one array: XLA updates a single large array of a shape in place, but copies several.
     """
 
-    values: Array  # (slots, 3, lanes): start, end (s), position (m)
+    values: Array  # (slots, columns, lanes): the `NUMBERS` of sticks
     ending: Array  # (slots, lanes): an `Ending` code, or -1 where there is no stick
 
     @classmethod
     def empty(cls, slots: int, lanes: int, dtype) -> "Records":
         """Slots without sticks."""
-        return cls(jnp.zeros((slots, 3, lanes), dtype), jnp.full((slots, lanes), -1, jnp.int8))
+        return cls(jnp.zeros((slots, len(NUMBERS), lanes), dtype), jnp.full((slots, lanes), -1, jnp.int8))
 
     def with_slot(self, slot: Array | int, sticks: Any) -> "Records":
-        """The same with the values (3, lanes) and endings (lanes,) of one slot's sticks put in."""
+        """The same with the values (columns, lanes) and endings (lanes,) of one slot's sticks put in."""
         return Records(*(_with(kept, new, slot) for kept, new in zip(self, sticks, strict=True)))
 
 
@@ -198,7 +199,7 @@ def follow_block(
         motion, record = engine.step(shared, sample, motion, drawn)
         if into is None:
             return motion, record if stacks else None
-        return motion, (jnp.stack(record[:3]), record.ending)
+        return motion, (jnp.stack(record.numbers), record.ending)
 
     def step(carry, drawn):
         motions, records, slot = carry

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 from jaxtyping import Array
 
-from .._events.records import Totals
-from .._events.sticks import Sticks
+from .._events.sticks import Sticks, Totals
 from .._systems.switched_model import State
 from .._types import FloatArray
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._dynamics.lanes import LaneResults
 from .._events.stick_stream import StickCollector, StickStream
-from .._events.sticks import FlatSticks
+from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.source import FEATURES
@@ -47,7 +47,7 @@ def prepare(dtype: Any) -> None:
     """Compile the loops that find and count sticks, unless that is done; for times of `dtype`."""
     sticks = StickCollector()
     sticks.restart(1)
-    sticks.add(np.zeros((1, 3, 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
+    sticks.add(np.zeros((1, len(NUMBERS), 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
     one = np.zeros(1)
     Part.of(LaneResults(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
 

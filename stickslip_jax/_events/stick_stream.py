@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._numerics import loops
-from .sticks import FlatSticks
+from .sticks import FURTHER, FlatSticks
 
 
 class StickStream(NamedTuple):
@@ -18,6 +18,7 @@ class StickStream(NamedTuple):
     - `start`, `end`, `position`, `ending`: as in `FlatSticks`, (sticks,).
     - `owner`: the sample of each stick. `order`: how many sticks of the same sample come before. (sticks,).
     - `slip`: duration of the slip before each stick, s; 0 where a sample begins with a stick. (sticks,).
+    - `further`: as in `FlatSticks`, (columns, sticks).
     """
 
     count: np.ndarray
@@ -29,6 +30,7 @@ class StickStream(NamedTuple):
     ending: np.ndarray
     owner: np.ndarray
     order: np.ndarray
+    further: np.ndarray
 
     @classmethod
     def of(cls, sticks: FlatSticks) -> "StickStream":
@@ -41,7 +43,7 @@ class StickStream(NamedTuple):
         last[has] = sticks.end[(first + sticks.count - 1)[has]]
         order = np.arange(len(slip)) - np.repeat(first, sticks.count)
         own = (sticks.start, sticks.end, sticks.position, slip, sticks.ending)
-        return cls(sticks.count, last, *own, sticks.sample.astype(np.int32), order.astype(np.int32))
+        return cls(sticks.count, last, *own, sticks.sample.astype(np.int32), order.astype(np.int32), sticks.further)
 
     @property
     def begins_at_zero(self) -> np.ndarray:
@@ -59,21 +61,21 @@ class StickStream(NamedTuple):
         """The same without the sticks of the samples that are not `kept`, (samples,)."""
         inside = kept[self.owner]
         count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
-        return StickStream(count, last, *(column[inside] for column in self[2:]))
+        return StickStream(count, last, *(column[..., inside] for column in self[2:]))
 
     def in_order(self) -> FlatSticks:
         """The sticks in order of their samples."""
         first = np.cumsum(self.count) - self.count
-        columns = (self.start, self.end, self.position, self.ending)
-        into = FlatSticks(self.count, *(np.empty_like(column) for column in columns))
+        columns = (self.start, self.end, self.position, self.ending, self.further)
+        start, end, position, ending, further = into = tuple(np.empty_like(column) for column in columns)
         compiled = loops.compiled()
         if compiled is not None:
-            compiled.put_in_order(first, self.owner, self.order, columns[:3], self.ending, into[1:4], into.ending)
-            return into
-        at = first[self.owner] + self.order
-        for to, column in zip(into[1:], columns, strict=True):
-            to[at] = column
-        return into
+            compiled.put_in_order(first, self.owner, self.order, columns, into)
+        else:
+            at = first[self.owner] + self.order
+            for to, column in zip(into, columns, strict=True):
+                to[..., at] = column
+        return FlatSticks._make((self.count, start, end, position, *further, ending))
 
 
 class StickCollector:
@@ -95,8 +97,8 @@ class StickCollector:
     def add(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> None:
         """Take in the sticks of further blocks of records, later than those before.
 
-        `values` (slots, 3, lanes) holds start, end and position, `ending` (slots, lanes) is negative where there is no
-        stick, and `sample` (blocks, lanes) tells whose records the lanes of each block of slots hold.
+        `values` (slots, columns, lanes) holds the numbers of sticks, `ending` (slots, lanes) is negative where there is
+        no stick, and `sample` (blocks, lanes) says whose records the lanes of each block of slots hold.
         """
         lanes, dtype = ending.shape[1], values.dtype
         if not self._lanes:
@@ -123,7 +125,7 @@ class StickCollector:
             lane, slot = np.nonzero((endings >= 0).T & (of_lanes < self._samples)[:, None])  # lane by lane
             number = np.bincount(lane, minlength=len(whose))
             first = np.cumsum(number) - number
-            start, end, position = (part[slot, row, lane] for row in range(3))
+            start, end, position, *further = (part[slot, row, lane] for row in range(part.shape[1]))
             before = np.empty_like(end)
             before[1:] = end[:-1]
             has = number > 0
@@ -134,8 +136,8 @@ class StickCollector:
             known = of_lanes < self._samples
             count[of_lanes[known]], finish[of_lanes[known]] = so_far[known], last[known]
             new = (start, end, position, start - before, endings[slot, lane], of_lanes[lane], order)
-            for column, numbers in zip(into, new, strict=True):
-                column[found : found + len(lane)] = numbers
+            for column, numbers in zip(into, (*new, np.reshape(further, (len(FURTHER), len(lane)))), strict=True):
+                column[..., found : found + len(lane)] = numbers
             found += len(lane)
         return found
 
@@ -144,13 +146,13 @@ class StickCollector:
         begin, end = self._number, self._number + more
         if not self._columns or end > len(self._columns[0]):
             kinds = (dtype, dtype, dtype, dtype, np.int8, np.int32, np.int32)
-            larger = tuple(np.empty(2 * end, kind) for kind in kinds)
+            larger = (*(np.empty(2 * end, kind) for kind in kinds), np.empty((len(FURTHER), 2 * end), dtype))
             for new, old in zip(larger, self._columns, strict=False):
-                new[:begin] = old[:begin]
+                new[..., :begin] = old[..., :begin]
             self._columns = larger
-        return tuple(column[begin:end] for column in self._columns)
+        return tuple(column[..., begin:end] for column in self._columns)
 
     @property
     def sticks(self) -> StickStream:
         """The sticks of all blocks since `restart`."""
-        return StickStream(*self._of_samples, *(column[: self._number] for column in self._columns))
+        return StickStream(*self._of_samples, *(column[..., : self._number] for column in self._columns))

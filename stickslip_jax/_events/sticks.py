@@ -1,14 +1,84 @@
-"""What is recorded of a trajectory: its sticks, and the slips between them."""
+"""The sticks of trajectories, and the slips between them: as engines record them, and as users get them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Real
 
-from .._types import AnyArray
-from .records import StickRecord, closed_up
+from .._types import AnyArray, BoolArray, FloatArray, IntArray
+
+
+class StickRecord(NamedTuple):
+    """The stick of one interval or step, if any: times in s, position in m, and an `Ending` code, or -1 for no stick.
+
+    What every engine finds of a stick, in one place: `Sticks` and `FlatSticks` have the same columns. A further one
+    is added before `ending`, and described in `FURTHER`; engines fill it, and all else follows.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    position: FloatArray
+    ending: IntArray
+
+    @property
+    def numbers(self) -> tuple[FloatArray, ...]:
+        """All columns but the ending."""
+        return self[:-1]
+
+
+NUMBERS = StickRecord._fields[:-1]
+"""The names of a stick's columns, but for the ending."""
+
+
+class Column(NamedTuple):
+    """What a column holds: its name in tables and figures, and its unit, None for that of the position."""
+
+    label: str
+    unit: str | None
+
+
+FURTHER: dict[str, Column] = {}
+"""The columns after start, end and position."""
+assert tuple(FURTHER) == NUMBERS[3:]
+
+
+class Totals(NamedTuple):
+    """Sums over the sticks of one trajectory."""
+
+    sticks: IntArray
+    censored: IntArray  # number of sticks cut by the horizon: 0 or 1
+    stick_time: FloatArray
+
+
+def start_totals(dtype) -> Totals:
+    """Nothing counted yet."""
+    none = jnp.zeros((), jnp.int32)
+    return Totals(none, none, jnp.zeros((), dtype))
+
+
+def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
+    """Number of slips: one between any two sticks, one before and one after them where no stick reaches."""
+    return totals.sticks + 1 - at_start.astype(jnp.int32) - totals.censored
+
+
+def closed_up(records: StickRecord) -> StickRecord:
+    """One trajectory's records (intervals,) with the sticks first; differentiable, fixed size.
+
+    Spare slots hold NaN, and -1 as ending.
+    """
+    stuck = records.ending >= 0
+    (order,) = jnp.nonzero(stuck, size=stuck.shape[0], fill_value=0)
+    is_stick = jnp.arange(stuck.shape[0]) < stuck.sum()
+    ordered = jax.tree.map(lambda column: jnp.where(is_stick, column[order], jnp.nan), records._replace(ending=None))
+    return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1))
+
+
+def no_stick(dtype: Any) -> StickRecord:
+    """The record of a step in which no stick ended."""
+    return StickRecord._make((*[jnp.zeros((), dtype)] * len(NUMBERS), jnp.asarray(-1, jnp.int8)))
 
 
 class Sticks(eqx.Module):
@@ -66,12 +136,9 @@ class Slips(eqx.Module):
         return self.mask.sum(axis=-1)
 
 
-def sticks_in_order(start, end, position, ending) -> Sticks:
-    """Gather one trajectory's records so that the sticks come first; differentiable, fixed size.
-
-    Arrays of shape (records,); `ending` is negative where there is no stick.
-    """
-    ordered = closed_up(StickRecord(start, end, position, ending))
+def sticks_in_order(records: StickRecord) -> Sticks:
+    """One trajectory's records, arrays (records,), with the sticks first; differentiable, fixed size."""
+    ordered = closed_up(records)
     return Sticks(*ordered, ordered.ending >= 0)
 
 
@@ -113,6 +180,11 @@ class FlatSticks(NamedTuple):
     end: np.ndarray
     position: np.ndarray
     ending: np.ndarray
+
+    @property
+    def further(self) -> np.ndarray:
+        """The columns after start, end and position, (columns, all sticks)."""
+        return _stacked([getattr(self, name) for name in FURTHER], self.start)
 
     @property
     def duration(self) -> np.ndarray:
@@ -172,5 +244,9 @@ class FlatSticks(NamedTuple):
             padded[mask] = values
             return padded
 
-        return Sticks(fill(self.start, np.nan), fill(self.end, np.nan), fill(self.position, np.nan),
-                      fill(self.ending, -1), mask)  # fmt: skip
+        numbers = {name: fill(getattr(self, name), np.nan) for name in NUMBERS}
+        return Sticks(**numbers, ending=fill(self.ending, -1), mask=mask)
+
+
+def _stacked(columns: list[np.ndarray], like: np.ndarray) -> np.ndarray:
+    return np.stack(columns) if columns else np.empty((0, len(like)), like.dtype)

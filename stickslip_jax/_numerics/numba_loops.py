@@ -23,7 +23,7 @@ def _loop(function: Any) -> Any:
 @no_type_check
 def gather(
     values, ending, sample, samples, whose, so_far, last, count, finish, start, end, position, slip, endings, owner,
-    order,
+    order, further,
 ):  # fmt: skip
     """Put the sticks among records into columns, and return their number.
 
@@ -54,6 +54,8 @@ def gather(
                 start[at], end[at], position[at], slip[at] = begin, finished, positions[lane], begin - last[lane]
                 endings[at], owner[at], order[at] = codes[lane], whose[lane], before
                 so_far[lane], last[lane] = before + 1, finished
+                for row in range(len(further)):
+                    further[row, at] = values[slot, 3 + row, lane]
                 at += one
         for lane in range(lanes):
             if skipped[lane] == 0:
@@ -63,12 +65,18 @@ def gather(
 
 @_loop
 @no_type_check
-def put_in_order(first, owner, order, columns, ending, ordered, ordered_ending):
-    """Put each stick where the sticks of its sample begin, `first` (samples,), plus its `order` among them."""
+def put_in_order(first, owner, order, columns, ordered):
+    """Put each stick where the sticks of its sample begin, `first` (samples,), plus its `order` among them.
+
+    `columns`, `ordered`: start, end, position, ending, and further numbers, (columns, sticks).
+    """
+    start, end, position, ending, further = columns
+    starts, ends, positions, endings, others = ordered
     for i in range(len(owner)):
         at = np.uint64(first[np.uint64(owner[i])] + order[i])
-        ordered[0][at], ordered[1][at], ordered[2][at] = columns[0][i], columns[1][i], columns[2][i]
-        ordered_ending[at] = ending[i]
+        starts[at], ends[at], positions[at], endings[at] = start[i], end[i], position[i], ending[i]
+        for row in range(len(further)):
+            others[row, at] = further[row, i]
 
 
 @_loop

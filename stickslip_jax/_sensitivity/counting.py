@@ -14,7 +14,7 @@ from jax import lax
 from .._dynamics.interval.engine import Scales, scales_of, start_motion, status_of
 from .._dynamics.interval.lanes import is_over
 from .._dynamics.lanes import Engine
-from .._events.records import start_totals
+from .._events.sticks import start_totals
 from .._excitation.laws import BangBangLaw, PoissonSwitching
 from .._excitation.random import realised_state
 from .._systems.mass_spring import MassSpring

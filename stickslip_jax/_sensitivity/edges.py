@@ -13,7 +13,7 @@ from jax import lax
 
 from .._dynamics.interval.arcs import carry_across
 from .._dynamics.interval.engine import Motion, Scales, cross_interval
-from .._events.records import StickRecord, Totals
+from .._events.sticks import StickRecord, Totals
 from .._excitation.laws import BangBangLaw
 from .._numerics.elementary import angle_of
 from .._status import Ending

@@ -12,7 +12,7 @@ from jax import lax
 
 from .._dynamics.lanes import Engine
 from .._dynamics.switched.lanes import Shared, SwitchedEngine
-from .._events.records import StickRecord
+from .._events.sticks import StickRecord
 from .._status import Ending
 from .._types import AnyArray, Array, BoolArray
 from .counting import Counted, Flux

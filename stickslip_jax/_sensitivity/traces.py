@@ -11,7 +11,7 @@ from .._dynamics.interval.lanes import IntervalEngine, is_over
 from .._dynamics.lanes import Engine
 from .._dynamics.switched.engine import Lane, SegmentLaws, advance
 from .._dynamics.switched.lanes import Shared, SwitchedEngine
-from .._events.records import StickRecord, start_totals
+from .._events.sticks import StickRecord, start_totals
 from .._excitation.random import RandomPhase, realised_state
 from .._types import Array, BoolArray, FloatArray, IntArray
 from .edges import Edges, IntervalLane, cross_with_edges

@@ -12,8 +12,7 @@ from jaxtyping import Array, Float, Int
 from .. import _checks
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.path import Path
-from .._events.records import Totals
-from .._events.sticks import Slips, Sticks, slips_between
+from .._events.sticks import Slips, Sticks, Totals, slips_between
 from .._status import Status
 from .._systems.system import System
 from .._types import AnyArray, FloatArray, Scalar

@@ -24,7 +24,7 @@ T1 = 100.0
 def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
     """Made-up records of lanes that go from sample to sample and then idle, with NaN wherever there is no stick.
 
-    Returns the three arrays that a gatherer takes, and the sticks of each sample as a plain list.
+    Returns the three arrays that a collector takes, and the sticks of each sample as a plain list.
     """
     stuck = rng.random((slots, lanes)) < share
     gaps = rng.exponential(1.0, (2, slots, lanes)).astype(dtype)
@@ -49,11 +49,11 @@ def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
 
 
 def gathered(parts, samples, finished=None):
-    gatherer = StickCollector()
-    gatherer.restart(samples)
+    collector = StickCollector()
+    collector.restart(samples)
     for part in parts:
-        gatherer.add(*part)
-    return gatherer.sticks if finished is None else gatherer.sticks.only(finished)
+        collector.add(*part)
+    return collector.sticks if finished is None else collector.sticks.only(finished)
 
 
 def joined(lists):
@@ -230,8 +230,8 @@ def test_without_numba_the_loops_are_not_there(monkeypatch):
 
 def test_gathering_begins_anew():
     parts, found = records(np.random.default_rng(5), np.float64)
-    gatherer = StickCollector()
+    collector = StickCollector()
     for samples in (9, 4):
-        gatherer.restart(samples)
-        gatherer.add(*parts)
-        assert gatherer.sticks.count.tolist() == [len(one) for one in found[:samples]]
+        collector.restart(samples)
+        collector.add(*parts)
+        assert collector.sticks.count.tolist() == [len(one) for one in found[:samples]]

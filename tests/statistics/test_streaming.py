@@ -185,8 +185,8 @@ def test_what_is_not_recorded_is_never_read():
     whole.add(values, ending, sample)
     for at in (0, 24):  # in two calls of a block each, as records come in
         halves.add(values[at : at + 24], ending[at : at + 24], sample[at // 24 : at // 24 + 1])
-    for gatherer in (halves, whole):
-        found = gatherer.sticks.only(finished).in_order()
+    for collector in (halves, whole):
+        found = collector.sticks.only(finished).in_order()
         owner = np.repeat(sample, slots // blocks, axis=0)
         for number in range(4):
             mine = stuck & (owner == number)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..._events.records import StickRecord, Totals, start_totals
+from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._status import Ending, Status
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar

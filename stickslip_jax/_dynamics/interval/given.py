@@ -21,7 +21,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 
-from ..._events.records import StickRecord, Totals, closed_up, start_totals
+from ..._events.sticks import NUMBERS, StickRecord, Totals, closed_up, start_totals
 from ..._numerics.compiling import computed_once, native_loop, native_loops_work
 from ..._types import Array, IntArray
 from .engine import Motion, Scales, cross_live_interval, run_intervals
@@ -202,7 +202,9 @@ def _run_block(what: _What, given: Given) -> Any:
     durations = given.durations
     totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, given.start.t.shape), start_totals(durations.dtype))
     buffer: Any = jnp.zeros_like(durations)
-    buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": Motion(buffer, buffer, buffer)}[what]
+    buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": Motion(*[buffer] * len(Motion._fields))}[
+        what
+    ]
     block = _Block(jnp.zeros((), jnp.int32), given.start, totals, buffer)
     block = _cross_all(given.scales, durations, given.velocities, block)
     if what == "final":
@@ -214,7 +216,7 @@ def _run_block(what: _What, given: Given) -> Any:
 
 
 def _no_sticks(times: Array) -> StickRecord:
-    return StickRecord(times, times, times, jnp.full(times.shape, -1, jnp.int8))
+    return StickRecord._make((*[times] * len(NUMBERS), jnp.full(times.shape, -1, jnp.int8)))
 
 
 @native_loop

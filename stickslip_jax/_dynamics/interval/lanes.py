@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from ..._events.records import StickRecord, Totals, count_slips, start_totals
+from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.laws import BangBangLaw
 from ..._excitation.random import realised_state
 from ..._numerics.compiling import computed_once

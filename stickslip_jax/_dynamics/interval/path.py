@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..._events.records import start_totals
-from ..._events.sticks import Sticks
+from ..._events.sticks import Sticks, start_totals
 from ..._excitation.piecewise import VelocitySteps
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import State

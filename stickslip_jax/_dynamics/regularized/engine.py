@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..._events.records import StickRecord, no_stick
+from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
 from ..._numerics.sharing import sharing
 from ..._systems.switched_model import State, SwitchedModel

@@ -162,4 +162,4 @@ def _run(
     records: Any, detector: StickDetector, status: IntArray, time_reached: FloatArray, final: State, path: Path
 ) -> Run:
     none = jnp.zeros((), jnp.int32)
-    return Run(sticks_in_order(*records), detector.totals, status, time_reached, final, none, path)
+    return Run(sticks_in_order(records), detector.totals, status, time_reached, final, none, path)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..._events.records import StickRecord
+from ..._events.sticks import StickRecord
 from ..._excitation.excitation import Excitation
 from ..._excitation.table import SegmentTable
 from ..._status import Status

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ..._events.records import StickRecord, Totals, start_totals
+from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._numerics.roots import look_ahead
 from ..._status import Ending
 from ..._types import BoolArray, FloatArray, Scalar

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..._events.records import StickRecord, Totals, start_totals
+from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import SegmentLaw, SegmentState, following_segment
 from ..._numerics.roots import look_ahead

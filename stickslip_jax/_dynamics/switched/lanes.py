@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..._events.records import StickRecord, count_slips
+from ..._events.sticks import StickRecord, count_slips
 from ..._excitation.excitation import Excitation
 from ..._excitation.random import realised_state
 from ..._excitation.smooth import Signal

@@ -78,4 +78,4 @@ def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> 
     done = run_trajectory(system, excitation, solver, t1, y0, step, steps=steps, dtype=dtype)
     lane = done.lane
     path = StepPath(system, excitation, solver, done.beginnings)
-    return Run(sticks_in_order(*done.records), lane.totals, done.status, lane.t, lane.y, lane.near_grazing_count, path)
+    return Run(sticks_in_order(done.records), lane.totals, done.status, lane.t, lane.y, lane.near_grazing_count, path)

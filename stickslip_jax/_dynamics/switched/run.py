@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..._events.records import StickRecord, no_stick
+from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._excitation.voltage import SourceVoltage
