@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from .._dynamics.method import Regularized
+from .._events.sticks import FURTHER
 from .._status import Ending, Status
 
 if TYPE_CHECKING:
@@ -28,6 +29,10 @@ def dataset_of(ensemble: Any) -> "xarray.Dataset":
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
             "stick_position": along("stick", sticks.position, position.name, position.unit),
+            **{
+                f"stick_{name}": along("stick", getattr(sticks, name), column.label, column.unit or position.unit)
+                for name, column in FURTHER.items()
+            },
             "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
             "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
             "slip_count": along("sample", totals.slips, "number of slips"),

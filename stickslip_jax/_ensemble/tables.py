@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._events.sticks import FURTHER
 from .._status import Ending
 
 _WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
@@ -25,6 +26,10 @@ def write_sticks(ensemble: Any, path: Any) -> Path:
     except ImportError:
         raise ImportError("Tables of sticks need pandas: pip install 'stickslip_jax[tables]'.") from None
     unit = ensemble.system.stick_position.unit
+
+    def named(name: str, unit: str) -> str:
+        return name if unit == "1" else f"{name}_{unit}"
+
     table = pd.DataFrame(
         {
             "sample": sticks.sample,
@@ -32,7 +37,8 @@ def write_sticks(ensemble: Any, path: Any) -> Path:
             "start_s": sticks.start,
             "end_s": sticks.end,
             "duration_s": sticks.duration,
-            "position" if unit == "1" else f"position_{unit}": sticks.position,
+            named("position", unit): sticks.position,
+            **{named(name, column.unit or unit): getattr(sticks, name) for name, column in FURTHER.items()},
             "ending": np.array([ending.name for ending in Ending])[sticks.ending],
         }
     )

@@ -24,19 +24,19 @@ from jax.custom_derivatives import SymbolicZero
 from ..._events.sticks import NUMBERS, StickRecord, Totals, closed_up, start_totals
 from ..._numerics.compiling import computed_once, native_loop, native_loops_work
 from ..._types import Array, IntArray
-from .engine import Motion, Scales, cross_live_interval, run_intervals
+from .engine import Motion, Scales, cross_live_interval, run_intervals, start_motion
 
 _LANES = 256  # of a block
 _What = Literal["final", "sticks", "beginnings"]
 
 
 class Given(NamedTuple):
-    """The scales and start of a trajectory (numbers), and durations (s) and velocities (m/s) of its base's intervals,
+    """The scales and initial state of a trajectory, and the durations (s) and velocities (m/s) of its base's intervals,
     (intervals,). For many lanes, each leaf has the lanes as its first axis.
     """
 
     scales: Scales
-    start: Motion
+    y0: tuple[Array, Array]  # position (m) and velocity (m/s)
     durations: Array
     velocities: Array
 
@@ -73,7 +73,8 @@ def _follow(what: _What, given: Given) -> Any:
 
 def _plain(what: _What, given: Given) -> Any:
     """One scan over all intervals, which every transformation of JAX understands."""
-    motion, totals, records, began = run_intervals(given.scales, given.start, given.durations, given.velocities)
+    start = start_motion(given.scales, given.y0)
+    motion, totals, records, began = run_intervals(given.scales, start, given.durations, given.velocities)
     if what == "final":
         return motion, totals
     return began if what == "beginnings" else closed_up(records)
@@ -106,12 +107,12 @@ def _fast_jvp(what: _What, primals: tuple[Given], tangents: tuple[Given]) -> tup
 
 
 def _numbers_of(given: Given) -> list[Any]:
-    return jax.tree.leaves((given.scales, given.start), is_leaf=_is_zero)
+    return jax.tree.leaves((given.scales, given.y0), is_leaf=_is_zero)
 
 
 def _with_numbers(given: Given, numbers: list[Any]) -> Given:
-    scales, start = jax.tree.unflatten(jax.tree.structure((given.scales, given.start)), numbers)
-    return given._replace(scales=scales, start=start)
+    scales, y0 = jax.tree.unflatten(jax.tree.structure((given.scales, given.y0)), numbers)
+    return given._replace(scales=scales, y0=y0)
 
 
 def _is_zero(leaf: Any) -> bool:
@@ -200,12 +201,13 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
 def _run_block(what: _What, given: Given) -> Any:
     """The results of a block of lanes; all leaves have the lanes as their first axis."""
     durations = given.durations
-    totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, given.start.t.shape), start_totals(durations.dtype))
+    start = jax.vmap(start_motion)(given.scales, given.y0)
+    totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, start.t.shape), start_totals(durations.dtype))
     buffer: Any = jnp.zeros_like(durations)
     buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": Motion(*[buffer] * len(Motion._fields))}[
         what
     ]
-    block = _Block(jnp.zeros((), jnp.int32), given.start, totals, buffer)
+    block = _Block(jnp.zeros((), jnp.int32), start, totals, buffer)
     block = _cross_all(given.scales, durations, given.velocities, block)
     if what == "final":
         return block.motion, block.totals

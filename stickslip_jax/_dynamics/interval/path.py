@@ -13,7 +13,7 @@ from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import State
 from ..._types import FloatArray, Scalar
 from ..path import Path, Run
-from .engine import Motion, cross_interval, scales_of, start_motion, status_of
+from .engine import Motion, cross_interval, scales_of, status_of
 from .given import Given, beginnings, final_motion, ordered_sticks
 
 
@@ -51,8 +51,8 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     scales = scales_of(system, t1, dtype)
     # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
     durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
-    motion = start_motion(scales, (y0[0], y0[1]))
-    given = Given(scales, motion, durations, base.velocities.astype(dtype))
+    start = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
+    given = Given(scales, start, durations, base.velocities.astype(dtype))
     final, totals = final_motion(given)
     final_state = (final.x, final.p * scales.omega)
     path = IntervalPath(system, base, t1, beginnings(given))

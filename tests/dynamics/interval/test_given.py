@@ -22,7 +22,7 @@ def given_of(numbers, base) -> Given:
     """`numbers`: mass, stiffness, friction coefficient, position and velocity at the start."""
     mass, stiffness, mu, x, velocity = numbers
     scales = scales_of(ss.MassSpring(mass, stiffness, 1.0, ss.Coulomb(mu)), T1, jnp.result_type(float))
-    return Given(scales, start_motion(scales, (x, velocity)), base.durations, base.velocities)
+    return Given(scales, (jnp.asarray(x), jnp.asarray(velocity)), base.durations, base.velocities)
 
 
 def bases(number):
@@ -151,7 +151,9 @@ def test_a_block_ends_with_its_last_lane():
     def crossed_of(base):
         given = jax.vmap(partial(given_of, NUMBERS))(base)
         totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (4,)), given_intervals.start_totals(jnp.float64))
-        block = given_intervals._Block(jnp.zeros((), jnp.int32), given.start, totals, None)
+        block = given_intervals._Block(
+            jnp.zeros((), jnp.int32), jax.vmap(start_motion)(given.scales, given.y0), totals, None
+        )
         return int(crossed(given.scales, given.durations, given.velocities, block).crossed)
 
     assert crossed_of(longer) == crossed_of(base) < SLOTS
