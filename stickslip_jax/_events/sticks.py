@@ -21,6 +21,7 @@ class StickRecord(NamedTuple):
     start: FloatArray
     end: FloatArray
     position: FloatArray
+    slip_displacement: FloatArray
     ending: IntArray
 
     @property
@@ -40,7 +41,7 @@ class Column(NamedTuple):
     unit: str | None
 
 
-FURTHER: dict[str, Column] = {}
+FURTHER = {"slip_displacement": Column("displacement in the slip before the stick", None)}
 """The columns after start, end and position."""
 assert tuple(FURTHER) == NUMBERS[3:]
 
@@ -88,12 +89,16 @@ class Sticks(eqx.Module):
     Slots outside `mask` hold NaN (ending: -1), are for display only, and enter no statistic.
 
     - `start`, `end`: s. `position`: of the mass when the stick starts, m (of a motor: its angle, rad).
+    - `slip_displacement`: how far the mass moved in the slip before the stick, in the unit of the position: from where
+      the stick before ended (or the simulation began) to `position`; 0 where no slip comes before. Times the stiffness
+      it is the change of the spring force in that slip, the force drop of stick-slip experiments.
     - `ending`: an `Ending` code: 0 RELEASED, 1 BASE_SWITCHED, 2 HORIZON (censored by the end of the simulation).
     """
 
     start: Float[AnyArray, "*batch slots"]
     end: Float[AnyArray, "*batch slots"]
     position: Float[AnyArray, "*batch slots"]
+    slip_displacement: Float[AnyArray, "*batch slots"]
     ending: Int[AnyArray, "*batch slots"]
     mask: Bool[AnyArray, "*batch slots"]
 
@@ -172,13 +177,14 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
 class FlatSticks(NamedTuple):
     """The sticks of many samples one after the other (the "contiguous ragged" form of CF conventions).
 
-    In order of sample, then time. Times in s; the position in m, of a motor its angle in rad.
+    In order of sample, then time. Times in s; position and displacement in m, of a motor angles in rad.
     """
 
     count: np.ndarray  # (samples,)
     start: np.ndarray  # (all sticks,), as the following
     end: np.ndarray
     position: np.ndarray
+    slip_displacement: np.ndarray
     ending: np.ndarray
 
     @property

@@ -15,7 +15,7 @@ import stickslip_jax as ss
 from stickslip_jax._dynamics import lanes
 from stickslip_jax._dynamics.interval.lanes import IntervalEngine
 from stickslip_jax._ensemble.result import FEATURES
-from stickslip_jax._events.sticks import slips_between
+from stickslip_jax._events.sticks import NUMBERS, slips_between
 from stickslip_jax._numerics.moments import Moments
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -233,7 +233,7 @@ def test_masked_slots_are_never_read(kept):
     assert np.all(np.isnan(sticks.start[~sticks.mask]))
     assert np.all(sticks.ending[~sticks.mask] == -1)
     poisoned = ss.Sticks(
-        *(np.where(sticks.mask, getattr(sticks, name), -7) for name in ("start", "end", "position")),
+        *(np.where(sticks.mask, getattr(sticks, name), -7) for name in NUMBERS),
         np.where(sticks.mask, sticks.ending, 2).astype(np.int8),
         sticks.mask,
     )

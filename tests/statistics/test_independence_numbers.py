@@ -86,7 +86,7 @@ class TestNumbers:
         end = np.array([2.0, 5.0, 9.0, 3.0, 4.0])
         start = np.array([1.0, 3.0, 8.5, 1.0, 3.5])
         ending = np.array([0, 1, 2, 0, 0])
-        sticks = FlatSticks(np.array([3, 0, 2]), start, end, np.arange(5.0), ending)
+        sticks = FlatSticks(np.array([3, 0, 2]), start, end, np.arange(5.0), np.arange(5.0), ending)
         for quantity, used, left in (("duration", 4, 1), ("slip_duration", 3, 1), ("position", 5, 0)):
             verdict = identically_distributed(sticks, quantity, starts_before=math.inf)
             assert verdict.values == used
@@ -144,7 +144,7 @@ class TestNumbers:
         assert holm([]) == ()
 
 
-NOTHING = FlatSticks(np.zeros(0, int), *np.zeros((3, 0)), np.zeros(0, int))
+NOTHING = FlatSticks(np.zeros(0, int), *np.zeros((4, 0)), np.zeros(0, int))
 ASKED = (identically_distributed, independent, independent_and_identical)
 
 

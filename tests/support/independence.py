@@ -19,7 +19,8 @@ def flat(count, durations, slips=None, horizon=math.inf):
     begun = start < horizon
     ending = np.where(end > horizon, Ending.HORIZON, Ending.RELEASED)[begun]
     count = np.bincount(sample[begun], minlength=len(count))
-    return FlatSticks(count, start[begun], np.minimum(end, horizon)[begun], np.full(begun.sum(), np.nan), ending)
+    unknown = np.full(begun.sum(), np.nan)
+    return FlatSticks(count, start[begun], np.minimum(end, horizon)[begun], unknown, unknown, ending)
 
 
 def rows(durations):

@@ -20,11 +20,15 @@ from .arcs import carry_across, sticks_from_start
 
 
 class Motion(NamedTuple):
-    """Where the mass is: time in s, position in m, velocity divided by omega in m."""
+    """Where the mass is: time in s, position in m, velocity divided by omega in m.
+
+    `slid_from`: where the slip under way began, or in a stick the one before, m.
+    """
 
     t: FloatArray
     x: FloatArray
     p: FloatArray
+    slid_from: FloatArray
 
 
 class Scales(NamedTuple):
@@ -45,7 +49,8 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
     """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
     dtype = scales.omega.dtype
-    return Motion(jnp.zeros((), dtype), jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.inverse_omega)
+    x = jnp.asarray(y0[0], dtype)
+    return Motion(jnp.zeros((), dtype), x, jnp.asarray(y0[1], dtype) * scales.inverse_omega, x)
 
 
 def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
@@ -62,15 +67,17 @@ def cross_interval(
     span = jnp.where(uncut, duration, t1 - motion.t)
     passage = carry_across(motion.x, motion.p, velocity * inverse_omega, a, omega * span)
     t_end = jnp.where(uncut, motion.t + duration, t1)
-    following = Motion(t_end, passage.x, passage.p)
-
     stuck, released = passage.stuck, passage.released
+    # A stick ends where the spring reaches the friction limit, or with the interval.
+    left_at = jnp.where(released, jnp.where(velocity < 0, -a, a), passage.x)
+    following = Motion(t_end, passage.x, passage.p, jnp.where(stuck, left_at, motion.slid_from))
     released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))
     ending = jnp.where(stuck, jnp.where(released, released_, jnp.where(uncut, switched, cut)), none)
     record = StickRecord(
         start=motion.t + passage.entered * inverse_omega,
         end=jnp.where(released, motion.t + passage.left * inverse_omega, t_end),
         position=passage.position,
+        slip_displacement=passage.position - motion.slid_from,
         ending=ending,
     )
     totals = Totals(

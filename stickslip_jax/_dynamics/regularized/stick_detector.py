@@ -22,7 +22,8 @@ class StickDetector(NamedTuple):
     """What is known of the sticks so far.
 
     `inside`: whether the relative velocity is below the threshold. `crossed`: when it passed through zero in the last
-    step without ending inside, infinity if it did not; `crossed_at`: the position there.
+    step without ending inside, infinity if it did not; `crossed_at`: the position there. `slid_from`: that at the end
+    of the last stick, or at t = 0.
     """
 
     inside: BoolArray
@@ -30,6 +31,7 @@ class StickDetector(NamedTuple):
     position: FloatArray
     crossed: FloatArray
     crossed_at: FloatArray
+    slid_from: FloatArray
     totals: Totals
     at_start: BoolArray
 
@@ -59,7 +61,7 @@ def start_detector(criterion: Criterion, speed: FloatArray, position: FloatArray
     """The beginning of a trajectory with this relative velocity and position."""
     dtype = speed.dtype
     inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
-    return StickDetector(inside, zero, position, never, position, start_totals(dtype), jnp.zeros((), bool))
+    return StickDetector(inside, zero, position, never, position, position, start_totals(dtype), jnp.zeros((), bool))
 
 
 def detect(
@@ -103,7 +105,8 @@ def detect(
     counts = ends & (end - start >= criterion.minimum_duration) & (end > start)
     released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
     ending = jnp.where(leaves, released, jnp.where(cut, horizon, switched))
-    record = StickRecord(start, end, position, jnp.where(counts, ending, none))
+    record = StickRecord(start, end, position, position - detector.slid_from, jnp.where(counts, ending, none))
+    left_at = jnp.where(leaves, _position(step, leave), step.x1)
     totals = Totals(
         sticks=detector.totals.sticks + counts,
         censored=detector.totals.censored + (counts & cut),
@@ -116,6 +119,7 @@ def detect(
         position=jnp.where(jumped, step.x1, position),
         crossed=crossed,
         crossed_at=crossed_at,
+        slid_from=jnp.where(counts, left_at, detector.slid_from),
         totals=totals,
         at_start=detector.at_start | (counts & (start <= 0)),
     )

@@ -60,6 +60,7 @@ class Lane(NamedTuple):
     steps: IntArray  # of the loop so far
     stick_start: FloatArray
     stick_position: FloatArray
+    slid_from: FloatArray  # position where the slip under way began, or in a stick the one before
     totals: Totals
     at_start: BoolArray
     near_grazing_count: IntArray
@@ -112,6 +113,7 @@ def start_lane(
         none,
         none,
         zero,
+        y[0],
         y[0],
         start_totals(dtype),
         sign == 0,
@@ -245,7 +247,8 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
     over = was_stick & ((sign != 0) | cut) & (lane.t > lane.stick_start)
     released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
     ending = jnp.where(over, jnp.where(cut, horizon, jnp.where(ended & jumped, switched, released)), none)
-    record = StickRecord(lane.stick_start, lane.t, lane.stick_position, ending)
+    displacement = lane.stick_position - lane.slid_from
+    record = StickRecord(lane.stick_start, lane.t, lane.stick_position, displacement, ending)
     begins = ~was_stick & (sign == 0)
     at_rest = landed & (resting | (sign == 0))
     decided = (landed & ~was_stick) | (ended & jumped & resting)
@@ -268,6 +271,7 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
             at_start=lane.at_start & ~no_stick,
             stick_start=jnp.where(begins, lane.t, lane.stick_start),
             stick_position=jnp.where(begins, y[0], lane.stick_position),
+            slid_from=jnp.where(over, y[0], lane.slid_from),
         ),
         record,
         edge,
