@@ -17,7 +17,7 @@ from .._systems.system import System
 from ._config import StudyConfig
 from ._folder import DURATION_AND_POSITION, PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
 
-_PERIODS_SHOWN = 16  # of the free oscillation: more could not be told apart
+_PERIODS_SHOWN = 16  # of the free oscillation: more could not be distinguished
 _VOLTAGE_PERIODS_SHOWN = 6
 
 
@@ -60,7 +60,7 @@ def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict
 
 
 def _voltage(ensemble: Ensemble) -> Any:
-    """The voltage whose bound of stick durations is known in closed form; None for any other."""
+    """The voltage if the bound of its stick durations is known in closed form; else None."""
     law = ensemble.law
     known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
     return law if known else None
@@ -80,7 +80,7 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
 
 
 def _time_shown(system: System, law: Any) -> float:
-    """The longest time whose oscillations can be told apart in a figure, s."""
+    """The longest time whose oscillations can be distinguished in a figure, s."""
     if system.natural_frequency is None:
         signal = law.signal if isinstance(law, RandomPhase) else law
         return _VOLTAGE_PERIODS_SHOWN * float(signal.shortest_period)
