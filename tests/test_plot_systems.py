@@ -292,7 +292,7 @@ def test_portrait_centres_and_abscissae(one, annotations_unchecked):
 
 
 @of("motor")
-def test_portrait_of_a_motor_breaks_where_a_turn_ends(one):
+def test_portrait_of_a_motor_breaks_where_a_revolution_ends(one):
     (angle, speed, _), _ = exact(one, np.unique(np.asarray(one.step_starts)))
     assert angle[-1] > FULL_CIRCLE
     ax = plot.phase_portrait(one)

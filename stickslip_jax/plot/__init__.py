@@ -3,7 +3,8 @@
 All functions are called alike:
 
 - The first argument is the result to draw: a `Simulation`, an `Ensemble`, or what was computed from one, such as a
-  distribution. A curve or a map over parameters takes the values of the parameters first, then what was found there.
+  distribution. A curve or a map over parameters takes the values of the parameters first, then what was found there
+  (`sensitivity_curve` only the latter, since a `Sensitivity` knows the value of its parameter).
 - `ax` (one matplotlib Axes) or `axes` (several) says where to draw. It is the last argument, given by keyword. Without
   it, a new figure is made.
 - The axes are returned: one, or a tuple of several. ``phase_portrait(one).figure.savefig("portrait.pdf")`` writes

@@ -1,4 +1,4 @@
-"""Means over the first, second, ... stick of each sample."""
+"""The mean of a quantity over the first sticks of all samples, over their second sticks, and so on."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +13,11 @@ _BOTTOM = 0.3  # of the height of the axes, for the shares
 
 
 def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float = 0.9, ax: Axes | None = None) -> Axes:
-    """Draw the mean duration, start or position of the i-th stick of each sample against i, with confidence intervals.
+    """Draw the mean over the samples of the i-th stick's duration, start or position against i.
 
-    Each mean is over the samples that have an i-th stick. Where not all samples have one, gray bars at the bottom show
-    the share of those that do, on the axis at the right. Orders that no sample has are left out.
+    Each mean is over the samples that have an i-th stick, with its confidence interval. Where not all samples have one,
+    gray bars at the bottom show the share of those that do, on the axis at the right. Orders that no sample has are
+    left out.
 
     - `result`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
     - `quantity`: "duration" (s), "start" (s) or "position" (m; of a motor its angle, rad).

@@ -105,5 +105,5 @@ def _checked_curve(results: Sequence[Sensitivity]) -> list[Sensitivity]:
 def _title(one: Sensitivity) -> str:
     if one.is_elasticity:
         return f"elasticity of the\n{one.statistic}"
-    unit = "" if one.unit == "1" else f"\n({one.unit} by the parameter's unit)"
+    unit = "" if one.unit == "1" else f"\n({one.unit} per unit of the parameter)"
     return f"derivative of the\n{one.statistic}{unit}"
