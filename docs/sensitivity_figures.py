@@ -25,9 +25,10 @@ def main() -> None:
         ss.sensitivity(ss.mean_stick_duration, system(float(mu)), LAW, wrt="mu", **STUDY)
         for mu in np.linspace(0.42, 2.9, 18)
     ]
-    plot.sensitivity_curve(curve, left)
+    plot.sensitivity_curve(curve, ax=left)
     names = ("mu", "normal_force", "mass", "stiffness", "speed", "rate")
-    plot.tornado(ss.sensitivity(ss.mean_stick_duration, system(0.9), LAW, wrt=names, elasticity=True, **STUDY), right)
+    elasticities = ss.sensitivity(ss.mean_stick_duration, system(0.9), LAW, wrt=names, elasticity=True, **STUDY)
+    plot.tornado(elasticities, ax=right)
     figure.savefig(Path(__file__).with_name("sensitivity.png"), dpi=110)
 
 

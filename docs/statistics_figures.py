@@ -27,29 +27,29 @@ def belt(samples: int = 100_000, keep: str = "statistics") -> ss.Ensemble:
 
 
 def draw_distributions(many: ss.Ensemble) -> None:
-    """Durations of sticks and slips, and their means by order."""
-    told = many.statistics
+    """Durations of sticks and slips, stick counts, and mean durations by order."""
+    statistics = many.statistics
     figure, axes = plt.subplots(2, 2, figsize=(10, 7.4), layout="constrained")
-    plot.histogram(told.duration, axes[0, 0])
-    plot.histogram(told.slip_duration, axes[0, 1])
-    plot.histogram(told.stick_count, axes[1, 0])
-    plot.means_by_order(told, ax=axes[1, 1])
+    plot.histogram(statistics.duration, ax=axes[0, 0])
+    plot.histogram(statistics.slip_duration, ax=axes[0, 1])
+    plot.histogram(statistics.stick_count, ax=axes[1, 0])
+    plot.means_by_order(many, ax=axes[1, 1])
     figure.savefig(HERE / "statistics_distributions.png", dpi=110)
 
 
 def draw_joint(many: ss.Ensemble) -> None:
-    """Duration and position of a stick, and sticks over time."""
+    """Joint histogram of duration and position, and the sticks of 60 samples over time."""
     axes = plot.joint_histogram(many.statistics.joint("duration", "position"))
     axes[0].figure.savefig(HERE / "statistics_joint.png", dpi=110)
-    raster = plot.stick_raster(many, samples=60, t1=40.0)
+    raster = plot.stick_raster(many, samples=60, window=(0.0, 40.0))
     raster.figure.savefig(HERE / "statistics_raster.png", dpi=110)
 
 
 def draw_convergence(many: ss.Ensemble) -> None:
-    """An estimate and a joint histogram, against the number of samples."""
+    """An estimate, and the distance between joint histograms, against the number of samples."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
-    plot.convergence(ss.convergence(many, ss.mean_stick_duration), axes[0])
-    plot.convergence(ss.histogram_convergence(many), axes[1])
+    plot.convergence(ss.convergence(many, ss.mean_stick_duration), ax=axes[0])
+    plot.convergence(ss.histogram_convergence(many), ax=axes[1])
     figure.savefig(HERE / "statistics_convergence.png", dpi=110)
 
 
@@ -63,12 +63,12 @@ def draw_parameters() -> None:
             setup.system, setup.law, t1=setup.t1, y0=setup.y0, samples=4096, key=jax.random.key(1)
         )
         fractions.append(many.statistics.stick_fraction)
-    plot.stick_fraction_curve(ratios, fractions, axes[0])
+    plot.stick_fraction_curve(ratios, fractions, ax=axes[0])
 
     frictions, rates = np.linspace(0.2, 3.0, 29), np.linspace(0.1, 3.0, 30)
     durations = np.array([[_mean_duration(float(mu), float(rate)) for rate in rates] for mu in frictions])
     labels = {"xlabel": r"friction coefficient $\mu$ (dimensionless)", "ylabel": r"switching rate $\lambda$ (1/s)"}
-    plot.parameter_map(frictions, rates, durations, axes[1], **labels, label="mean stick duration (s)")
+    plot.parameter_map(frictions, rates, durations, **labels, label="mean stick duration (s)", ax=axes[1])
     figure.savefig(HERE / "statistics_parameters.png", dpi=110)
 
 

@@ -129,7 +129,7 @@ best = int(np.argmax(shares))
 print(f"largest share: {100 * shares[best]:.2f} % at r = {ratios[best]:.2f}")
 
 few_ratios = np.linspace(0.1, 2.5, 17)
-means, intervals = [], []
+fractions = []
 for ratio in few_ratios:
     setup = papers.random_belt(ratio)
     runs = ss.simulate_ensemble(
@@ -139,18 +139,14 @@ for ratio in few_ratios:
         samples=max(20, SAMPLES // 10),
         key=jax.random.key(2),
         y0=setup.y0,
-        keep="sticks",
         progress=False,
     )
-    means.append(ss.stick_fraction(runs).value)
-    intervals.append(np.quantile(runs.totals.stick_time / setup.t1, [0.05, 0.95]))
-low, high = np.transpose(intervals)
+    fractions.append(runs.statistics.stick_fraction)
 
 # %%
-ax = ss.plot.stick_share(ratios, shares, label="square wave, one steady period")
-below, above = np.maximum(means - low, 0), np.maximum(high - means, 0)
-ax = ss.plot.stick_share(
-    few_ratios, means, (below, above), ax=ax, label="random steps, mean", errors_label="random steps, 90 % of samples"
+ax = ss.plot.stick_fraction_curve(ratios, shares, label="square wave, one steady period")
+ax = ss.plot.stick_fraction_curve(
+    few_ratios, fractions, label="random steps, mean", band_label="random steps, 90 % of samples", ax=ax
 )
 
 # %% [markdown]

@@ -1,17 +1,18 @@
-"""The papers' set-ups by name, to run and to compare with.
+"""The systems, base motions and initial states of two published studies, ready to simulate.
 
-Sources: Lima and Sampaio, "An electromechanical system with uncertain stick-slip oscillations" (2022: `motor_cart`),
-and "Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach"
-(the conference paper). Its frequency ratio is ``r = f_b / (omega / 2 pi)``, both in Hz.
+Both are by Lima and Sampaio: "An electromechanical system with uncertain stick-slip oscillations" (2022; `motor_cart`),
+and "Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach" (the conference paper;
+all others). The frequency ratio of the conference paper is ``r = f_b / (omega / 2 pi)``, the frequency of the base over
+the natural frequency of the oscillator, both in Hz.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
 from . import _checks
-from ._excitation.laws import RandomSteps, SquareWave
+from ._excitation.laws import BangBangLaw, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase, Uniform
 from ._excitation.voltage import SourceVoltage
 from ._simulation.call import simulate
@@ -22,36 +23,47 @@ from ._systems.system import System
 from ._types import Array, Float, Scalar
 
 BELT_SPEED = 1.0
-"""Modulus of the belt velocity, m/s (conference paper, section 3)."""
+"""Absolute value of the belt velocity, m/s (conference paper, section 3)."""
 
 
 class SetUp(NamedTuple):
-    """What to hand to `simulate` or `simulate_ensemble`; `t1` in s, `y0` in m and m/s (rad, rad/s and A)."""
+    """The first arguments of `simulate` and `simulate_ensemble`.
+
+    - `law`: a random law must be drawn for `simulate`: ``law.sample(key, t1)``.
+    - `t1`: duration, s.
+    - `y0`: initial state: position and velocity, m and m/s; of a `MotorCart` angle, angular velocity and current, rad,
+      rad/s and A. A number, or a `Uniform` distribution of it.
+    """
 
     system: System
-    law: Any
+    law: BangBangLaw | RandomPhase
     t1: float
-    y0: tuple[Any, ...]
+    y0: tuple[Scalar | Uniform, ...]
 
 
 def belt_oscillator() -> MassSpring:
-    """The mass on the belt: 1 kg, 4 N/m, 1 N, mu = 1 (conference paper, section 3)."""
+    """The mass on the belt: 1 kg, stiffness 4 N/m, normal force 1 N, mu = 1 (conference paper, section 3)."""
     return MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=Coulomb(mu=1.0))
 
 
 def square_wave_belt(ratio: Scalar) -> SetUp:
-    """The belt that runs backward and forward in turn (conference paper, eq. 4, figures 3 to 6).
+    """The belt that runs backward and forward alternately (conference paper, eq. 4, figures 3 to 6).
 
-    `ratio` is ``r``, positive. Raises ValueError otherwise.
+    - `ratio`: the frequency ratio r, positive.
+
+    Raises ValueError if `ratio` is not positive.
     """
     return SetUp(belt_oscillator(), SquareWave(BELT_SPEED, _belt_period(ratio)), 200.0, (0.0, 1.0))
 
 
 def random_belt(ratio: Scalar, y0: tuple[float, float] = (0.0, 0.0)) -> SetUp:
-    """The belt whose direction is drawn by a fair coin every ``1 / f_b`` (conference paper, section 4, figure 7).
+    """The belt whose direction is random, forward or backward with equal probability in each interval of ``1 / f_b``.
 
-    - `ratio` is ``r``, positive.
-    - `y0`: the paper states zero initial conditions in its conclusions, and ``(0.0, 1.0)`` in section 3.
+    It is that of the conference paper, section 4 and figure 7.
+
+    - `ratio`: the frequency ratio r, positive.
+    - `y0`: initial position and velocity, m and m/s. The paper states zero initial conditions in its conclusions, and
+      ``(0.0, 1.0)`` in section 3.
 
     Raises ValueError if `ratio` is not positive.
     """
@@ -62,22 +74,24 @@ def motor_cart(mu: Scalar = 0.2, t1: float = 2.0) -> SetUp:
     """The motor and cart with random phase of the voltage and random initial angle (Lima and Sampaio 2022, section 7).
 
     - `mu`: the friction coefficient, zero or positive; the paper runs 10,000 samples at 0.2 and at 0.5.
-    - `t1`: duration, s. The paper does not tell it; within 2 s the first stick of nearly every sample has ended that
-      ever will. Neither does it tell angular velocity and current at the start, which are 0 here.
+    - `t1`: duration, s, positive. The paper does not give it. After 2 s nearly all first sticks that end have
+      ended.
 
-    Raises ValueError for numbers outside these bounds.
+    The paper does not give the initial angular velocity and current either; both are 0 here. Raises ValueError for
+    numbers outside these bounds.
     """
     _checks.positive("t1", t1, "s")
     return SetUp(MotorCart(mu=mu), RandomPhase(SourceVoltage()), t1, (Uniform(0.0, 2 * math.pi), 0.0, 0.0))
 
 
 def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]:
-    """Share of a steady period of the square wave that the mass sticks, a fraction (conference paper, figure 6).
+    """The fraction of time spent sticking in a steady period of the square wave (conference paper, figure 6).
 
-    It is the share of the last of `periods` periods, exact for that period; after 400 periods the share no longer
-    changes from period to period for the ratios of the figure. Use ``jax.vmap`` for many ratios.
+    It is that of the last of `periods` periods, exact for that period. After 400 periods it no longer changes from
+    period to period for the ratios of the figure. Use ``jax.vmap`` for many ratios.
 
-    - `ratio` is ``r``, positive. `periods`: a whole number of at least 1.
+    - `ratio`: the frequency ratio r, positive.
+    - `periods`: how many to simulate, a whole number of at least 1.
 
     Raises ValueError for arguments outside these bounds.
     """
@@ -85,6 +99,7 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     setup = square_wave_belt(ratio)
     period = jnp.asarray(_belt_period(ratio))
     t1 = periods * period
+    assert isinstance(setup.law, SquareWave)
     base = setup.law.sample(None, t1, capacity=2 * periods + 1)
     sticks = simulate(setup.system, base, t1=t1, y0=setup.y0).sticks
     start, end = (jnp.where(sticks.mask, times, 0) for times in (sticks.start, sticks.end))
@@ -92,7 +107,7 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
 
 
 def _belt_period(ratio: Scalar) -> Scalar:
-    """The belt's ``1 / f_b``, s."""
+    """The period ``1 / f_b = 2 pi / (r omega)`` of the belt, s, with ``omega = sqrt(stiffness / mass)``."""
     _checks.positive("ratio", ratio)
     system = belt_oscillator()
     return 2 * math.pi / (ratio * math.sqrt(system.stiffness / system.mass))

@@ -1,23 +1,31 @@
-"""Figures of results. Each function takes what was simulated, draws it, and returns the matplotlib axes.
+"""Figures of simulations, of ensembles and of their statistics. Each function draws one and returns its axes.
 
-Nothing here simulates. A figure is made only where no `ax` is given; it shows or is saved by the caller:
-``phase_portrait(one).figure.savefig("portrait.pdf")``. Legends stand above the axes; give titles to the figure.
+All functions are called alike:
+
+- The first argument is the result to draw: a `Simulation`, an `Ensemble`, or what was computed from one, such as a
+  distribution. A curve or a map over parameters takes the values of the parameters first, then what was found there
+  (`sensitivity_curve` only the latter, since a `Sensitivity` knows the value of its parameter).
+- `ax` (one matplotlib Axes) or `axes` (several) says where to draw. It is the last argument, given by keyword. Without
+  it, a new figure is made.
+- The axes are returned: one, or a tuple of several. ``phase_portrait(one).figure.savefig("portrait.pdf")`` writes
+  their figure to a file; so does `save`, which also closes it.
+- Legends stand above the axes, so give titles to the figure (``figure.suptitle``), not to the axes.
+
+Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
 from ._convergences import convergence
-from ._distributions import histogram
-from ._durations import stick_durations
-from ._fraction_curves import stick_fraction_curve
+from ._histograms import histogram
 from ._histories import time_history
-from ._joint_distributions import joint_histogram
+from ._joint_histograms import joint_histogram
 from ._orders import means_by_order
 from ._parameter_maps import parameter_map
 from ._portraits import phase_portrait
 from ._rasters import stick_raster
 from ._saving import save
-from ._sensitivity import sensitivity_curve, tornado
-from ._shares import stick_share
-from ._stick_maps import stick_joint_histogram, stick_map
+from ._sensitivities import sensitivity_curve, tornado
+from ._stick_fraction_curves import stick_fraction_curve
+from ._stick_maps import stick_map
 
 __all__ = [
     "convergence",
@@ -28,12 +36,9 @@ __all__ = [
     "phase_portrait",
     "save",
     "sensitivity_curve",
-    "stick_durations",
     "stick_fraction_curve",
-    "stick_joint_histogram",
     "stick_map",
     "stick_raster",
-    "stick_share",
     "time_history",
     "tornado",
 ]

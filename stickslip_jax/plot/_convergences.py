@@ -1,4 +1,4 @@
-"""How estimates settle as the number of samples grows."""
+"""How estimates converge as the number of samples grows."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,20 +8,22 @@ from .._statistics.convergence import Convergence, HistogramConvergence
 from .._statistics.estimate import check_level
 from . import _parts, _style
 
-_SETTLED = 10  # samples: intervals from fewer reach so far that they would hide all others
+_FEWEST = 10  # samples: intervals from fewer are so wide that the others could not be seen beside them
 
 
-def convergence(result: Convergence | HistogramConvergence, ax: Axes | None = None, *, level: float = 0.9) -> Axes:
-    """Draw an estimate, or how far two joint histograms are apart, against the number of samples.
+def convergence(result: Convergence | HistogramConvergence, *, level: float = 0.9, ax: Axes | None = None) -> Axes:
+    """Draw an estimate, or the distance between two joint histograms, against the number of samples.
 
-    - `result`: a `Convergence`: the estimate with its confidence interval on a logarithmic axis of the number, and a
-      line at the estimate from all samples. Intervals from fewer than 10 samples may leave the axes. Or a
-      `HistogramConvergence`: the distance of two histograms with independent samples, both axes logarithmic, and the
-      slope -1/2 that it has once every cell is filled often; distances of 0 are left out.
-    - `ax`: where to draw; by default the axes of a new figure.
+    - `result`: of `stickslip_jax.convergence`: the estimate with its confidence interval over a logarithmic axis of the
+      number of samples, and a line at the estimate from all samples. Intervals from fewer than 10 samples may leave the
+      axes. Or of `stickslip_jax.histogram_convergence`: the total-variation distance between two histograms with
+      independent samples, both axes logarithmic, and the slope -1/2 that it approaches once every cell holds many
+      pairs; distances of 0 are left out.
     - `level`: of the confidence intervals, by Student's t.
+    - `ax`: where to draw; by default the axes of a new figure.
 
-    Returns the axes, with a note in them where nothing is defined. Raises ValueError for arguments of another kind.
+    Returns the axes, with a note in them if no estimate or distance is defined. Raises ValueError for arguments of
+    another kind.
     """
     if not isinstance(result, (Convergence, HistogramConvergence)):
         raise ValueError(
@@ -50,14 +52,14 @@ def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
     numbers, values = result.numbers[known], result.values[known]
     low, high = (ends[known] for ends in result.band(level))
     ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--",
-               label=f"from all {result.final.samples:,} samples: {_parts.told(result.final)}")  # fmt: skip
+               label=f"from all {result.final.samples:,} samples: {_parts.with_error(result.final)}")  # fmt: skip
     ax.fill_between(
         numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=f"{100 * level:.4g} % confidence interval"
     )
     ax.plot(
         numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
     )
-    resolved = np.isfinite(low) & (numbers >= min(_SETTLED, numbers[-1]))
+    resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
     shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
     margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
     ax.set_ylim(shown.min() - margin, shown.max() + margin)
@@ -69,13 +71,13 @@ def _draw_distances(ax: Axes, result: HistogramConvergence) -> None:
     ax.set_ylabel("distance of the histograms\n(total variation)")
     known = np.isfinite(result.distances) & (result.distances > 0)
     if not np.any(known):
-        _parts.note(ax, "no distance could be told")
+        _parts.note(ax, "no distance is known")
         return
     numbers, distances = result.numbers[known], result.distances[known]
     fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
     label = f"distance in {result.cells:,} cells with pairs{fitted}"
     ax.plot(numbers, distances, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=4, label=label)
-    # The line begins where it comes down to the largest distance that there is, 1.
+    # The line begins at a distance of 1, the largest that there is.
     ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
     line = distances[-1] * np.sqrt(numbers[-1] / ends)
     ax.plot(ends, line, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="slope -1/2 through the last")

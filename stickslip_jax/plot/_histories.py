@@ -1,7 +1,5 @@
 """The state against time."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -10,59 +8,62 @@ from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
 from ._trajectory import Segment, check_simulation, check_window, joined, segments_of, values_of
+from ._types import SeveralAxes, Window
 
-_LONG = 12  # letters of a name that leave no room for a symbol in the same line
+_LONG = 12  # letters: after a longer name the symbol goes into a second line
 
 
 def time_history(
-    one: Simulation,
-    ax: Sequence[Axes] | np.ndarray | None = None,
+    result: Simulation,
     *,
-    window: tuple[float, float] | None = None,
+    window: Window | None = None,
+    axes: SeveralAxes | None = None,
 ) -> tuple[Axes, ...]:
     """Draw the state against time; sticks are thick and coloured.
 
-    - `one`: a finished result of `simulate`, one trajectory. Of a mass and spring the position, and the velocity of
-      mass and base are drawn; of a `MotorCart` its angle, angular velocity and current; of a system of your own each
-      number of its state.
-    - `ax`: as many axes as there are numbers in the state; by default those of a new figure, one below the other.
+    - `result`: a result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
+      velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a system of
+      your own each coordinate.
     - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
+    - `axes`: as many as there are coordinates; by default those of a new figure, one below the other.
 
-    The shaded band holds the positions at which the mass can stick: ``|x| <= mu n / k`` on a base of constant
-    velocities without damping and force, elsewhere it moves with them and with the base's acceleration. Of a
-    `MotorCart` it holds the currents ``|motor_constant c| <= mu m g d |sin alpha|``.
+    The shaded band shows where friction can hold a stick. For a mass and spring without damping and force, on a base of
+    piecewise-constant velocity, it holds the positions ``|x| <= mu n / k`` (static friction coefficient mu, normal
+    force n, stiffness k); with them it moves, as it does with the base's acceleration. For a `MotorCart` it holds the
+    currents ``|motor_constant c| <= mu m g d |sin alpha|``, at which the motor's torque is no larger than that of
+    friction.
 
-    States are as exact as the simulation, at every event and on a fine grid between them. Returns the axes. Raises
-    ValueError for anything else than the above.
+    States are as exact as the simulation, at every event and on a fine grid between events. Returns the axes. Raises
+    ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
     """
-    check_simulation(one)
-    window = check_window(one, window)
-    coordinates = one.system.coordinates
-    whose = "\nrelative to ground" if isinstance(one.base, GroundMotion) else ""
+    check_simulation(result)
+    window = check_window(window, float(result.t1))
+    coordinates = result.system.coordinates
+    whose = "\nrelative to ground" if isinstance(result.base, GroundMotion) else ""
     height = 4.6 if len(coordinates) == 2 else 2.0 * len(coordinates) + 0.2
-    axes = _style.axes_below_or_new(ax, tuple(coordinate.name for coordinate in coordinates), (6.4, height))
-    segments = segments_of(one, window)
-    _draw_band(axes, one, segments)
-    if one.system.rides_base:
-        _draw_base(axes[1], segments, "ground" if isinstance(one.base, GroundMotion) else "base")
-    for number, panel in enumerate(axes):
-        _draw_state(panel, segments, number, one.system.body_name)
-        panel.set_ylabel(_label(coordinates[number], one.system.rides_base and number == 1) + whose)
+    panels = _style.axes_below_or_new(axes, tuple(coordinate.name for coordinate in coordinates), (6.4, height))
+    segments = segments_of(result, window)
+    _draw_band(panels, result, segments)
+    if result.system.rides_base:
+        _draw_base(panels[1], segments, "ground" if isinstance(result.base, GroundMotion) else "base")
+    for number, panel in enumerate(panels):
+        _draw_state(panel, segments, number, result.system.body_name)
+        panel.set_ylabel(_label(coordinates[number], result.system.rides_base and number == 1) + whose)
         panel.set_xlim(window)
         if panel.xaxis.get_tick_params().get("labelbottom", True):
             panel.set_xlabel("time $t$ (s)")
-    _style.legend_above(*axes, columns=4)
-    return axes
+    _style.legend_above(*panels, columns=4)
+    return panels
 
 
 def _label(coordinate: Coordinate, holds_base: bool) -> str:
-    """The name of an axis, in two lines if it is long; without the symbol where the base's velocity is drawn too."""
+    """The name of an axis, in two lines if it is long; without the symbol if the base velocity is drawn there too."""
     label = coordinate._replace(symbol="" if holds_base else coordinate.symbol).label
     return label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
 
 
 def _draw_state(panel: Axes, segments: list[Segment], number: int, name: str) -> None:
-    """Part `number` of the state as a line, sticks thick and coloured."""
+    """Coordinate `number` as a line, sticks thick and coloured."""
     sticks = [segment for segment in segments if segment.sticks]
     times, values = (np.concatenate([values_of(segment, key) for segment in segments]) for key in ("times", number))
     panel.plot(times, values, color=_style.MASS, lw=_style.SLIP_WIDTH, label=name)
@@ -71,7 +72,7 @@ def _draw_state(panel: Axes, segments: list[Segment], number: int, name: str) ->
 
 
 def _draw_base(panel: Axes, segments: list[Segment], name: str) -> None:
-    """The base velocity as a line with upright jumps; where it is constant, from end to end."""
+    """The base velocity as a line with vertical jumps; two points are enough where it is constant."""
     kept = [slice(None) if np.ptp(segment.base_velocity) > 0 else [0, -1] for segment in segments]
     times, velocities = (
         np.concatenate([values_of(segment, key)[points] for segment, points in zip(segments, kept, strict=True)])
@@ -80,22 +81,22 @@ def _draw_base(panel: Axes, segments: list[Segment], name: str) -> None:
     panel.plot(times, velocities, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label=name)
 
 
-def _draw_band(axes: tuple[Axes, ...], one: Simulation, segments: list[Segment]) -> None:
-    """The values at which a stick is possible, as they change in time, if they do."""
-    number = one.system.band_coordinate
+def _draw_band(panels: tuple[Axes, ...], result: Simulation, segments: list[Segment]) -> None:
+    """The values at which friction can hold a stick: a band that may change in time."""
+    number = result.system.band_coordinate
     times, lowest, highest, state = (
         np.concatenate([values_of(segment, key) for segment in segments])
         for key in ("times", "lowest", "highest", number)
     )
     if not np.all(np.isfinite(lowest)):
         return
-    panel, look = axes[number], {"color": _style.BAND, "alpha": 0.3, "lw": 0}
-    if one.system.band_symbols and np.ptp(lowest) == np.ptp(highest) == lowest[0] + highest[0] == 0:
-        panel.axhspan(lowest[0], highest[0], label=rf"stick possible, ${one.system.band_symbols}$", **look)
+    panel, look = panels[number], {"color": _style.BAND, "alpha": 0.3, "lw": 0}
+    if result.system.band_symbols and np.ptp(lowest) == np.ptp(highest) == lowest[0] + highest[0] == 0:
+        panel.axhspan(lowest[0], highest[0], label=rf"stick possible, ${result.system.band_symbols}$", **look)
         return
     limits = panel.dataLim.frozen()
     panel.fill_between(times, lowest, highest, label="stick possible", **look)
-    # A band that goes far beyond the state is not shown to its ends.
+    # Of a band much wider than the motion, only the part near the motion is shown.
     panel.dataLim.set(limits)
     width = np.max(highest - lowest)
     shown = max(np.min(lowest), np.min(state) - width), min(np.max(highest), np.max(state) + width)

@@ -1,39 +1,40 @@
-"""Means of the first, second, ... stick."""
+"""The mean of a quantity over the first sticks of all samples, over their second sticks, and so on."""
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
-from .._statistics.ensemble_statistics import EnsembleStatistics
+from .._ensemble.result import Ensemble
 from .._statistics.estimate import check_level
 from .._statistics.stick_sums import QUANTITIES
 from . import _parts, _style
 
-_ROOM = 0.3  # of the height of the axes, for the shares
+_BOTTOM = 0.3  # of the height of the axes, for the shares
 
 
-def means_by_order(
-    statistics: EnsembleStatistics, quantity: str = "duration", ax: Axes | None = None, *, level: float = 0.9
-) -> Axes:
-    """Draw the mean over the samples of the i-th stick's duration, start or position, against i.
+def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float = 0.9, ax: Axes | None = None) -> Axes:
+    """Draw the mean over the samples of the i-th stick's duration, start or position against i.
 
-    The i-th stick is that of the samples that have so many. Where not all samples have it, gray bars at the bottom,
-    with an axis of their own on the right, tell the share of those that do; orders that no sample has are left out.
+    Each mean is over the samples that have an i-th stick, with its confidence interval. Where not all samples have one,
+    gray bars at the bottom show the share of those that do, on the axis at the right. Orders that no sample has are
+    left out.
 
-    - `statistics`: ``ensemble.statistics``.
-    - `quantity`: "duration", "start" or "position".
-    - `ax`: where to draw; by default the axes of a new figure.
+    - `result`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
+    - `quantity`: "duration" (s), "start" (s) or "position" (m; of a motor its angle, rad).
     - `level`: of the confidence intervals, by Student's t. There are none from a single sample.
+    - `ax`: where to draw; by default the axes of a new figure.
 
-    Returns the axes, with a note in them if there are no sticks. Raises ValueError for arguments of another kind.
+    Returns the axes, with a note in them if there are no sticks. Raises ValueError for an ensemble with
+    ``keep="totals"``, and for arguments of another kind.
     """
-    _parts.require("statistics", statistics, EnsembleStatistics, "ensemble.statistics")
+    _parts.require("result", result, Ensemble, "the result of simulate_ensemble")
     if not (isinstance(quantity, str) and quantity in QUANTITIES):
         raise ValueError(
             f"Argument quantity must be one of {', '.join(map(repr, QUANTITIES))}, but {_checks.show(quantity)} was "
             "given."
         )
     check_level(level)
+    statistics = result.statistics
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
     present = [order for order in orders if order.share.value > 0]
@@ -65,13 +66,13 @@ def means_by_order(
 
 
 def _draw_shares(ax: Axes, numbers: np.ndarray, shares: np.ndarray) -> Axes:
-    """Bars at the bottom, below all that `ax` shows so far. Returns their axes."""
+    """Bars at the bottom, below all that `ax` shows so far, on axes of their own, which are returned."""
     low, high = ax.get_ylim()
     ax.set_yticks([tick for tick in ax.get_yticks() if low <= tick <= high])
-    ax.set_ylim(high - (high - low) / (1 - _ROOM), high)
+    ax.set_ylim(high - (high - low) / (1 - _BOTTOM), high)
     below = ax.twinx()
     below.bar(numbers, 100 * shares, width=0.8, color=_style.FORWARD, alpha=0.5, lw=0, label="share of samples")
-    below.set_ylim(0, 100 / (_ROOM - 0.06))
+    below.set_ylim(0, 100 / (_BOTTOM - 0.06))
     below.set_yticks([0, 50, 100])
     below.set_ylabel("samples that have an $i$-th stick (%)", loc="bottom", fontsize="small")
     return below

@@ -1,38 +1,40 @@
-"""How a quantity depends on two parameters."""
+"""A quantity over two parameters, as a map."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.colorbar import Colorbar
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from .. import _checks
 from . import _parts, _style
+from ._types import Numbers
 
 _GRAY = "#DDDDDD"
 
 
 def parameter_map(
-    x: Any,
-    y: Any,
-    values: Any,
-    ax: Axes | None = None,
+    x: Numbers,
+    y: Numbers,
+    values: Numbers | Sequence[Numbers],
     *,
     xlabel: str,
     ylabel: str,
     label: str,
     contours: bool = True,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw a quantity over two parameters as a map of colours.
 
-    Each cell reaches half way to its neighbours; hatched gray cells hold no value.
+    Cells end half way between neighbouring values of the parameters; hatched gray cells hold no value.
 
     - `x`, `y`: values of the parameters, increasing, evenly spaced or not; (nx,) and (ny,), each two or more.
     - `values`: of the quantity, (nx, ny); NaN where it is not defined or was not computed.
-    - `ax`: where to draw; by default the axes of a new figure.
-    - `xlabel`, `ylabel`, `label`: what to call parameters and quantity, with their units.
+    - `xlabel`, `ylabel`, `label`: names of the parameters and of the quantity, with their units.
     - `contours`: whether to draw lines of equal values, too.
+    - `ax`: where to draw; by default the axes of a new figure.
 
     Returns the axes, with a note in them if no value is known. Raises ValueError for arrays of other shapes, infinite
     numbers, parameters that do not increase, and arguments of another kind.
@@ -41,8 +43,7 @@ def parameter_map(
     for name, text in (("xlabel", xlabel), ("ylabel", ylabel), ("label", label)):
         if not isinstance(text, str):
             raise ValueError(f"Argument {name} must be a string, but {_checks.show(text)} was given.")
-    if not isinstance(contours, bool):
-        raise ValueError(f"Argument contours must be True or False, but {_checks.show(contours)} was given.")
+    _checks.truth("contours", contours)
     ax = _style.axes_or_new(ax, (5.6, 4.2))
     edges = _edges(x), _edges(y)
     unknown = np.isnan(values)
@@ -66,12 +67,14 @@ def parameter_map(
     return ax
 
 
-def _checked(x: Any, y: Any, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The three arrays as floats."""
+def _checked(x: Numbers, y: Numbers, values: Numbers | Sequence[Numbers]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The three arrays as floats. Raises ValueError for unsuitable ones."""
     for name, given in (("x", x), ("y", y)):
         _checks.numeric(name, given, ndim=1)
         if len(given) < 2 or np.any(np.diff(np.asarray(given, float)) <= 0):
-            raise ValueError(f"Argument {name} must hold two or more increasing numbers, but {given!r} was given.")
+            raise ValueError(
+                f"Argument {name} must hold two or more increasing numbers, but {_checks.show(given)} was given."
+            )
     _checks.numeric("values", np.nan_to_num(np.asarray(values, float), nan=0.0, posinf=np.inf, neginf=-np.inf), ndim=2)
     array = np.asarray(values, float)
     if array.shape != (len(x), len(y)):
@@ -83,7 +86,7 @@ def _checked(x: Any, y: Any, values: Any) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def _edges(centres: np.ndarray) -> np.ndarray:
-    """Half way between neighbours, and as far beyond the first and the last."""
+    """The edges of cells: half way between neighbouring centres, and as far beyond the first and the last."""
     middle = (centres[1:] + centres[:-1]) / 2
     return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
@@ -95,8 +98,8 @@ def _draw_unknown(ax: Axes, x_edges: np.ndarray, y_edges: np.ndarray, unknown: n
     ax.add_collection(PolyCollection(corners, label="no value", **look), autolim=False)
 
 
-def _draw_contours(ax: Axes, bar: Any, x: np.ndarray, y: np.ndarray, values: np.ndarray) -> None:
-    """Lines of equal values between the centres of the cells, with their values, also on the bar of colours."""
+def _draw_contours(ax: Axes, bar: Colorbar, x: np.ndarray, y: np.ndarray, values: np.ndarray) -> None:
+    """Labelled lines of equal values, at the ticks of the colour bar, interpolated between the centres of the cells."""
     levels = [level for level in bar.get_ticks() if np.nanmin(values) < level < np.nanmax(values)]
     if not levels:
         return

@@ -1,6 +1,4 @@
-"""What the figures of statistics share: names of axes, notes where nothing is to draw, steps, rectangles."""
-
-from typing import Any
+"""What the figures of statistics share: names of axes, notes in empty axes, outlines of histograms, rectangles."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,11 +10,11 @@ from .._statistics.estimate import Estimate
 from . import _style
 
 ERROR_LOOK = {"color": _style.MASS, "elinewidth": 0.9, "capsize": 0}
-"""How bars of errors are drawn."""
+"""How error bars look."""
 
 
-def require(name: str, value: Any, kind: type, where: str) -> None:
-    """Raise ValueError unless `value`, the argument called `name`, is of this `kind`, which is found `where`."""
+def require(name: str, value: object, kind: type, where: str) -> None:
+    """Raise ValueError unless the argument `name` is of this `kind`; `where` says in the message where there is one."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise ValueError(
@@ -25,12 +23,12 @@ def require(name: str, value: Any, kind: type, where: str) -> None:
 
 
 def quantity_label(name: str, unit: str) -> str:
-    """A quantity and its unit; numbers without a unit have none."""
+    """The name of a quantity with its unit, if it has one."""
     return name if unit == "1" else f"{name} ({unit})"
 
 
 def density_label(*units: str) -> str:
-    """A probability density over quantities of these units."""
+    """The name of the probability density over quantities of these units."""
     named = [unit for unit in units if unit != "1"]
     if not named:
         return "probability density"
@@ -41,17 +39,17 @@ def density_label(*units: str) -> str:
 
 
 def color_of(name: str) -> str:
-    """The colour of a quantity called `name`: that of sticks is theirs alone."""
+    """The colour of the quantity `name`: sticks have one of their own."""
     return _style.STICK if "stick" in name else _style.SERIES[0]
 
 
-def told(estimate: Estimate) -> str:
-    """Value, error and unit of an estimate, without its name."""
+def with_error(estimate: Estimate) -> str:
+    """Value, standard error and unit of an estimate, without its name."""
     return str(estimate).removeprefix(f"{estimate.name}: ").replace("+-", "±")
 
 
 def counted(number: int, word: str) -> str:
-    """How many things there are, `word` being one of them."""
+    """A number with the word for what was counted, in the plural where it is due."""
     return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
@@ -61,12 +59,12 @@ def whole_numbers(axis: Axis) -> None:
 
 
 def note(ax: Axes, text: str) -> None:
-    """Write into axes without data why there are none."""
+    """Write into empty axes why there is nothing to draw."""
     ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
 
 
 def has_labels(ax: Axes) -> bool:
-    """Whether a legend has anything to tell."""
+    """Whether there is anything to show in a legend."""
     return bool(ax.get_legend_handles_labels()[1])
 
 
@@ -74,9 +72,10 @@ def draw_histogram(
     ax: Axes, edges: np.ndarray, heights: np.ndarray, errors: np.ndarray, color: str, *, label: str | None = None,
     upright: bool = True,
 ) -> None:  # fmt: skip
-    """Draw a histogram with the standard errors of its bins, (bins,); NaN errors are left out.
+    """Draw a histogram with the standard errors of its bins.
 
-    - `upright`: whether its base is the lower edge of `ax`, and not the left one.
+    - `edges`: (bins + 1,). `heights`, `errors`: (bins,); bars are left out where an error is NaN.
+    - `upright`: whether the bars stand on the lower edge of `ax`, or on its left edge.
     """
     orientation = "vertical" if upright else "horizontal"
     ax.stairs(heights, edges, fill=True, color=color, alpha=0.35, lw=0, orientation=orientation)
@@ -90,6 +89,6 @@ def draw_histogram(
             ax.errorbar(heights[known], centres, xerr=errors[known], ls="none", **ERROR_LOOK)
 
 
-def rectangles(left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray) -> Any:
-    """The corners of rectangles with these sides, an array (rectangles, 4, 2)."""
-    return np.stack([np.stack([left, right, right, left], -1), np.stack([bottom, bottom, top, top], -1)], -1)
+def rectangles(left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray) -> list[np.ndarray]:
+    """The corners of rectangles with these sides (rectangles,): arrays (4, 2)."""
+    return list(np.stack([np.stack([left, right, right, left], -1), np.stack([bottom, bottom, top, top], -1)], -1))

@@ -1,4 +1,4 @@
-"""The path of the mass in the plane of position and velocity, of the motor in that of angle and angular velocity."""
+"""Phase portraits: velocity against position, or angular velocity against angle."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,23 +6,25 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from .. import _checks
 from .._excitation.ground import GroundMotion
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
 from ._trajectory import Segment, check_simulation, check_window, has_steady_base, joined, segments_of
+from ._types import Window
 
 _POSITION, _SCALED = "position", "position_times_omega"
 
 Group = tuple[str, Callable[[Segment], bool], dict[str, Any]]
-"""Label of some pieces, which they are, and how they look."""
+"""How to draw a kind of segment: its label, which segments are of that kind, and how they look."""
 
 
 def _slip(sign: int) -> Callable[[Segment], bool]:
     return lambda segment: not segment.sticks and np.sign(segment.base_velocity[0]) == sign
 
 
-# On a base at rest a stick is a point: markers at its ends, as wide as the line, make it seen.
+# On a base at rest a stick is a point, which is visible by markers at its ends, as wide as the line.
 _STICK: Group = (
     "stick",
     lambda segment: segment.sticks,
@@ -41,49 +43,51 @@ _ALIKE: tuple[Group, ...] = (
 
 
 def phase_portrait(
-    one: Simulation,
-    ax: Axes | None = None,
+    result: Simulation,
     *,
-    window: tuple[float, float] | None = None,
+    window: Window | None = None,
     abscissa: str = _POSITION,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw velocity against position, as in Lima and Sampaio (conference paper), figures 3 to 5.
 
-    Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray where the base moves forward,
-    black where it moves backward (pale blue where it rests); elsewhere it is gray. Crosses mark the two centres of the
-    slip arcs, ``x = +- mu n / k`` at rest, where there are any: with a constant friction coefficient, no force, and no
-    ground motion. Of a `MotorCart`, the angular velocity is drawn against the angle modulo 2 pi; its sticks are points.
-    Of a system of your own, the second number of the state is drawn against the first.
+    Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
+    black while it moves backward, and pale blue while it is at rest; on other bases slip is gray. Crosses mark the
+    centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, eq. 3), if the friction
+    coefficient is constant and there is no force and no ground motion. For a `MotorCart`, the angular velocity is drawn
+    against the angle modulo 2 pi; its sticks are points. For a system of your own, the second coordinate is drawn
+    against the first.
 
-    - `one`: a finished result of `simulate`, one trajectory.
-    - `ax`: where to draw; by default the axes of a new figure.
+    - `result`: a result of `simulate`, one trajectory that reached ``t1``.
     - `window`: first and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
-    - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
-      which undamped slip arcs are circles, as in the paper.
+    - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega", the
+      position times the natural angular frequency (m/s), in which undamped slip arcs are circles, as in the paper.
+    - `ax`: where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for anything else than the above.
+    Returns the axes. Raises ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
     """
-    check_simulation(one)
-    window = check_window(one, window)
-    first, second = one.system.coordinates[:2]
-    choices = (_POSITION,) if first.period or one.system.natural_frequency is None else (_POSITION, _SCALED)
+    check_simulation(result)
+    window = check_window(window, float(result.t1))
+    first, second = result.system.coordinates[:2]
+    choices = (_POSITION,) if first.period or result.system.natural_frequency is None else (_POSITION, _SCALED)
     if abscissa not in choices:
         names = " or ".join(map(repr, choices))
         raise ValueError(
-            f"Argument abscissa must be {names} for a {type(one.system).__name__}, but {abscissa!r} was given."
+            f"Argument abscissa must be {names} for a {type(result.system).__name__}, but {_checks.show(abscissa)} was "
+            "given."
         )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
-    segments = segments_of(one, window)
+    segments = segments_of(result, window)
     if first.period:
-        _draw_turning(ax, segments, first, second)
+        _draw_periodic(ax, segments, first, second)
     else:
-        _draw_plane(ax, one, segments, abscissa)
+        _draw_plane(ax, result, segments, abscissa)
     _style.legend_above(ax, columns=2)
     return ax
 
 
 def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: str) -> None:
-    """The second coordinate against the first, the latter times omega if `abscissa` says so."""
+    """The second coordinate against the first, or against the first times the natural angular frequency."""
     first, second = one.system.coordinates[:2]
     scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
     for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
@@ -105,7 +109,7 @@ def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: st
         ax.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_turning(ax: Axes, segments: list[Segment], first: Coordinate, second: Coordinate) -> None:
+def _draw_periodic(ax: Axes, segments: list[Segment], first: Coordinate, second: Coordinate) -> None:
     """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
     assert first.period is not None
     period = first.period
@@ -119,22 +123,22 @@ def _draw_turning(ax: Axes, segments: list[Segment], first: Coordinate, second: 
         angles, speeds = np.transpose([[values[0] for values in segment.state[:2]] for segment in still])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
-    turn = _style.angle_axis(ax, period)
-    ax.set_xlabel(first.labelled(f" modulo {turn}"))
+    name = _style.angle_axis(ax, period)
+    ax.set_xlabel(first.labelled(f" modulo {name}"))
     ax.set_ylabel(second.label)
 
 
 def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """A line with its angle modulo `period`, led up to the edge, and broken, where it goes from one turn to another."""
-    turn = np.floor(angle / period)
-    at = np.flatnonzero(np.abs(np.diff(turn)) > 0)  # NaN, where the line is broken already, compares false
-    edge = period * np.maximum(turn[at], turn[at + 1])
+    """A line with its angle modulo `period`; where the angle leaves a period, the line goes to the edge and breaks."""
+    count = np.floor(angle / period)
+    at = np.flatnonzero(np.abs(np.diff(count)) > 0)  # NaN, where the line is broken already, compares false
+    edge = period * np.maximum(count[at], count[at + 1])
     part = (edge - angle[at]) / (angle[at + 1] - angle[at])
     between = speed[at] + part * (speed[at + 1] - speed[at])
-    forward = turn[at + 1] > turn[at]
+    forward = count[at + 1] > count[at]
     leaving, entering = np.where(forward, period, 0), np.where(forward, 0, period)
     x = np.insert(
-        angle - period * turn, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
+        angle - period * count, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
     )
     y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
     return x, y

@@ -1,6 +1,6 @@
-"""The sticks that figures of many show: those that were seen to their end, in samples that finished."""
+"""The complete sticks of a result, one by one: their durations and the positions at which they begin."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,12 +9,15 @@ from .._ensemble.result import Ensemble
 from .._simulation.result import Simulation
 from .._statistics.first_sticks import FirstSticks
 from .._status import Ending, Status
+from ._types import Bins, SimulatedSticks
 
 
 class CompleteSticks(NamedTuple):
-    """`duration` (s) and `position` (m; of a motor its angle, rad) of each; how many more the horizon `cut`.
+    """Sticks whose end was seen, in samples that reached ``t1``; arrays (sticks,).
 
-    `part`: of which samples, where they are not those of all.
+    - `duration`: s. `position`: where they begin, m (of a motor its angle, rad).
+    - `cut`: how many more the horizon cut short.
+    - `part`: for legends, of which samples the sticks are, where not of all.
     """
 
     duration: np.ndarray
@@ -29,10 +32,11 @@ class CompleteSticks(NamedTuple):
         return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
 
 
-def complete_sticks(result: Any) -> CompleteSticks:
-    """The complete sticks of an `Ensemble`, those that it kept, of `FirstSticks`, or of a `Simulation`, one or a batch.
+def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteSticks:
+    """The complete sticks of a `Simulation`, one or a batch, of an `Ensemble`, those that it kept, or of `FirstSticks`.
 
-    Raises ValueError for anything else.
+    `also`: what else the figure takes, for the message. Raises ValueError for anything else, and for an ensemble with
+    ``keep="totals"``.
     """
     part = ""
     if isinstance(result, Ensemble):
@@ -44,12 +48,15 @@ def complete_sticks(result: Any) -> CompleteSticks:
     elif isinstance(result, Simulation):
         sticks = result.sticks
         if any(_checks.is_traced(leaf) for leaf in (sticks.mask, result.status)):
-            raise ValueError("Argument result must hold numbers, but one traced by a JAX transformation was given.")
+            raise ValueError(
+                "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
+                "outside jit, vmap and grad."
+            )
         used = np.asarray(sticks.mask) & (np.asarray(result.status) == Status.FINISHED)[..., None]
         duration = np.asarray(sticks.duration)
     else:
         raise ValueError(
-            "Argument result must be a result of simulate_ensemble or of simulate, or of first_stick, but "
+            f"Argument result must be a result of simulate_ensemble or of simulate, or of first_stick{also}, but "
             f"{_checks.show(result)} was given."
         )
     cut = np.asarray(sticks.ending) == Ending.HORIZON
@@ -58,14 +65,23 @@ def complete_sticks(result: Any) -> CompleteSticks:
     return CompleteSticks(duration, position, int(np.sum(used & cut)), part)
 
 
-def edges_of_bins(name: str, bins: Any, span: tuple[float, float], unit: str) -> np.ndarray:
-    """Edges of the `bins`, an argument called `name`: so many equal ones over `span`, or the edges themselves."""
+def edges_of_bins(name: str, bins: Bins, span: tuple[float, float], unit: str) -> np.ndarray:
+    """The edges of `bins`, (bins + 1,): so many of equal width over `span`, or the increasing edges given.
+
+    `name` of the argument and `unit` are for the message. Raises ValueError for anything else.
+    """
     if np.ndim(bins) == 0:
         return np.linspace(*span, _checks.whole_number(name, bins) + 1)
     _checks.numeric(name, bins, ndim=1)
     edges = np.asarray(bins, float)
     if len(edges) < 2 or np.any(np.diff(edges) <= 0):
         raise ValueError(
-            f"Argument {name} must be a whole number or increasing edges (in {unit}), but {bins!r} was given."
+            f"Argument {name} must be a whole number or increasing edges (in {unit}), but {_checks.show(bins)} was "
+            "given."
         )
     return edges
+
+
+def outside(label: str, number: int) -> str:
+    """`label` with a line on how many sticks lie outside the bins, if any do."""
+    return f"{label}\n{number:,} of them outside the bins" if number else label

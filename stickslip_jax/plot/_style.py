@@ -1,19 +1,19 @@
 """What all figures share: colours, new axes, the place of the legend.
 
-The colours are those of Okabe and Ito, told apart by colour-blind readers and in gray print.
+The colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind readers can distinguish.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
+from ._types import SeveralAxes
 
 STICK = "#D55E00"
-"""Sticks have this colour in every figure, and nothing else has."""
+"""The colour of sticks in every figure, and of nothing else."""
 MASS = "#000000"
 BASE = "#0072B2"
 FORWARD = "#999999"
@@ -26,30 +26,40 @@ STICK_WIDTH = 3.2
 SLIP_WIDTH = 1.2
 
 
-def axes_or_new(ax: Any, size: tuple[float, float]) -> Axes:
+def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     """`ax` itself, or the axes of a new figure of `size` (inches). Raises ValueError if `ax` is no matplotlib Axes."""
     if ax is None:
         _, ax = plt.subplots(figsize=size, layout="constrained")
     if not isinstance(ax, Axes):
-        raise ValueError(f"Argument ax must be a matplotlib Axes, but {ax!r} was given.")
+        raise ValueError(f"Argument ax must be a matplotlib Axes, but {_checks.show(ax)} was given.")
     return ax
 
 
-def axes_below_or_new(ax: Any, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:
-    """The axes in `ax`, one for each of `names`, or those of a new figure, one below the other with a common time axis.
+def axes_in(axes: SeveralAxes | None) -> tuple[Axes, ...]:
+    """The matplotlib Axes that `axes` holds, none of them if anything else is among them."""
+    if isinstance(axes, np.ndarray) and axes.ndim != 1:
+        return ()
+    found = tuple(axes) if isinstance(axes, (Sequence, np.ndarray)) else ()
+    return found if all(isinstance(one, Axes) for one in found) else ()
 
-    `size` in inches. Raises ValueError if `ax` does not hold as many matplotlib Axes.
+
+def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:
+    """The axes given, one for each of `names`; by default those of a new figure, one below the other.
+
+    `size` of the figure in inches. Raises ValueError if `axes` does not hold as many matplotlib Axes.
     """
-    if ax is None:
-        figure, ax = plt.subplots(len(names), 1, sharex=True, figsize=size, layout="constrained")
-        figure.align_ylabels(ax)
-    axes = list(ax) if isinstance(ax, Sequence) or hasattr(ax, "__array__") else []
-    if len(axes) != len(names) or not all(isinstance(one, Axes) for one in axes):
-        number = {2: "two", 3: "three"}[len(names)]
+    if axes is None:
+        figure, axes = plt.subplots(len(names), 1, sharex=True, squeeze=False, figsize=size, layout="constrained")
+        axes = axes[:, 0]
+        figure.align_ylabels(axes)
+    found = axes_in(axes)
+    if len(found) != len(names):
+        number = {1: "one", 2: "two", 3: "three"}.get(len(names), len(names))
         raise ValueError(
-            f"Argument ax must hold {number} matplotlib Axes ({', '.join(names)}), but {_checks.show(ax)} was given."
+            f"Argument axes must hold {number} matplotlib Axes ({', '.join(names)}), but {_checks.show(axes)} was "
+            "given."
         )
-    return tuple(axes)
+    return found
 
 
 def legend_above(ax: Axes, *others: Axes, columns: int = 3) -> None:

@@ -1,4 +1,4 @@
-"""A simulated trajectory cut into pieces at its events, so that sticks are drawn exactly where they happen."""
+"""A simulated trajectory cut into segments at its events, so that sticks are drawn exactly where they happen."""
 
 from typing import Any, NamedTuple
 
@@ -12,18 +12,19 @@ from .._excitation.piecewise import VelocitySteps
 from .._simulation.result import Simulation
 from .._status import Status
 from ._band import stick_band
+from ._types import Window
 
-_POINTS_PER_TURN = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
+_POINTS_PER_REVOLUTION = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
 _POINTS_PER_KNOT = 6  # at least; a time step of the simulation is 1/16 of the shortest period or less
 _MOST_POINTS = 100_000
-_FEWEST_SLOTS = 8192
+_SMALLEST_BUFFER = 8192
 
 
 class Segment(NamedTuple):
-    """The trajectory between two neighbouring events: all slip or all stick, the base velocity without a jump.
+    """The trajectory between two neighbouring events: all slip or all stick, without a jump of the base velocity.
 
     Arrays (points,): `times` in s; `state` in the units of the system's coordinates; `base_velocity` in m/s; `lowest`
-    and `highest` value that friction can hold (`System.stick_band`). Where one of them jumps, a time stands twice.
+    and `highest` value at which friction can hold a stick (`System.stick_band`). At inner knots a time stands twice.
     """
 
     times: np.ndarray
@@ -34,26 +35,32 @@ class Segment(NamedTuple):
     sticks: bool
 
 
-def check_simulation(one: Any) -> None:
-    """Check that `one` is a single finished simulation with known numbers; raises ValueError otherwise."""
-    if not isinstance(one, Simulation):
-        raise ValueError(f"Argument one must be a result of simulate, but {_checks.show(one)} was given.")
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(one)):
-        raise ValueError("Argument one must hold numbers, but one traced by a JAX transformation was given.")
-    if np.ndim(one.status) > 0:
+def check_simulation(result: Simulation) -> None:
+    """Raise ValueError unless `result` is a single simulation that reached ``t1``, and not traced by JAX."""
+    if not isinstance(result, Simulation):
         raise ValueError(
-            f"Argument one must hold one trajectory, but a batch of shape {np.shape(one.status)} was given; "
+            f"Argument result must be a result of simulate, but {_checks.show(result)} was given; sample i of an "
+            "ensemble is simulated with its base motion and initial state, ensemble.realisation(i)."
+        )
+    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(result)):
+        raise ValueError(
+            "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
+            "outside jit, vmap and grad."
+        )
+    if np.ndim(result.status) > 0:
+        raise ValueError(
+            f"Argument result must hold one trajectory, but a batch of shape {np.shape(result.status)} was given; "
             "take one out with jax.tree.map(lambda values: values[i], batch)."
         )
-    if one.status != Status.FINISHED:
+    if result.status != Status.FINISHED:
         raise ValueError(
-            f"Argument one must have reached t1, but one with this status was given: {Status(int(one.status)).meaning}."
+            "Argument result must have reached t1, but one with this status was given: "
+            f"{Status(int(result.status)).meaning}."
         )
 
 
-def check_window(one: Simulation, window: Any) -> tuple[float, float]:
+def check_window(window: Window | None, t1: float) -> Window:
     """The window to draw, s; all of ``[0, t1]`` if `window` is None. Raises ValueError if it is not part of that."""
-    t1 = float(one.t1)
     if window is None:
         return 0.0, t1
     try:
@@ -63,18 +70,19 @@ def check_window(one: Simulation, window: Any) -> tuple[float, float]:
         inside = False
     if not inside:
         raise ValueError(
-            f"Argument window must be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}, but {window!r} was given."
+            f"Argument window must be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}, but {_checks.show(window)} "
+            "was given."
         )
     return begin, end
 
 
 def has_steady_base(one: Simulation) -> bool:
-    """Whether a mass ran on a base whose velocity is constant between jumps."""
+    """Whether the mass rubs on a base whose velocity is constant between jumps."""
     return one.system.rides_base and isinstance(one.base, (VelocitySteps, BangBangLaw))
 
 
-def segments_of(one: Simulation, window: tuple[float, float]) -> list[Segment]:
-    """The pieces of the trajectory inside the window (s), in order of time."""
+def segments_of(one: Simulation, window: Window) -> list[Segment]:
+    """The segments of the trajectory inside the window (s), in order of time."""
     mask = np.asarray(one.sticks.mask)
     starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
     knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
@@ -84,7 +92,8 @@ def segments_of(one: Simulation, window: tuple[float, float]) -> list[Segment]:
     times = _grid(knots, numbers)
     lasts = np.cumsum(numbers + 1) - 1
     firsts = lasts - numbers
-    # The base's motion up to a jump just before it, and inside the window where it jumps at an end but for round-off.
+    # At the end of a segment the base velocity is that just before a jump. At the ends of the window it is that inside,
+    # in case the base jumps there within the round-off.
     base_times = times.copy()
     base_times[lasts] = np.nextafter(times[lasts], times.dtype.type(0))
     base_times[[0, -1]] = times[0] + round_off, times[-1] - round_off
@@ -102,23 +111,23 @@ def segments_of(one: Simulation, window: tuple[float, float]) -> list[Segment]:
 
 
 def values_of(segment: Segment, name: str | int) -> np.ndarray:
-    """The values `name` of a piece: one of its names, or the number of a part of the state."""
+    """The values of a segment called `name`, or of the coordinate with that number; (points,)."""
     return segment.state[name] if isinstance(name, int) else getattr(segment, name)
 
 
 def joined(segments: list[Segment], name: str | int) -> np.ndarray:
-    """The values `name` of all pieces one after the other, with a NaN between them where the line is to break."""
+    """The values of all segments one after the other, with a NaN between two, where the line is to break."""
     if not segments:
         return np.zeros(0)
     return np.concatenate([values for segment in segments for values in (values_of(segment, name), [np.nan])])[:-1]
 
 
-def _knots(one: Simulation, window: tuple[float, float], events: np.ndarray) -> tuple[np.ndarray, float]:
-    """The window's ends and, between them, events and beginnings of time steps (s) without repetition; the round-off.
+def _knots(one: Simulation, window: Window, events: np.ndarray) -> tuple[np.ndarray, float]:
+    """The window's ends with the events and the starts of time steps between them (s), each once; and the round-off.
 
-    Those on an end but for round-off are left out, and some of very many time steps.
+    Left out are those that differ from an end only by round-off, and some of the time steps where there are very many.
     """
-    # As the simulation counted time: a jump that ends a stick is the same instant as its end, to the last bit.
+    # In the simulation's own floating-point type: a jump that ends a stick equals its end to the last bit.
     steps = np.asarray(one.step_starts)
     begin, end = (steps.dtype.type(time) for time in window)
     round_off = min(256 * float(np.finfo(steps.dtype).eps) * end, (end - begin) / 4)
@@ -126,18 +135,20 @@ def _knots(one: Simulation, window: tuple[float, float], events: np.ndarray) -> 
         np.unique(times[(times > begin + round_off) & (times < end - round_off)]) for times in (steps, events)
     )
     if not has_steady_base(one) and len(steps) > _MOST_POINTS:
-        # One of each group of equal size, at a varying place: a fast oscillation must not look like a slow one.
+        # One of each group of equal size, at a varying place in it, against aliasing of fast oscillations.
         groups = np.arange(_MOST_POINTS)
         steps = steps[((groups + np.modf(groups * 0.618034)[0]) * (len(steps) / _MOST_POINTS)).astype(int)]
     return np.unique(np.concatenate([[begin, end], steps, events]).astype(steps.dtype)), round_off
 
 
 def _numbers(one: Simulation, lengths: np.ndarray, sticks: np.ndarray) -> np.ndarray:
-    """Into how many parts to cut the time between neighbouring knots, which lasts `lengths` (s)."""
+    """How many parts to divide the time between neighbouring knots into, which lasts `lengths` (s)."""
     numbers = np.full(len(lengths), _POINTS_PER_KNOT)
     if one.system.natural_frequency is not None:
-        steps = float(one.system.natural_frequency) * lengths.astype(float) / (2 * np.pi)
-        numbers = np.maximum(numbers, np.ceil(np.minimum(_POINTS_PER_TURN * steps, _MOST_POINTS)).astype(int))
+        revolutions = float(one.system.natural_frequency) * lengths.astype(float) / (2 * np.pi)
+        numbers = np.maximum(
+            numbers, np.ceil(np.minimum(_POINTS_PER_REVOLUTION * revolutions, _MOST_POINTS)).astype(int)
+        )
     if has_steady_base(one):
         numbers = np.where(sticks, 1, numbers)  # a straight line
     share = _MOST_POINTS / numbers.sum()
@@ -145,7 +156,7 @@ def _numbers(one: Simulation, lengths: np.ndarray, sticks: np.ndarray) -> np.nda
 
 
 def _grid(knots: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Times (s) from each knot to the next in `numbers` equal parts; all knots but the first and last stand twice."""
+    """Times (s) from each knot to the next in `numbers` equal parts; inner knots stand twice, as an end and a start."""
     offsets = np.repeat(np.cumsum(numbers + 1) - (numbers + 1), numbers + 1)
     parts = (np.arange(len(offsets)) - offsets) / np.repeat(numbers, numbers + 1)
     begins, ends = np.repeat(knots[:-1], numbers + 1), np.repeat(knots[1:], numbers + 1)
@@ -153,10 +164,10 @@ def _grid(knots: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def _follow(one: Simulation, times: np.ndarray, base_times: np.ndarray) -> tuple[Any, ...]:
-    """The state at `times` (s); at `base_times` the base velocity (m/s), and the lowest and highest that can stick."""
+    """The state at `times` (s); at `base_times` the base velocity (m/s) and the ends of the stick band."""
     number = len(times)
-    # Filled up to a power of two, so that few sizes are compiled.
-    buffer = max(_FEWEST_SLOTS, 1 << int(np.ceil(np.log2(len(times)))))
+    # Padded to a power of two, so that few sizes are compiled.
+    buffer = max(_SMALLEST_BUFFER, 1 << int(np.ceil(np.log2(len(times)))))
     filled, base_filled = (
         jnp.asarray(np.concatenate([values, np.full(buffer - number, values[-1])]), one.sticks.start.dtype)
         for values in (times, base_times)

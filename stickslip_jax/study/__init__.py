@@ -1,11 +1,12 @@
 """Studies: one ensemble described by a TOML file, simulated, and stored with its statistics and figures.
 
-- `StudyConfig` describes a study; ``StudyConfig()`` is the default one.
-- `read_config` reads one from a TOML file, and `run_study` runs it: a `Study`.
+- `StudyConfig` describes a study; ``StudyConfig()`` is the default one. `read_config` reads one from a TOML file.
+- `run_study` simulates the ensemble, stores the results in a folder and returns a `Study`.
+- `StudyError` is raised for mistakes in the file and for a folder that cannot be used.
 
-The command ``stickslip study`` does all of this; its ``--print-example`` prints files to start from.
+The command ``stickslip study`` does all of this; its option ``--print-example`` prints files to start from.
 
-Importing it raises ImportError if the extra ``study`` is not installed.
+Importing this module raises ImportError if the extra ``study`` is not installed.
 """
 
 from importlib import import_module
@@ -15,7 +16,7 @@ _missing = [name for name in ("pydantic", "cyclopts", "xarray", "h5netcdf", "h5p
 if _missing:
     raise ImportError(f"Studies need {', '.join(_missing)}: pip install 'stickslip_jax[study]'.")
 
-# Loaded when asked for: help and errors in a file come without what a simulation needs.
+# Loaded when asked for, so that help and messages about a file do not wait for what only a simulation needs.
 _HOMES = {
     "Study": "_run",
     "StudyConfig": "_config",

@@ -1,5 +1,5 @@
-"""The one exception for mistakes that the user of a study can mend."""
+"""The exception for mistakes that the user of a study can correct."""
 
 
 class StudyError(ValueError):
-    """Bad input to a study (its file, an option, the place for its result). The text is one sentence for the user."""
+    """Bad input to a study: in its file, in an option, or in the folder for its result. The message is one sentence."""

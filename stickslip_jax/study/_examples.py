@@ -1,10 +1,10 @@
-"""Studies to start from, by name: what each sets; everything else is usual."""
+"""Examples of studies to start from, by name: what differs from the default study."""
 
 import math
 from collections.abc import Mapping
 from typing import Any
 
-_BUILDING, _PERIOD, _GRAVITY = 2.0e5, 2.5, 9.81  # kg; s, on its isolators; m/s^2
+_BUILDING, _PERIOD, _GRAVITY = 2.0e5, 2.5, 9.81  # kg; s, natural period on its isolators; m/s^2
 
 EXAMPLES: dict[str, Mapping[str, Any]] = {
     "harmonic-base": {
@@ -27,4 +27,4 @@ EXAMPLES: dict[str, Mapping[str, Any]] = {
     },
     "motor-cart": {"system": {"model": "MotorCart"}, "output": {"directory": "results/motor-cart"}},
 }
-"""A mass on a base that oscillates; a building that slides on its isolators in an earthquake; the motor and cart."""
+"""A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart."""

@@ -13,17 +13,19 @@ from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._statistics.first_sticks import FirstSticks
 from .._status import Status
+from .._systems.system import System
 from ._config import StudyConfig
 from ._folder import DURATION_AND_POSITION, PHASE_PORTRAIT, STICK_DURATIONS, TIME_HISTORY
 
-_PERIODS_SHOWN = 16  # of the free oscillation: more would run into each other
+_PERIODS_SHOWN = 16  # of the free oscillation: more could not be distinguished
 _VOLTAGE_PERIODS_SHOWN = 6
 
 
 def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSticks | None, folder: Path) -> None:
-    """Draw the beginning of sample 0 and, unless only totals were kept, what `_of_all_sticks` tells, as PNG files.
+    """Draw the beginning of sample 0 and, unless only totals were kept, the sticks of all samples, as PNG files.
 
-    `first_sticks`: of every sample of a `MotorCart`; else None.
+    - `first_sticks`: of every sample of a `MotorCart`; else None.
+    - `folder`: where to write the files, which are called as in `RESULT_FILES`.
     """
     from .. import plot  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
 
@@ -38,15 +40,15 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
 
 
 def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict[str, tuple[str, Callable[[], Any]]]:
-    """The figures of the sticks of all samples, by file (one of `RESULT_FILES`): title, and what draws it."""
+    """The figures of the sticks of all samples: for each file, the title and a function that draws the figure."""
     from .. import plot  # noqa: PLC0415 - as above
 
-    def joint():
-        return plot.joint_histogram(ensemble.statistics.joint("duration", "position"))[0]
-
     shown: dict[str, tuple[str, Callable[[], Any]]] = {
-        STICK_DURATIONS: ("Stick durations", lambda: plot.stick_durations(ensemble)),
-        DURATION_AND_POSITION: ("Duration and position of sticks", joint),
+        STICK_DURATIONS: ("Stick durations", lambda: plot.histogram(ensemble)),
+        DURATION_AND_POSITION: (
+            "Duration and position of sticks",
+            lambda: plot.joint_histogram(ensemble.statistics.joint("duration", "position")),
+        ),
     }
     if first_sticks is not None:
         about = "Duration and position of first sticks"
@@ -58,18 +60,18 @@ def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict
 
 
 def _voltage(ensemble: Ensemble) -> Any:
-    """The voltage whose bound of stick durations is known in closed form; None for any other."""
+    """The voltage if the bound of its stick durations is known in closed form; else None."""
     law = ensemble.law
     known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
     return law if known else None
 
 
 def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
-    """Sample 0 of the ensemble with all its events, up to an instant that a figure can show."""
+    """Sample 0 of the ensemble with all its events, from 0 to a time short enough for a figure."""
     t1 = min(ensemble.t1, _time_shown(ensemble.system, ensemble.law))
     method = dataclasses.replace(config.run.method(), max_steps=None)
     for covered in (t1, 2 * t1, 4 * t1):
-        # A base motion up to another time begins likewise: only the beginning need be drawn, and more if need be.
+        # A base motion drawn for a shorter time begins in the same way: the beginning is enough, if it covers t1.
         base, y0 = dataclasses.replace(ensemble, t1=covered).realisation(0)
         one = simulate(ensemble.system, base, t1=t1, y0=y0, method=method)
         if int(one.status) != Status.BASE_TOO_SHORT:
@@ -77,8 +79,8 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
     return one
 
 
-def _time_shown(system: Any, law: Any) -> float:
-    """How long a time a figure can show, s."""
+def _time_shown(system: System, law: Any) -> float:
+    """The longest time whose oscillations can be distinguished in a figure, s."""
     if system.natural_frequency is None:
         signal = law.signal if isinstance(law, RandomPhase) else law
         return _VOLTAGE_PERIODS_SHOWN * float(signal.shortest_period)

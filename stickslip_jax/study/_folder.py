@@ -1,4 +1,4 @@
-"""The folder of a result: nothing in it is overwritten unasked, and nothing is left in it half written."""
+"""The folder of a result: no file is overwritten without --force, and no result is left incomplete."""
 
 import shutil
 import signal
@@ -18,15 +18,15 @@ PHASE_PORTRAIT = "phase_portrait.png"
 STICK_DURATIONS = "stick_durations.png"
 DURATION_AND_POSITION = "duration_and_position.png"
 RESULT_FILES = (CONFIG, SUMMARY, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DURATION_AND_POSITION, DATA)
-"""What a result may consist of, in the order in which files are put in place: the data, last, marks it complete."""
+"""The files of a result, in the order in which they are put in place; the data come last and mark it complete."""
 
 
 @contextmanager
 def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
-    """A folder to write `RESULT_FILES` into, which become the result in `directory` if the block succeeds.
+    """A temporary folder to write `RESULT_FILES` into, which become the result in `directory` if the block succeeds.
 
-    The files are moved there together at the end; an old result is replaced then, and only with `force`. Other files
-    in `directory` are left alone. If the block fails or is interrupted, everything is as it was before.
+    The files are moved to `directory` together at the end. With `force` they replace an older result, at the end and
+    not before. Other files in `directory` stay. If the block fails or is interrupted, everything is as it was before.
 
     Raises StudyError, before the block runs, if `directory` holds a result and `force` is False, or cannot be written.
     """
@@ -60,12 +60,12 @@ def _refuse_to_overwrite(directory: Path, force: bool) -> None:
 def _exists(path: Path) -> bool:
     try:
         return path.exists() or path.is_symlink()
-    except OSError:  # not even to be looked at; making the folder will say why
+    except OSError:  # cannot even be looked up; making the folder will raise the error that says why
         return False
 
 
 def _staging_in(directory: Path, made: list[Path]) -> Path:
-    """Make `directory`, noting in `made` what did not exist before, and a temporary folder in it."""
+    """Make `directory` and a temporary folder in it, which is returned; append to `made` what did not exist before."""
     try:
         for folder in reversed([directory, *directory.parents]):
             if not folder.exists():
@@ -80,7 +80,7 @@ def _staging_in(directory: Path, made: list[Path]) -> Path:
 
 
 def _publish(staging: Path, directory: Path) -> None:
-    """Move the new files into place, after the old ones are moved aside; if that fails, move all of them back."""
+    """Move the old files aside and the new ones into place; if that fails, move all of them back."""
     aside = staging / "replaced"
     aside.mkdir()
     moved: list[tuple[Path, Path]] = []

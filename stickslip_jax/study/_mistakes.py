@@ -1,4 +1,4 @@
-"""What is wrong with a study's file, in one sentence that names section and key."""
+"""Messages about mistakes in a study's file: one sentence that names the section and the key."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
@@ -11,13 +11,13 @@ from ._sections import NUMBER, Section, UniformConfig, kinds_in, one_of, tables_
 from ._systems_config import MassSpringConfig
 
 Options = Mapping[tuple[str, str], str]
-"""The command's option, if there was one, that each section and key come from."""
-_SETTLED = None
+"""For sections and keys set by options of the command, the name of the option."""
+_KNOWN = None  # the key of `_Place.kinds` where the class of the section is known
 
 
 def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Options) -> str:
-    """One sentence for the first problem that pydantic found in `table`."""
-    # A misspelt key shows as unknown and, often, also as missing: the first says more.
+    """One sentence about the first problem that pydantic found in `table`."""
+    # A misspelt key is reported as unknown and often, under its right name, as missing: the former says more.
     problem: Any = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     run = _run_kind(table)
     place = _place_of(problem["loc"], run)
@@ -41,7 +41,12 @@ def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Opti
 
 
 class _Place(NamedTuple):
-    """The section ("base.jumps", or "" outside all), what it may be made of by name, and the key ("" for the whole)."""
+    """A place in the file.
+
+    - `section`: "base.jumps", say; "" outside all sections.
+    - `kinds`: the classes that the section may be, by tag; by None if there is only one.
+    - `key`: "" for the section as a whole.
+    """
 
     section: str
     kinds: Mapping[str | None, type[Section]]
@@ -54,20 +59,20 @@ class _Place(NamedTuple):
 
     @property
     def kind(self) -> type[Section]:
-        """What the section is made of."""
-        return self.kinds[_SETTLED]
+        """The class of the section, where it is known."""
+        return self.kinds[_KNOWN]
 
 
 def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
-    """The place of what pydantic tells by keys, numbers in lists, and the names of the kinds that were chosen."""
-    place = outside = _Place("", {_SETTLED: StudyConfig})
+    """The place at pydantic's `location`: keys, indices of lists, and the tags of the classes that were chosen."""
+    place = outside = _Place("", {_KNOWN: StudyConfig})
     for part in location:
         if isinstance(part, int):
             place = place._replace(key=f"{place.key}[{part}]")
-        elif part == NUMBER:  # where there might have been a table
+        elif part == NUMBER:  # a number given where a table was possible, too
             place = outside._replace(key=place.name)
         elif part in place.kinds:
-            place = place._replace(kinds={_SETTLED: place.kinds[part]})
+            place = place._replace(kinds={_KNOWN: place.kinds[part]})
         else:
             fields = place.kind.model_fields
             kinds = kinds_in(fields[part].annotation) if part in fields else {}
@@ -75,17 +80,17 @@ def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
                 place = place._replace(key=str(part))
                 continue
             inside = f"{place.section}.{part}".removeprefix(".")
-            outside, place = place, _Place(inside, _settled({"run": run} if inside == "run" else kinds))
+            outside, place = place, _Place(inside, _single({"run": run} if inside == "run" else kinds))
     return place
 
 
-def _settled(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
+def _single(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
     (kind, *others) = kinds.values()
-    return {**kinds} if others or kind is UniformConfig else {_SETTLED: kind}
+    return {**kinds} if others or kind is UniformConfig else {_KNOWN: kind}
 
 
 def _run_kind(table: Mapping[str, Any]) -> type[Section]:
-    """What the section [run] is made of."""
+    """The class of the section [run], which depends on the system."""
     system = table.get("system")
     model = system.get("model") if isinstance(system, dict) else None
     return {tag_of(kind): run for kind, run in RUNS.items()}.get(model or "", RUNS[MassSpringConfig])
@@ -94,7 +99,7 @@ def _run_kind(table: Mapping[str, Any]) -> type[Section]:
 def _all_sections(
     kind: type[Section] = StudyConfig, within: str = ""
 ) -> Iterator[tuple[str, dict[str, type[Section]]]]:
-    """The name of every section, and what it may be made of."""
+    """The name of every section, with the classes that it may be, by tag."""
     for key, kinds in tables_of(kind).items():
         name = f"{within}.{key}".removeprefix(".")
         yield name, {tag_of(system): run for system, run in RUNS.items()} if name == "run" else kinds
@@ -158,7 +163,7 @@ def _unknown_section(name: str, value: Any) -> str:
 
 
 def _owner_of(key: str, section: str = "") -> str:
-    """A hint for a `key` that exists elsewhere, the `section` itself (of another kind) first, or ""."""
+    """A hint that `key` belongs elsewhere, first of all in another class of the same `section`; "" if nowhere."""
     for name, kinds in sorted(_all_sections(), key=lambda each: each[0] != section):
         owners = [tag for tag, kind in kinds.items() if key in kind.model_fields]
         if owners and len(owners) == len(kinds):

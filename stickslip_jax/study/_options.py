@@ -12,7 +12,7 @@ from ._errors import StudyError
 
 
 def _whole_number(kind: type, tokens: Sequence[Any]) -> int:
-    """Read a whole number; by itself cyclopts would round 2.7 to 3."""
+    """Read a whole number; cyclopts alone would round 2.7 to 3."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -76,14 +76,14 @@ class Options:
 
 @dataclass(frozen=True)
 class Command:
-    """What ``stickslip study`` was asked to do."""
+    """The arguments of ``stickslip study``: the configuration file, if any, and the options."""
 
     config: Path | None
     options: Options
 
 
 def parse(tokens: Sequence[str]) -> Command | None:
-    """The command that `tokens` ask for; None when help or the version was asked for, and printed.
+    """The command given by `tokens`, the words of the command line; None if help or the version was printed.
 
     Raises StudyError for unknown commands and options and for values of the wrong type.
     """

@@ -1,4 +1,4 @@
-"""From a TOML file and the command's options to a `StudyConfig`; every mistake becomes one sentence."""
+"""Reads a `StudyConfig` from a TOML file and the command's options; every mistake becomes one sentence."""
 
 import tomllib
 from collections.abc import Mapping
@@ -21,17 +21,19 @@ OPTIONS = {
     "out": ("output", "directory"),
     "figures": ("output", "figures"),
 }
-"""The section and key that each option of the command replaces."""
+"""The section and key whose value each option of the command replaces."""
 
 
 def read_config(
     path: Path | None = None, options: Mapping[str, Any] | None = None, *, example: str | None = None
 ) -> StudyConfig:
-    """The study in the TOML file `path` (None: the default study), with `options` (keys of `OPTIONS`) put in.
+    """Read the study described by a TOML file.
 
-    `example`: the name of one of `EXAMPLES`, for no file. Files that the study names are relative to its folder.
+    - `path`: the file; files that it names are relative to its folder. By default the default study.
+    - `options`: values that replace those of the file, by the names of `OPTIONS`; None leaves the file's.
+    - `example`: without `path`, the name of one of `EXAMPLES` to read instead.
 
-    Raises StudyError for a file that is missing, is no TOML, or holds unknown keys or unsuitable values, and for
+    Raises StudyError for a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
     unsuitable options.
     """
     table = dict(EXAMPLES.get(example or "", {})) if path is None else _parse(path)

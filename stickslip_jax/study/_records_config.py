@@ -1,4 +1,4 @@
-"""Records in a study: signals at given times, written down in the configuration or read from a file."""
+"""Records in a study: signals at given times, given in the configuration or read from a file."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +14,7 @@ _WHITE_SPACE = "whitespace"
 
 
 def _existing(file: str, info: Any) -> str:
-    """The absolute name of `file`, which is relative to the folder of the configuration."""
+    """The absolute path of `file`, which is relative to the folder of the configuration."""
     folder = Path((info.context or {}).get("folder", "."))
     path = folder.joinpath(Path(file).expanduser()).absolute()
     if not path.is_file():
@@ -36,7 +36,9 @@ def _column(value: Any, info: Any) -> int | str:
 
 def _delimiter(value: str) -> str:
     if value != _WHITE_SPACE and (len(value) != 1 or value in '"\r\n'):
-        raise ValueError(f'delimiter must be a single sign or "{_WHITE_SPACE}", but {toml_value(value)} was given.')
+        raise ValueError(
+            f'delimiter must be a single character or "{_WHITE_SPACE}", but {toml_value(value)} was given.'
+        )
     return value
 
 
@@ -45,14 +47,14 @@ _Column = Annotated[Any, AfterValidator(_column)]
 _TABLE_ONLY = {
     "time_column": "the times' column: its number, counted from 0, or name; not given: 0",
     "value_column": "the values' column, likewise; not given: 1",
-    "delimiter": f'sign between columns, or "{_WHITE_SPACE}"; not given: a comma',
+    "delimiter": f'character between columns, or "{_WHITE_SPACE}"; not given: a comma',
     "shift": "whether to subtract the first time from all; not given: false",
 }
 _SCALE = "what the values in the file are multiplied by; not given: 1"
 
 
 class _FromFile(Section):
-    """What tells how to read a file; None leaves the choice to the reader."""
+    """Keys that say how to read a file; None leaves the choice to the reader."""
 
     file: _File | None = Field(default=None, description="table (CSV) with a row for each time; or times and values")
     time_column: _Column | None = Field(default=None, description=_TABLE_ONLY["time_column"])
@@ -69,7 +71,7 @@ class _FromFile(Section):
                 raise ValueError(f"{key} must be left out, but {toml_value(getattr(self, key))} was given: {reason}.")
 
     def _read(self) -> tuple[Any, Any]:
-        """Times (s) and values of the table. Raises ValueError if it is unsuitable, OSError if it cannot be read."""
+        """Times (s) and values of the table. Raises ValueError if they are unsuitable, OSError if it cannot be read."""
         chosen = {key: getattr(self, key) for key in (*_TABLE_ONLY, "scale") if getattr(self, key) is not None}
         if self.delimiter == _WHITE_SPACE:
             chosen["delimiter"] = None
@@ -89,13 +91,14 @@ class RecordedConfig(_FromFile):
         if (self.file is None) != inline or (self.times is None) != (self.values is None):
             raise ValueError("a Recorded needs either file, or times and values.")
         if inline:
-            self._refuse((*_TABLE_ONLY, "scale"), "it tells how to read a file, and there is none")
+            self._refuse((*_TABLE_ONLY, "scale"), "it says how to read a file, and none is given")
             self.build()
         return self
 
     def build(self) -> Recorded:
-        """The signal as the simulation takes it. Raises ValueError for an unsuitable record, OSError for a file that
-        cannot be read.
+        """The signal for the simulation.
+
+        Raises ValueError for an unsuitable record, OSError for a file that cannot be read.
         """
         return Recorded(self.times, self.values) if self.file is None else Recorded(*self._read())
 
@@ -112,7 +115,7 @@ class GroundAccelerationConfig(_FromFile):
     @model_validator(mode="after")
     def _keys_fit(self) -> "GroundAccelerationConfig":
         if self._is_at2:
-            self._refuse(_TABLE_ONLY, "it tells how to read a table, and the file is an AT2 file")
+            self._refuse(_TABLE_ONLY, "it says how to read a table, and the file is an AT2 file")
         return self
 
     @property
@@ -120,8 +123,9 @@ class GroundAccelerationConfig(_FromFile):
         return Path(self.file).suffix.lower() == ".at2"
 
     def build(self) -> GroundAcceleration:
-        """The motion as the simulation takes it. Raises ValueError for an unsuitable record, OSError for a file that
-        cannot be read.
+        """The ground motion for the simulation.
+
+        Raises ValueError for an unsuitable record, OSError for a file that cannot be read.
         """
         if not self._is_at2:
             return GroundAcceleration(*self._read())

@@ -1,4 +1,4 @@
-"""A study's result in words: a table for people, JSON for programs."""
+"""The result of a study as text: a table for people, JSON for programs."""
 
 import json
 import math
@@ -10,7 +10,7 @@ from ._run import Study
 
 
 def table(study: Study) -> str:
-    """The statistics with units and standard errors, how many samples finished, the time taken, and the files."""
+    """A table of the statistics with units and standard errors, then samples finished, time taken, and files."""
     run, ensemble = study.config.run, study.ensemble
     rows = [("statistic", "value", "standard error", "unit"), *(_row(each) for each in study.statistics.values())]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
@@ -22,7 +22,7 @@ def table(study: Study) -> str:
         "",
         *_endings(study),
         *_first_sticks(study),
-        *(["In float32 event times are good to about 2e-6 of t1."] if run.dtype == "float32" else []),
+        *(["In float32 event times are accurate to about 2e-6 of t1."] if run.dtype == "float32" else []),
         f"Time: {ensemble.compile_seconds:.3g} s to compile, {ensemble.run_seconds:.3g} s to run "
         f"on {ensemble.threads} thread{'s' if ensemble.threads > 1 else ''}.",
         f"Files in {study.directory}: {', '.join(study.files)}",
@@ -31,7 +31,7 @@ def table(study: Study) -> str:
 
 
 def as_json(study: Study) -> str:
-    """The statistics by name, and how the run went, as one JSON object; undefined numbers are null."""
+    """One JSON object: statistics by name, samples not finished, times, files. Undefined numbers are null."""
     ensemble = study.ensemble
     content: dict[str, Any] = {
         name: {
@@ -44,7 +44,7 @@ def as_json(study: Study) -> str:
     }
     content["samples"] = ensemble.samples
     content["not_finished"] = {status.name: count for status, count in _not_finished(study).items()}
-    content["in_doubt"] = ensemble.near_grazing_samples
+    content["near_grazing_samples"] = ensemble.near_grazing_samples
     if study.first_sticks is not None:
         content["first_sticks"] = study.first_sticks.count
     content["seconds"] = {"compile": ensemble.compile_seconds, "run": ensemble.run_seconds}
@@ -70,7 +70,7 @@ def _endings(study: Study) -> list[str]:
         lines.append(f"Nothing is random here: all {samples} samples are the same.")
     if near_grazing_samples:
         lines.append(
-            f"In doubt: {near_grazing_samples} of {samples} samples, where the last digits decide about an event."
+            f"Near-grazing: {near_grazing_samples} of {samples} samples, in which round-off decides about an event."
         )
     return lines
 

@@ -1,4 +1,4 @@
-"""Run a study: simulate its ensemble, estimate its statistics, and store both with figures."""
+"""Running a study: its ensemble is simulated, its statistics are estimated, both are stored with figures."""
 
 import re
 import warnings
@@ -34,14 +34,17 @@ STATISTICS = {
     "mean_stick_duration": mean_stick_duration,
     "mean_slip_duration": mean_slip_duration,
 }
-"""What a study estimates; the names are those of the variables in its file."""
+"""The statistics of a study, by the names of their variables in its NetCDF file."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study that has been run and stored: its statistics by name, and the files in `directory`.
+    """A study that was run and stored.
 
-    `first_sticks`: of every sample of a `MotorCart`, if the sticks were kept; else None.
+    - `config`: its description. `ensemble`: what was simulated.
+    - `statistics`: by the names of `STATISTICS`.
+    - `first_sticks`: of every sample of a `MotorCart`, if the sticks were kept; else None.
+    - `directory`: the folder of the result. `files`: the names of the files in it.
     """
 
     config: StudyConfig
@@ -55,11 +58,12 @@ class Study:
 def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None = None) -> Study:
     """Simulate the ensemble that `config` describes and store the result in its output directory.
 
-    - `force`: replace a result that is there already, once the new one is complete.
-    - `progress`: as in `simulate_ensemble`.
+    - `force`: whether to replace a result that is there already, once the new one is complete.
+    - `progress`: whether to show a progress bar, as in `simulate_ensemble`.
 
-    On any failure nothing is left behind. Raises StudyError for an output directory that holds a result or cannot be
-    written, a dtype that JAX is not set to, and what `simulate` refuses; OSError if writing fails.
+    If it fails, nothing is left behind. Raises StudyError for an output directory that holds a result or cannot be
+    written, for a dtype other than the one JAX is set to, and for what `simulate_ensemble` refuses; OSError if writing
+    fails.
     """
     _check_dtype(config.run)
     directory = Path(config.output.directory).expanduser()
@@ -79,10 +83,10 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
 
 
 def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
-    """The ensemble that `config` describes.
+    """Simulate the ensemble that `config` describes.
 
     Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
-    refuses; all before anything is simulated.
+    refuses, before anything is simulated.
     """
     run = config.run
     try:
@@ -106,7 +110,7 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
 
 
 def _built(section: Any, name: str) -> Any:
-    """What `section` describes, as the simulation takes it."""
+    """The object that `section` describes, for the simulation. Raises StudyError if it cannot be built."""
     try:
         return section.build()
     except (ValueError, OSError) as error:
@@ -132,7 +136,7 @@ _NAMES = {
 
 
 def _in_words_of_the_file(said: str) -> str:
-    """What `simulate_ensemble` says of its arguments, with the sections and keys that they come from."""
+    """A message of `simulate_ensemble` with the names of its arguments replaced by sections and keys of the file."""
     said = re.sub(r"\AArguments? (\w+)", lambda found: _NAMES.get(found[1], found[1]), said)
     return said.replace("use method=Exact(solver=diffrax.Dopri8())", 'set solver = "Dopri8" in [run]')
 

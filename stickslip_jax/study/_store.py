@@ -1,4 +1,4 @@
-"""A study as one labelled data set: every stick, each sample's totals, the statistics, and where they come from."""
+"""A study as one labelled data set: every stick, the totals of each sample, the statistics, and their provenance."""
 
 import platform
 from collections.abc import Mapping
@@ -26,14 +26,14 @@ def write_netcdf(
     statistics: Mapping[str, Estimate],
     first_sticks: FirstSticks | None = None,
 ) -> None:
-    """Write the data set of a study to `path`, a NetCDF 4 file. Raises OSError if that fails.
+    """Write the data set of a study to `path`, a NetCDF 4 file.
 
-    Histograms and all that ``ensemble.statistics.to_xarray()`` tells stand in the group ``statistics``.
+    Histograms and all else of ``ensemble.statistics.to_xarray()`` are in the group ``statistics``. Raises OSError if
+    the file cannot be written.
     """
     dataset_of_study(config, ensemble, statistics, first_sticks).to_netcdf(path, engine="h5netcdf")
     if ensemble.accumulator is not None:
-        told = ensemble.statistics.to_xarray()
-        told.to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
+        ensemble.statistics.to_xarray().to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
 
 
 def dataset_of_study(
@@ -42,7 +42,7 @@ def dataset_of_study(
     statistics: Mapping[str, Estimate],
     first_sticks: FirstSticks | None = None,
 ) -> Any:
-    """An ``xarray.Dataset``: what ``ensemble.to_xarray()`` gives (if the sticks were kept) and the statistics.
+    """An ``xarray.Dataset`` of the sticks, if they were kept (``ensemble.to_xarray()``), and of the statistics.
 
     `first_sticks` become variables along ``sample``, ``first_stick_<column>``, NaN where there is none. Each statistic
     is a variable, its standard error another, ``<name>_standard_error``. All have ``units`` and ``long_name``; the
@@ -73,7 +73,10 @@ def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray,
 
 
 def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
-    """How the numbers came about; parameters are named ``<section>_<key>``, in the units of ``configuration``."""
+    """Attributes that say how the numbers were computed; parameters are called ``<section>_<key>``.
+
+    Units are those of the configuration, which is an attribute itself.
+    """
     attributes: dict[str, Any] = {
         "source": f"stickslip_jax {__version__}",
         "stickslip_jax_version": __version__,
@@ -87,7 +90,7 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
         "date_created": datetime.now(UTC).isoformat(timespec="seconds"),
         "configuration": config.to_toml(),
         "samples_finished": ensemble.finished,
-        "samples_in_doubt": ensemble.near_grazing_samples,
+        "samples_near_grazing": ensemble.near_grazing_samples,
         "compile_seconds": ensemble.compile_seconds,
         "run_seconds": ensemble.run_seconds,
         "threads_used": ensemble.threads,
@@ -103,7 +106,7 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
 
 
 def _flat(name: str, value: Any) -> dict[str, Any]:
-    """`value` as attributes called `name` or, of a table, ``<name>_<key>``; NetCDF has no truth values."""
+    """`value` as an attribute called `name`, a table as attributes called ``<name>_<key>``; True as 1, False as 0."""
     if isinstance(value, dict):
         return {key: entry for part in value for key, entry in _flat(f"{name}_{part}", value[part]).items()}
     return {name: int(value) if isinstance(value, bool) else value}

@@ -45,7 +45,7 @@ def test_nothing_was_warned_of(executed):
 
 
 def test_every_figure_is_drawn(executed):
-    """Two time histories, phase portrait, stick durations, stick share, stick map."""
+    """Two time histories, phase portrait, distributions, stick fraction, stick map."""
     assert sum("image/png" in output.get("data", {}) for output in outputs(executed)) == 7
 
 

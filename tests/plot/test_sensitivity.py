@@ -64,8 +64,8 @@ def test_tornado_has_the_largest_on_top():
 
 def test_given_axes_are_used():
     _, ax = plt.subplots()
-    assert plot.tornado([result()], ax) is ax
-    assert plot.sensitivity_curve([result()], ax) is ax
+    assert plot.tornado([result()], ax=ax) is ax
+    assert plot.sensitivity_curve([result()], ax=ax) is ax
     assert len(plt.get_fignums()) == 1
 
 
@@ -79,6 +79,6 @@ def test_given_axes_are_used():
     ],
     ids=["none", "a number", "two statistics", "two parameters"],
 )
-def test_bad_input(draw, results, message):
+def test_bad_input(draw, results, message, annotations_unchecked):
     with pytest.raises(ValueError, match=message):
         draw(results)

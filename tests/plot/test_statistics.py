@@ -66,8 +66,8 @@ def test_histogram_draws_density_errors_and_mean(many):
     (span,) = [patch for patch in ax.patches if isinstance(patch, mpl.patches.Rectangle)]
     assert span.get_width() == pytest.approx(2 * distribution.mean.standard_error)
     assert span.get_x() + span.get_width() / 2 == pytest.approx(distribution.mean.value)
-    told = str(distribution.mean).partition(": ")[2].replace("+-", "±")
-    assert texts(ax) == [f"{len(sticks.duration):,} values in 200 samples; bars: standard error", f"mean {told}"]
+    shown = str(distribution.mean).partition(": ")[2].replace("+-", "±")
+    assert texts(ax) == [f"{len(sticks.duration):,} values in 200 samples; bars: standard error", f"mean {shown}"]
     assert ax.get_xlim() == (edges[0], edges[-1])
 
 
@@ -132,7 +132,7 @@ def test_joint_histogram_with_the_conditional_mean(many):
 @pytest.mark.parametrize("quantity", ["start", "duration", "position"])
 def test_means_by_order(many, quantity):
     sticks = many.numbered_sticks()
-    ax = plot.means_by_order(many.statistics, quantity, level=0.8)
+    ax = plot.means_by_order(many, quantity, level=0.8)
     numbers, values = line(ax, "mean").get_data()
     most = sticks.count.max()
     assert most < many.statistics.orders  # the last orders are absent
@@ -174,12 +174,12 @@ def test_raster_draws_each_stick_in_its_row(many):
 
 def test_raster_in_a_window_and_of_all_samples(many):
     sticks = many.finished_sticks()
-    ax = plot.stick_raster(many, samples=1000, t0=5.0, t1=15.0)
+    ax = plot.stick_raster(many, samples=1000, window=(5.0, 15.0))
     inside = np.count_nonzero((sticks.end > 5) & (sticks.start < 15))
     assert len(only(ax, mpl.collections.PolyCollection).get_paths()) == inside
     assert texts(ax) == [f"{inside:,} sticks in 200 of 200 realisations"]
     assert (ax.get_xlim(), ax.get_ylim()) == ((5, 15), (199.5, -0.5))
-    kept = plot.stick_raster(simulate(200, keep="sticks"), samples=1000, t0=5.0, t1=15.0)
+    kept = plot.stick_raster(simulate(200, keep="sticks"), samples=1000, window=(5.0, 15.0))
     assert texts(kept) == texts(ax)
 
 
@@ -195,7 +195,7 @@ def test_maps_and_durations_of_the_sticks_retained(many):
         part = " of the first 60 samples" if samples == 60 else ""
         more = f" ({np.sum(used & ~complete):,} more, cut by the horizon, left out)"
         assert texts(ax) == [f"{complete.sum():,} sticks{part}{more}"]
-        assert texts(plot.stick_durations(ensemble)) == texts(ax)
+        assert texts(plot.histogram(ensemble)) == texts(ax)
 
 
 def draw_all(ensemble):
@@ -206,13 +206,13 @@ def draw_all(ensemble):
         (plot.histogram(statistics.position),) * 2,
         (plot.histogram(statistics.stick_count),) * 2,
         (panels[1], panels),
-        (plot.means_by_order(statistics),) * 2,
+        (plot.means_by_order(ensemble),) * 2,
         (plot.stick_raster(ensemble),) * 2,
         (plot.stick_fraction_curve([1.0], [statistics.stick_fraction]),) * 2,
     ]
 
 
-def test_axes_tell_quantity_and_unit(many):
+def test_axes_name_quantity_and_unit(many):
     drawn = [axes for _, axes in draw_all(many)]
     named = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (*drawn[:2], *drawn[2], *drawn[3:])]
     assert named == [
@@ -254,27 +254,27 @@ def test_legends_hide_no_data(many):
 def test_given_axes_are_used_and_no_other_figure_is_made(many):
     axes = mpl.figure.Figure().subplots(3, 3).flat
     statistics = many.statistics
-    assert plot.histogram(statistics.duration, axes[0]) is axes[0]
-    assert plot.means_by_order(statistics, "start", axes[1]) is axes[1]
-    assert plot.convergence(convergence(many, ss.stick_fraction), axes[2]) is axes[2]
-    assert plot.stick_raster(many, axes[3]) is axes[3]
-    assert plot.stick_fraction_curve([1.0], [ss.stick_fraction(many)], axes[4]) is axes[4]
-    assert plot.parameter_map([1, 2], [1, 2], np.ones((2, 2)), axes[5], **MAP_LABELS) is axes[5]
-    assert plot.joint_histogram(statistics.joint("start", "position"), axes[6:]) == tuple(axes[6:])
+    assert plot.histogram(statistics.duration, ax=axes[0]) is axes[0]
+    assert plot.means_by_order(many, "start", ax=axes[1]) is axes[1]
+    assert plot.convergence(convergence(many, ss.stick_fraction), ax=axes[2]) is axes[2]
+    assert plot.stick_raster(many, ax=axes[3]) is axes[3]
+    assert plot.stick_fraction_curve([1.0], [ss.stick_fraction(many)], ax=axes[4]) is axes[4]
+    assert plot.parameter_map([1, 2], [1, 2], np.ones((2, 2)), **MAP_LABELS, ax=axes[5]) is axes[5]
+    assert plot.joint_histogram(statistics.joint("start", "position"), axes=axes[6:]) == tuple(axes[6:])
     assert axes[6].get_xlim() == axes[7].get_xlim()
     assert axes[6].get_ylim() == axes[8].get_ylim()
     assert plt.get_fignums() == []
 
 
-def test_no_sticks_are_told(none):
+def test_no_sticks_are_noted(none):
     statistics = none.statistics
     main, above, right = plot.joint_histogram(statistics.joint("duration", "position"), conditional_mean=True)
-    told = {
+    notes = {
         "no values in 3 samples": plot.histogram(statistics.duration),
         "no pairs": main,
-        "no sticks": plot.means_by_order(statistics),
+        "no sticks": plot.means_by_order(none),
     }
-    for text, ax in (*told.items(), ("no sticks", plot.stick_raster(none))):
+    for text, ax in (*notes.items(), ("no sticks", plot.stick_raster(none))):
         assert [note.get_text() for note in ax.texts] == [text]
         assert ax.get_xlabel()
         assert ax.get_ylabel()
@@ -317,26 +317,31 @@ def test_bad_arguments(many, annotations_unchecked):
     curve, square = plot.stick_fraction_curve, np.ones((2, 2))
     length = statistics.duration
     wrong = [
-        (plot.histogram, (many,), {}, "distribution must be a Distribution, but"),
+        (plot.histogram, (statistics,), {}, "result must be a result of .*, or a Distribution such as"),
         (plot.histogram, (length,), {"bins": 0}, "bins must be a whole number of at least 1"),
-        (plot.histogram, (length, "here"), {}, "ax must be a matplotlib Axes"),
-        (plot.joint_histogram, (length,), {}, "joint must be a JointDistribution, but"),
+        (plot.histogram, (length,), {"ax": "here"}, "ax must be a matplotlib Axes"),
+        (plot.joint_histogram, (length,), {}, "result must be a result of .*, or a JointDistribution such as"),
         (plot.joint_histogram, (joint,), {"bins": 129}, "bins must be at most 128"),
         (plot.joint_histogram, (joint,), {"log": 1}, "log must be True or False"),
         (plot.joint_histogram, (joint,), {"conditional_mean": "yes"}, "conditional_mean must be True or False"),
-        (plot.joint_histogram, (joint, plt.figure().subplots(2)), {}, "axes must hold three matplotlib Axes"),
-        (plot.means_by_order, (many,), {}, "statistics must be an EnsembleStatistics, but"),
-        (plot.means_by_order, (statistics, "slip"), {}, "quantity must be one of 'start', 'duration', 'position'"),
-        (plot.means_by_order, (statistics,), {"level": 1.0}, "level must lie between 0 and 1"),
+        (plot.joint_histogram, (joint,), {"axes": plt.figure().subplots(2)}, "axes must hold three matplotlib Axes"),
+        (plot.means_by_order, (statistics,), {}, "result must be an Ensemble, but"),
+        (plot.means_by_order, (many, "slip"), {}, "quantity must be one of 'start', 'duration', 'position'"),
+        (plot.means_by_order, (many,), {"level": 1.0}, "level must lie between 0 and 1"),
         (plot.convergence, (many,), {}, "result must be a Convergence or a HistogramConvergence, but"),
         (plot.convergence, (settled,), {"level": 90}, "level must lie between 0 and 1"),
-        (plot.stick_raster, (statistics,), {}, "source must be an Ensemble, but"),
+        (plot.stick_raster, (statistics,), {}, "result must be an Ensemble, but"),
         (plot.stick_raster, (many,), {"samples": 0}, "samples must be a whole number of at least 1"),
-        (plot.stick_raster, (many,), {"t1": 41.0}, r"t0 and t1 must be times \(in s\) with 0 <= t0 < t1 <= 40"),
-        (plot.stick_raster, (many,), {"t0": 3.0, "t1": 3.0}, "t0 and t1 must be times"),
-        (plot.stick_raster, (many,), {"t0": "now"}, "t0 must be a single real number"),
+        (
+            plot.stick_raster,
+            (many,),
+            {"window": (0.0, 41.0)},
+            r"window must be two times \(in s\) with 0 <= t_a < t_b <= t1 = 40",
+        ),
+        (plot.stick_raster, (many,), {"window": (3.0, 3.0)}, "window must be two times"),
+        (plot.stick_raster, (many,), {"window": ("now", 3.0)}, "window must be two times"),
         (curve, ([], []), {}, "parameter_values must hold one or more numbers"),
-        (curve, ([1.0], 0.5), {}, "fractions must hold stick fractions"),
+        (curve, ([1.0], 0.5), {}, "fractions must be a one-dimensional sequence"),
         (curve, ([1.0], [length]), {}, "fractions must hold stick fractions"),
         (curve, ([1.0, 2.0], [statistics.stick_fraction, ss.stick_fraction(many)]), {}, "fractions must hold"),
         (curve, ([1.0, 2.0], [ss.stick_fraction(many)]), {}, "fractions must have the length 2 of parameter_values"),
@@ -350,7 +355,7 @@ def test_bad_arguments(many, annotations_unchecked):
         (plot.parameter_map, ([1, 2], [1, 2], square), MAP_LABELS | {"contours": 1}, "contours must be True or False"),
     ]
     for draw, arguments, options, message in wrong:
-        with pytest.raises(ValueError, match=f"Arguments? {message}"):
+        with pytest.raises(ValueError, match=f"Argument {message}"):
             draw(*arguments, **options)
     with pytest.raises(ValueError, match='keep="statistics"'):
         plot.stick_raster(totals)

@@ -17,7 +17,7 @@ from stickslip_jax import papers, plot
 from stickslip_jax.plot import _style
 
 MASS = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
-TURN = 2 * np.pi
+FULL_CIRCLE = 2 * np.pi
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_map_shows_every_complete_first_stick_below_the_bound(many):
     drawn = points_of(ax)
     complete = first.mask & (first.ending != ss.Ending.HORIZON)
     assert len(drawn) == complete.sum() > 100
-    assert drawn[:, 0] == pytest.approx(np.mod(first.position[complete], TURN))
+    assert drawn[:, 0] == pytest.approx(np.mod(first.position[complete], FULL_CIRCLE))
     assert drawn[:, 1] == pytest.approx(first.duration[complete])
     angles, longest = line(ax, "longest possible, closed form").get_data()
     assert np.asarray(ss.stick_duration_bound(many.system, many.law.signal, angles)) == pytest.approx(longest)
@@ -79,10 +79,10 @@ def test_map_shows_every_complete_first_stick_below_the_bound(many):
     transient = many.system.inductance / many.system.resistance
     assert np.all(drawn[:, 1] < np.interp(drawn[:, 0], angles, longest) + transient)
     assert np.max(drawn[:, 1]) > 0.9 * np.max(longest)
-    assert (angles[0], angles[-1]) == ax.get_xlim() == (0, TURN)
+    assert (angles[0], angles[-1]) == ax.get_xlim() == (0, FULL_CIRCLE)
 
 
-def test_map_of_all_sticks_in_half_a_turn(many):
+def test_map_of_all_sticks_in_half_a_circle(many):
     ax = plot.stick_map(many, period=np.pi)
     flat = many.flat_sticks
     complete = flat.ending != ss.Ending.HORIZON
@@ -111,7 +111,7 @@ def test_map_and_joint_histogram_of_a_mass(one):
         points_of(ax).tolist() == np.column_stack([filled(one, "position"), filled(one, "duration")])[complete].tolist()
     )
     assert ax.get_xlabel() == "position $x$ where the stick begins (m)"
-    ax = plot.stick_joint_histogram(one, bins=5)
+    ax, *_ = plot.joint_histogram(one, bins=5)
     density, positions, durations = mesh_of(ax)
     assert np.sum(density * np.outer(np.diff(positions), np.diff(durations))) == pytest.approx(1)
     assert (positions[0], positions[-1]) == (np.min(filled(one, "position")), np.max(filled(one, "position")))
@@ -121,14 +121,14 @@ def test_map_and_joint_histogram_of_a_mass(one):
 @pytest.mark.parametrize("log", [False, True])
 def test_joint_histogram_has_total_probability_one(many, log):
     first = ss.first_stick(many)
-    ax = plot.stick_joint_histogram(first, system=many.system, bound=many.law, log=log)
+    ax, *_ = plot.joint_histogram(first, system=many.system, bound=many.law, log=log)
     density, angles, durations = mesh_of(ax)
     areas = np.outer(np.diff(angles), np.diff(durations))
     assert density.shape == (40, 40)
     assert np.sum(density * areas) == pytest.approx(1)
-    counts, *_ = np.histogram2d(np.mod(first.position, TURN), first.duration, (angles, durations))
+    counts, *_ = np.histogram2d(np.mod(first.position, FULL_CIRCLE), first.duration, (angles, durations))
     assert density * areas * first.count == pytest.approx(counts)
-    assert (angles[0], angles[-1]) == (0, TURN)
+    assert (angles[0], angles[-1]) == (0, FULL_CIRCLE)
     assert durations[-1] == np.max(first.duration)
     assert ax.figure.axes[-1].get_ylabel() == "probability density (1/(rad s))"
     assert line(ax, "longest possible, closed form").get_color() == _style.MASS
@@ -137,30 +137,30 @@ def test_joint_histogram_has_total_probability_one(many, log):
 def test_joint_histogram_with_given_edges_stays_a_density(many):
     first = ss.first_stick(many)
     edges = [0.1, 0.2, 0.4]
-    ax = plot.stick_joint_histogram(first, system=many.system, bins=(8, edges))
+    ax, above, _ = plot.joint_histogram(first, system=many.system, bins=(8, edges))
     density, angles, durations = mesh_of(ax)
     inside = (first.duration >= 0.1) & (first.duration <= 0.4)
     assert durations.tolist() == edges
     assert np.sum(density * np.outer(np.diff(angles), np.diff(durations))) == pytest.approx(np.mean(inside))
-    assert f"{np.sum(~inside):,} of them outside the bins" in ax.get_legend().get_texts()[0].get_text()
+    assert f"{np.sum(~inside):,} of them outside the bins" in above.get_legend().get_texts()[0].get_text()
 
 
 def test_durations_of_first_sticks_and_of_a_motor(many):
     first = ss.first_stick(many)
-    texts = plot.stick_durations(first).get_legend().get_texts()
+    texts = plot.histogram(first).get_legend().get_texts()
     assert texts[0].get_text() == f"{np.sum(first.ending != ss.Ending.HORIZON):,} sticks"
     complete = np.sum(many.flat_sticks.ending != ss.Ending.HORIZON)
-    assert plot.stick_durations(many).get_legend().get_texts()[0].get_text().startswith(f"{complete:,} sticks")
+    assert plot.histogram(many).get_legend().get_texts()[0].get_text().startswith(f"{complete:,} sticks")
 
 
-def test_no_sticks_are_told(many):
+def test_no_sticks_are_noted(many):
     none = np.full(3, np.nan)
     first = ss.FirstSticks(none, none, none, np.full(3, -1), np.zeros(3, bool))
     for ax in (
         plot.stick_map(first, system=many.system, bound=many.law),
-        plot.stick_joint_histogram(first, system=many.system),
-        plot.stick_joint_histogram(first, system=MASS),
-        plot.stick_durations(first),
+        plot.joint_histogram(first, system=many.system)[0],
+        plot.joint_histogram(first, system=MASS)[0],
+        plot.histogram(first),
     ):
         assert [text.get_text() for text in ax.texts] == ["no sticks"]
         assert ax.get_xlabel()
@@ -168,26 +168,34 @@ def test_no_sticks_are_told(many):
 
 def test_one_stick_is_drawn():
     first = ss.FirstSticks(*(np.array([value]) for value in (0.5, 0.1, 0.3, 0, True)))
-    density, *edges = mesh_of(plot.stick_joint_histogram(first, system=MASS, log=True))
+    density, *edges = mesh_of(plot.joint_histogram(first, system=MASS, log=True)[0])
     assert np.sum(density * np.outer(*map(np.diff, edges))) == pytest.approx(1)
     plt.gcf().draw_without_rendering()
 
 
-@pytest.mark.parametrize("draw", [plot.stick_map, plot.stick_joint_histogram])
-def test_axes_tell_quantity_and_unit_and_legends_hide_nothing(many, draw):
-    ax = draw(many, bound=many.law)
+def panels_of(drawn):
+    return drawn if isinstance(drawn, tuple) else (drawn,)
+
+
+@pytest.mark.parametrize("draw", [plot.stick_map, plot.joint_histogram])
+def test_axes_name_quantity_and_unit_and_legends_hide_nothing(many, draw):
+    ax, *sides = panels_of(draw(many, bound=many.law))
     assert ax.get_xlabel() == r"angle $\alpha$ of the stick, modulo $2\pi$ (rad)"
     assert ax.get_ylabel() == "stick duration (s)"
     ax.figure.draw_without_rendering()
-    legend, axes, figure = ax.get_legend().get_window_extent(), ax.get_window_extent(), ax.figure.bbox
+    top = sides[0] if sides else ax
+    legend, axes, figure = top.get_legend().get_window_extent(), top.get_window_extent(), top.figure.bbox
     assert axes.y1 <= legend.y0 < legend.y1 <= figure.y1 + 1
     assert figure.x0 - 1 <= legend.x0 < legend.x1 <= figure.x1 + 1
 
 
-@pytest.mark.parametrize("draw", [plot.stick_map, plot.stick_joint_histogram])
-def test_given_axes_are_used(one, draw):
-    axes = mpl.figure.Figure().subplots()
-    assert draw(one, axes) is axes
+def test_given_axes_are_used(one):
+    ax, *axes = mpl.figure.Figure().subplots(1, 5)
+    assert plot.stick_map(one, ax=ax) is ax
+    assert plot.joint_histogram(one, axes=axes[0]) == (axes[0],)
+    assert plot.joint_histogram(one, axes=axes[1:]) == tuple(axes[1:])
+    assert axes[1].get_xlim() == axes[2].get_xlim()
+    assert axes[1].get_ylim() == axes[3].get_ylim()
     assert plt.get_fignums() == []
 
 
@@ -197,7 +205,7 @@ def test_bad_arguments(one, many, annotations_unchecked):
     batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), one)
     object.__setattr__(batch, "system", ss.MotorCart(mu=0.5))
     object.__setattr__(batch.system, "mu", jnp.full(3, 0.5))
-    maps, joint = plot.stick_map, plot.stick_joint_histogram
+    maps, joint = plot.stick_map, plot.joint_histogram
     wrong = [
         (maps, ([0.1],), {}, "result must be a result of simulate_ensemble or of simulate, or of first_stick"),
         (maps, (few,), {}, 'keep="sticks"'),
@@ -209,7 +217,7 @@ def test_bad_arguments(one, many, annotations_unchecked):
         (maps, (batch,), {"bound": many.law}, r"system must be given with the bound.* shape \(3,\)"),
         (maps, (many,), {"period": 3.0}, r"period must be pi or 2 pi \(in rad\)"),
         (maps, (first,), {"system": MASS, "period": np.pi}, "period .*given for a MotorCart only"),
-        (maps, (many, "here"), {}, "ax must be a matplotlib Axes"),
+        (maps, (many,), {"ax": "here"}, "ax must be a matplotlib Axes"),
         (joint, (many,), {"log": 1}, "log must be True or False"),
         (joint, (many,), {"bins": 0}, r"bins\[0\] must be a whole number of at least 1"),
         (joint, (many,), {"bins": 2.5}, "bins must be a whole number, or two"),

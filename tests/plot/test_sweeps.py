@@ -88,7 +88,7 @@ def test_convergence_leaves_out_what_is_not_defined():
     assert line(ax, "distance").get_data() == ([2], [0.5])
     ax.figure.draw_without_rendering()
     ax = plot.convergence(HistogramConvergence(np.array([1]), np.array([nan]), 0, nan))
-    assert [text.get_text() for text in ax.texts] == ["no distance could be told"]
+    assert [text.get_text() for text in ax.texts] == ["no distance is known"]
 
 
 def test_stick_fraction_curve_of_distributions_has_a_band_of_realisations(many, none):
@@ -115,7 +115,7 @@ def test_stick_fraction_curve_of_estimates_has_a_band_of_the_mean(many, single):
     assert ax.get_xlabel() == "speed (m/s)"
     # A second curve has another colour. One sample has no interval, none at all no mean.
     nothing = Estimate("stick fraction", math.nan, math.nan, "1", 0)
-    same = plot.stick_fraction_curve([1.0, 2.0], [ss.stick_fraction(single), nothing], ax, label="few")
+    same = plot.stick_fraction_curve([1.0, 2.0], [ss.stick_fraction(single), nothing], label="few", ax=ax)
     assert same is ax
     assert line(ax, "few").get_xdata().tolist() == [1]
     assert len(ax.collections) == 1

@@ -24,7 +24,7 @@ RECORD = ss.Recorded(jnp.arange(0.0, 9.0, 0.5), jnp.asarray(np.random.default_rn
 GROUND = ss.GroundAcceleration(jnp.arange(0.0, 9.0, 0.25), jnp.asarray(np.random.default_rng(1).normal(size=36)))
 T1 = 8.0
 MOST_TIMES = 8192
-TURN = 2 * np.pi
+FULL_CIRCLE = 2 * np.pi
 
 
 class Chirp(eqx.Module):
@@ -85,7 +85,7 @@ def line(ax, label):
 
 
 def segments(drawn):
-    """The pieces of a line between its NaNs, arrays (points, 2)."""
+    """The segments of a line between its NaNs, arrays (points, 2)."""
     points = np.column_stack(drawn.get_data())
     missing = np.isnan(points[:, 0])
     return [piece[~np.isnan(piece[:, 0])] for piece in np.split(points, np.flatnonzero(missing))]
@@ -261,7 +261,7 @@ def test_long_runs_are_drawn_with_fewer_points(one, monkeypatch):
     ],
     indirect=["one"],
 )
-def test_portrait_tells_apart_what_differs(one, labels):
+def test_portrait_distinguishes_what_differs(one, labels):
     ax = plot.phase_portrait(one)
     assert {text.get_text() for text in ax.get_legend().get_texts()} == labels
 
@@ -292,33 +292,33 @@ def test_portrait_centres_and_abscissae(one, annotations_unchecked):
 
 
 @of("motor")
-def test_portrait_of_a_motor_breaks_where_a_turn_ends(one):
+def test_portrait_of_a_motor_breaks_where_a_revolution_ends(one):
     (angle, speed, _), _ = exact(one, np.unique(np.asarray(one.step_starts)))
-    assert angle[-1] > TURN
+    assert angle[-1] > FULL_CIRCLE
     ax = plot.phase_portrait(one)
     pieces = segments(line(ax, "slip"))
-    ends = [(before[-1], after[0]) for before, after in itertools.pairwise(pieces) if before[-1, 0] == TURN]
-    assert len(ends) == angle[-1] // TURN
+    ends = [(before[-1], after[0]) for before, after in itertools.pairwise(pieces) if before[-1, 0] == FULL_CIRCLE]
+    assert len(ends) == angle[-1] // FULL_CIRCLE
     for before, after in ends:
         assert after[0] == 0
         assert before[1] == after[1]
     points = np.concatenate([*pieces, *segments(line(ax, "stick"))])
-    assert np.all((points[:, 0] >= 0) & (points[:, 0] <= TURN))
-    states = np.column_stack([np.mod(angle, TURN), speed])
+    assert np.all((points[:, 0] >= 0) & (points[:, 0] <= FULL_CIRCLE))
+    states = np.column_stack([np.mod(angle, FULL_CIRCLE), speed])
     assert np.max(np.min(np.linalg.norm(points[None] - states[:, None], axis=2), axis=1)) < 1e-9
-    assert ax.get_xlim() == (0, TURN)
+    assert ax.get_xlim() == (0, FULL_CIRCLE)
 
 
 @of("motor")
 def test_portrait_marks_the_sticks_of_a_motor(one):
     drawn = line(plot.phase_portrait(one), "stick")
-    assert drawn.get_xdata() == pytest.approx(np.mod(filled(one, "position"), TURN))
+    assert drawn.get_xdata() == pytest.approx(np.mod(filled(one, "position"), FULL_CIRCLE))
     assert np.all(drawn.get_ydata() == 0)
     assert (drawn.get_marker(), drawn.get_linestyle(), drawn.get_color()) == ("o", "None", _style.STICK)
 
 
 @of("motor", "ground")
-def test_axes_tell_quantity_and_unit_and_legends_hide_nothing(one):
+def test_axes_name_quantity_and_unit_and_legends_hide_nothing(one):
     panels, portrait = plot.time_history(one), plot.phase_portrait(one)
     motor = names_of(one) == "motor"
     last = {
@@ -349,5 +349,7 @@ def test_drawing_simulates_nothing(one, monkeypatch):
 
 @of("motor")
 def test_a_motor_needs_three_axes(one):
-    with pytest.raises(ValueError, match=r"Argument ax must hold three matplotlib Axes \(angle, angular velocity, cur"):
-        plot.time_history(one, plt.figure().subplots(2))
+    with pytest.raises(
+        ValueError, match=r"Argument axes must hold three matplotlib Axes \(angle, angular velocity, cur"
+    ):
+        plot.time_history(one, axes=plt.figure().subplots(2))

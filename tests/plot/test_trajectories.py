@@ -58,7 +58,7 @@ def line(ax, label):
 
 
 def segments(drawn):
-    """The pieces of a line between its NaNs, arrays (points, 2)."""
+    """The segments of a line between its NaNs, arrays (points, 2)."""
     points = np.column_stack(drawn.get_data())
     missing = np.isnan(points[:, 0])
     if np.all(missing):
@@ -200,7 +200,7 @@ def histogram(ax):
 
 
 def test_durations_count_every_complete_stick_once(ensemble):
-    ax = plot.stick_durations(ensemble, bins=20)
+    ax = plot.histogram(ensemble, bins=20)
     density, edges = histogram(ax)
     flat = ensemble.flat_sticks
     complete = flat.ending != ss.Ending.HORIZON
@@ -215,7 +215,7 @@ def test_durations_count_every_complete_stick_once(ensemble):
 
 def test_durations_with_given_edges_stay_a_density(ensemble):
     edges = [0.1, 0.2, 0.3]
-    ax = plot.stick_durations(ensemble, bins=edges)
+    ax = plot.histogram(ensemble, bins=edges)
     density, drawn = histogram(ax)
     flat = ensemble.flat_sticks
     durations = (flat.end - flat.start)[flat.ending != ss.Ending.HORIZON]
@@ -229,11 +229,11 @@ def test_durations_with_given_edges_stay_a_density(ensemble):
 
 
 def test_durations_of_one_simulation_and_of_a_batch(one):
-    ax = plot.stick_durations(one)
+    ax = plot.histogram(one)
     number = int(np.sum(filled(one, "ending") != ss.Ending.HORIZON))
     assert ax.get_legend().get_texts()[0].get_text().startswith(f"{number} sticks")
     batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), one)
-    ax = plot.stick_durations(batch)
+    ax = plot.histogram(batch)
     assert ax.get_legend().get_texts()[0].get_text().startswith(f"{3 * number} sticks")
 
 
@@ -241,39 +241,40 @@ def test_samples_that_did_not_finish_are_left_out(one):
     broken = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), one)
     object.__setattr__(broken, "status", jnp.asarray([0, 1], jnp.int8))
     number = int(np.sum(filled(one, "ending") != ss.Ending.HORIZON))
-    ax = plot.stick_durations(broken)
+    ax = plot.histogram(broken)
     assert ax.get_legend().get_texts()[0].get_text().startswith(f"{number} sticks")
 
 
 def test_no_sticks_is_a_labelled_empty_figure():
     slipping = simulate(ss.Constant(5.0).sample(None, 3.0), 3.0, (0.0, 0.0))
-    ax = plot.stick_durations(slipping)
+    ax = plot.histogram(slipping)
     assert [text.get_text() for text in ax.texts] == ["no sticks"]
     assert ax.get_xlabel() == "stick duration (s)"
     assert not ax.patches
 
 
-def test_only_a_censored_stick_is_told():
+def test_only_a_censored_stick_is_noted():
     sticking = simulate(ss.Constant(0.01).sample(None, 3.0), 3.0, (0.0, 0.01))
-    ax = plot.stick_durations(sticking)
+    ax = plot.histogram(sticking)
     assert [text.get_text() for text in ax.texts] == ["no sticks (1 more, cut by the horizon, left out)"]
 
 
 def test_durations_need_kept_sticks():
     few = ss.simulate_ensemble(SYSTEM, LAW, t1=2.0, samples=2, key=jax.random.key(0), threads=1, keep="totals")
     with pytest.raises(ValueError, match='keep="sticks"'):
-        plot.stick_durations(few)
+        plot.histogram(few)
 
 
-def test_share_is_drawn_in_percent_in_order_of_the_ratio():
-    ax = plot.stick_share([1.2, 0.8, 1.0], [0.36, 0.1, 0.16], label="steady")
+def test_fractions_are_drawn_in_percent_in_order_of_the_ratio():
+    ax = plot.stick_fraction_curve([1.2, 0.8, 1.0], [0.36, 0.1, 0.16], label="steady")
     assert line(ax, "steady").get_xdata().tolist() == [0.8, 1.0, 1.2]
     assert line(ax, "steady").get_ydata() == pytest.approx([10, 16, 36])
 
 
-def test_share_draws_bands_and_compares():
-    ax = plot.stick_share([1.0, 2.0], [0.1, 0.2], label="a")
-    same = plot.stick_share([2.0, 1.0], [0.3, 0.2], [[0.02, 0.01], [0.03, 0.04]], ax, label="b", errors_label="90 %")
+def test_fractions_have_bands_and_are_compared():
+    ax = plot.stick_fraction_curve([1.0, 2.0], [0.1, 0.2], label="a")
+    errors = [[0.02, 0.01], [0.03, 0.04]]
+    same = plot.stick_fraction_curve([2.0, 1.0], [0.3, 0.2], errors=errors, label="b", band_label="90 %", ax=ax)
     assert same is ax
     (band,) = ax.collections
     corners = {tuple(np.round(corner, 9)) for corner in band.get_paths()[0].vertices}
@@ -286,19 +287,19 @@ def draw_all(one, ensemble):
     return [
         *plot.time_history(one),
         plot.phase_portrait(one),
-        plot.stick_durations(ensemble),
-        plot.stick_share([1.0, 1.2], [0.1, 0.2], label="share"),
+        plot.histogram(ensemble),
+        plot.stick_fraction_curve([1.0, 1.2], [0.1, 0.2], label="share"),
     ]
 
 
-def test_axes_tell_quantity_and_unit(one, ensemble):
+def test_axes_name_quantity_and_unit(one, ensemble):
     labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in draw_all(one, ensemble)]
     assert labels == [
         ("", "position $x$ (m)"),  # above the next, with which it shares its times
         ("time $t$ (s)", "velocity (m/s)"),
         ("position $x$ (m)", r"velocity $\dot x$ (m/s)"),
         ("stick duration (s)", "probability density (1/s)"),
-        (r"frequency ratio $r = f_\mathrm{b}\,/\,(\omega/2\pi)$ (dimensionless)", "stick share of the time (%)"),
+        (r"frequency ratio $r = f_\mathrm{b}\,/\,(\omega/2\pi)$ (dimensionless)", "stick fraction $T_s$ (%)"),
     ]
     scaled = plot.phase_portrait(one, abscissa="position_times_omega")
     assert scaled.get_xlabel() == r"position times frequency $\omega x$ (m/s)"
@@ -337,11 +338,11 @@ def test_drawing_simulates_nothing(one, ensemble, monkeypatch):
 
 def test_given_axes_are_used_and_no_other_figure_is_made(one, ensemble):
     axes = mpl.figure.Figure().subplots(1, 5)
-    assert plot.time_history(one, axes[:2]) == tuple(axes[:2])
+    assert plot.time_history(one, axes=axes[:2]) == tuple(axes[:2])
     assert [panel.get_xlabel() for panel in axes[:2]] == ["time $t$ (s)"] * 2
-    assert plot.phase_portrait(one, axes[2]) is axes[2]
-    assert plot.stick_durations(ensemble, ax=axes[3]) is axes[3]
-    assert plot.stick_share([1.0], [0.1], [0.1], ax=axes[4]) is axes[4]
+    assert plot.phase_portrait(one, ax=axes[2]) is axes[2]
+    assert plot.histogram(ensemble, ax=axes[3]) is axes[3]
+    assert plot.stick_fraction_curve([1.0], [0.1], errors=[0.1], ax=axes[4]) is axes[4]
     assert plt.get_fignums() == []
 
 
@@ -354,7 +355,7 @@ def test_bad_windows(one, draw, window, annotations_unchecked):
 
 @pytest.mark.parametrize("draw", [plot.time_history, plot.phase_portrait])
 def test_bad_simulations(one, ensemble, draw, annotations_unchecked):
-    with pytest.raises(ValueError, match="Argument one must be a result of simulate, but"):
+    with pytest.raises(ValueError, match="Argument result must be a result of simulate, but"):
         draw(ensemble)
     batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), one)
     with pytest.raises(ValueError, match=r"must hold one trajectory, but a batch of shape \(3,\)"):
@@ -368,32 +369,32 @@ def test_bad_simulations(one, ensemble, draw, annotations_unchecked):
 
 
 def test_bad_axes_and_options(one, ensemble, annotations_unchecked):
-    with pytest.raises(ValueError, match="Argument ax must hold two matplotlib Axes"):
-        plot.time_history(one, plt.figure().subplots())
+    with pytest.raises(ValueError, match="Argument axes must hold two matplotlib Axes"):
+        plot.time_history(one, axes=plt.figure().subplots())
     with pytest.raises(ValueError, match="Argument ax must be a matplotlib Axes, but 'here'"):
-        plot.phase_portrait(one, "here")
+        plot.phase_portrait(one, ax="here")
     with pytest.raises(ValueError, match="Argument abscissa must be 'position' or"):
         plot.phase_portrait(one, abscissa="x")
     with pytest.raises(ValueError, match="Argument result must be a result of simulate_ensemble or of simulate"):
-        plot.stick_durations([0.1, 0.2])
+        plot.histogram([0.1, 0.2])
     for bins in (0, 2.5, True, "auto", [0.1], [0.2, 0.1], [0.0, np.inf], [[0.0, 1.0]]):
         with pytest.raises(ValueError, match="Argument bins must be"):
-            plot.stick_durations(ensemble, bins=bins)
+            plot.histogram(ensemble, bins=bins)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("values", "errors", "message"),
     [
-        (([], []), "ratios must hold one or more positive numbers"),
-        (([1.0, -1.0], [0.1, 0.2]), "ratios must hold one or more positive numbers"),
-        (([1.0, 2.0], [0.1]), "shares must have the length 2 of ratios"),
-        (([1.0], [38.0]), "shares must hold fractions between 0 and 1"),
-        (([1.0], [np.nan]), "shares must be finite"),
-        (([1.0], 0.5), "shares must be a one-dimensional sequence"),
-        (([1.0], [0.5], [-0.1]), "errors must hold numbers of zero or more"),
-        (([1.0, 2.0], [0.5, 0.5], [0.1]), r"errors must hold .* in the shape \(2,\) or \(2, 2\)"),
+        (([], []), None, "parameter_values must hold one or more numbers"),
+        (([1.0, -1.0], [0.1, 0.2]), None, "parameter_values must hold positive frequency ratios"),
+        (([1.0, 2.0], [0.1]), None, "fractions must have the length 2 of parameter_values"),
+        (([1.0], [38.0]), None, "fractions must hold fractions between 0 and 1"),
+        (([1.0], [np.nan]), None, "fractions must be finite"),
+        (([1.0], 0.5), None, "fractions must be a one-dimensional sequence"),
+        (([1.0], [0.5]), [-0.1], "errors must hold numbers of zero or more"),
+        (([1.0, 2.0], [0.5, 0.5]), [0.1], r"errors must hold .* in the shape \(2,\) or \(2, 2\)"),
     ],
 )
-def test_bad_shares(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plot.stick_share(*arguments)
+def test_bad_fractions(values, errors, message, annotations_unchecked):
+    with pytest.raises(ValueError, match=f"Argument {message}"):
+        plot.stick_fraction_curve(*values, errors=errors)

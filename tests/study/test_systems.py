@@ -103,7 +103,7 @@ def check_against(study, many):
             assert variable.attrs["units"]
             assert variable.attrs["long_name"]
         assert dataset.attrs["samples_finished"] == many.samples
-        assert dataset.attrs["samples_in_doubt"] == many.near_grazing_samples
+        assert dataset.attrs["samples_near_grazing"] == many.near_grazing_samples
         assert read_config(config_file(study.directory, dataset.attrs["configuration"])) == study.config
     assert read_config(study.directory / CONFIG) == study.config
 
@@ -218,10 +218,10 @@ def test_what_to_know_of_the_samples_is_reported(tmp_path):
     changed = dataclasses.replace(
         study, ensemble=dataclasses.replace(study.ensemble, near_grazing_samples=3, key_data=None)
     )
-    assert "In doubt: 3 of 40 samples" in table(changed)
-    assert json.loads(as_json(changed))["in_doubt"] == 3
+    assert "Near-grazing: 3 of 40 samples" in table(changed)
+    assert json.loads(as_json(changed))["near_grazing_samples"] == 3
     assert "Nothing is random here: all 40 samples are the same." in table(changed)
-    assert "in doubt" not in table(study).lower()
+    assert "near-grazing" not in table(study).lower()
     assert "Nothing is random" not in table(study)
 
 

@@ -1,7 +1,6 @@
-"""Derivatives of stick statistics: against a parameter, and side by side."""
+"""Derivatives of stick statistics: over a parameter, and several parameters compared."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,14 +12,15 @@ from . import _style
 _INTERVAL = 1.96  # standard errors: 95 % of a normal distribution
 
 
-def sensitivity_curve(results: Any, ax: Axes | None = None, *, pathwise: bool = True) -> Axes:
-    """Draw derivatives of one statistic against the parameter's value, with 95 % bands.
+def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, ax: Axes | None = None) -> Axes:
+    """Draw the derivative of one statistic against the value of the parameter, with a band of 95 % confidence.
 
-    - `results`: several `Sensitivity` of the same statistic and parameter, at different values of it, in any order.
+    - `results`: results of `sensitivity` for one statistic and one parameter at different values, in any order. They
+      know the value of the parameter.
+    - `pathwise`: whether to draw the pathwise part alone, too, which leaves out sticks that appear and vanish.
     - `ax`: where to draw; by default the axes of a new figure.
-    - `pathwise`: whether to draw beside them the pathwise part alone, which leaves out sticks born and lost.
 
-    Returns the axes. Raises ValueError for anything else, and where statistics or parameters differ.
+    Returns the axes. Raises ValueError for arguments of another kind, and if statistics or parameters differ.
     """
     points = _checked_curve(results)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
@@ -30,12 +30,12 @@ def sensitivity_curve(results: Any, ax: Axes | None = None, *, pathwise: bool = 
         np.array([getattr(point, name) for point in points])[order]
         for name in ("derivative", "standard_error", "pathwise")
     )
-    values, relative_bandwidth = values[order], _INTERVAL * errors
+    values, half_width = values[order], _INTERVAL * errors
     color = _style.SERIES[0]
     ax.fill_between(
         values,
-        derivatives - relative_bandwidth,
-        derivatives + relative_bandwidth,
+        derivatives - half_width,
+        derivatives + half_width,
         color=color,
         alpha=0.25,
         lw=0,
@@ -52,16 +52,18 @@ def sensitivity_curve(results: Any, ax: Axes | None = None, *, pathwise: bool = 
     return ax
 
 
-def tornado(results: Any, ax: Axes | None = None) -> Axes:
-    """Draw sensitivities of one statistic to several parameters as bars, the largest on top, with 95 % intervals.
+def tornado(results: Mapping[str, Sensitivity] | Sequence[Sensitivity], *, ax: Axes | None = None) -> Axes:
+    """Draw the sensitivities of one statistic to several parameters as bars, the largest on top.
 
-    - `results`: what `sensitivity` returned for several parameters, best with ``elasticity=True``, so that they can be
-      compared; or several `Sensitivity` of one statistic.
+    The error bars are intervals of 95 % confidence.
+
+    - `results`: of `sensitivity` for one statistic and several parameters, best with ``elasticity=True``, so that the
+      parameters can be compared; or several such results for one parameter each.
     - `ax`: where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for anything else.
+    Returns the axes. Raises ValueError for arguments of another kind, and if statistics differ.
     """
-    bars = _several(list(results.values()) if isinstance(results, Mapping) else results)
+    bars = _checked(list(results.values()) if isinstance(results, Mapping) else results)
     ax = _style.axes_or_new(ax, (5.6, 0.45 * len(bars) + 1.4))
     bars = sorted(bars, key=lambda bar: abs(bar.derivative))
     heights = np.arange(len(bars))
@@ -75,19 +77,23 @@ def tornado(results: Any, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _several(results: Any) -> list[Sensitivity]:
+def _checked(results: Sequence[Sensitivity]) -> list[Sensitivity]:
+    """`results` as a list. Raises ValueError unless they are sensitivities of one statistic."""
     found = list(results) if isinstance(results, Sequence) and not isinstance(results, str) else []
     if not found or not all(isinstance(one, Sensitivity) for one in found):
         raise ValueError(
             f"Argument results must hold one or more Sensitivity results, but {_checks.show(results)} was given."
         )
     if len({(one.statistic, one.is_elasticity) for one in found}) > 1:
-        raise ValueError("Argument results must be of one statistic, and all elasticities or none, but they differ.")
+        raise ValueError(
+            "Argument results must be of one statistic, and all elasticities or all derivatives, but they differ."
+        )
     return found
 
 
-def _checked_curve(results: Any) -> list[Sensitivity]:
-    points = _several(results)
+def _checked_curve(results: Sequence[Sensitivity]) -> list[Sensitivity]:
+    """The same, of one parameter."""
+    points = _checked(results)
     if len({point.parameter for point in points}) > 1:
         raise ValueError(
             "Argument results must be of one parameter, but those of "
@@ -99,5 +105,5 @@ def _checked_curve(results: Any) -> list[Sensitivity]:
 def _title(one: Sensitivity) -> str:
     if one.is_elasticity:
         return f"elasticity of the\n{one.statistic}"
-    unit = "" if one.unit == "1" else f"\n({one.unit} by the parameter's unit)"
+    unit = "" if one.unit == "1" else f"\n({one.unit} per unit of the parameter)"
     return f"derivative of the\n{one.statistic}{unit}"

@@ -1,0 +1,119 @@
+"""The distribution of one quantity."""
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from .._statistics.distribution import Distribution
+from .._statistics.estimate import Estimate
+from . import _parts, _style
+from ._sticks import complete_sticks, edges_of_bins, outside
+from ._types import Bins, SimulatedSticks
+
+
+def histogram(result: Distribution | SimulatedSticks, *, bins: Bins = 50, ax: Axes | None = None) -> Axes:
+    """Draw the histogram of one quantity, or of the durations of complete sticks, as a probability density.
+
+    - `result`: a distribution, such as ``ensemble.statistics.duration`` or ``.order(2).start``. Its histogram is drawn
+      over all samples, with bars of one standard error and the mean; sticks and slips cut by the horizon are included
+      with the part seen. From a single sample there is no standard error.
+
+      Or the sticks themselves: an `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the first
+      samples), ``first_stick(ensemble)``, or a `Simulation` (one, or a batch by ``vmap``). The durations of complete
+      sticks are drawn; the legend gives the number of those cut by the horizon, which are left out. So are
+      samples that did not reach ``t1``.
+    - `bins`: of a distribution, the largest number of bins, which have equal width and hold all values; bins of whole
+      numbers are centred on them. Of sticks, the number of equal bins from 0 to the longest duration, or their
+      increasing edges, s. Sticks outside the edges are not drawn but count: density times bin width stays the share of
+      all complete sticks.
+    - `ax`: where to draw; by default the axes of a new figure.
+
+    The height is a density, 1/unit; of whole numbers it is the share of values per whole number. Returns the axes, with
+    a note in them if there is nothing to draw. Raises ValueError for an ensemble with ``keep="totals"``, for edges
+    given with a distribution, and for arguments of another kind.
+    """
+    bars = _bars_of_distribution(result, bins) if isinstance(result, Distribution) else _bars_of_sticks(result, bins)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    ax.set_xlabel(bars.xlabel)
+    ax.set_ylabel(bars.ylabel)
+    if bars.empty:
+        _parts.note(ax, bars.label)
+        return ax
+    if bars.is_whole:
+        _parts.whole_numbers(ax.xaxis)
+    _parts.draw_histogram(ax, bars.edges, bars.heights, bars.errors, bars.color, label=bars.label)
+    if bars.mean is not None:
+        _draw_mean(ax, bars.mean)
+    ax.set_xlim(bars.edges[0], bars.edges[-1])
+    ax.set_ylim(bottom=0)
+    _style.legend_above(ax, columns=1)
+    return ax
+
+
+class _Bars(NamedTuple):
+    """The histogram to draw: `edges` (bins + 1,), `heights` and their `errors` (bins,), NaN where not known."""
+
+    edges: np.ndarray
+    heights: np.ndarray
+    errors: np.ndarray
+    color: str
+    xlabel: str
+    ylabel: str
+    label: str
+    empty: bool = False
+    is_whole: bool = False
+    mean: Estimate | None = None
+
+
+def _bars_of_distribution(distribution: Distribution, bins: Bins) -> _Bars:
+    if np.ndim(bins) > 0:
+        raise ValueError(
+            "Argument bins must be a whole number for a distribution, whose bins were fixed while it was summed, but "
+            f"{_checks.show(bins)} was given; edges of your own go with the sticks: histogram(ensemble, bins=edges)."
+        )
+    drawn = distribution.histogram(_checks.whole_number("bins", bins))
+    samples = _parts.counted(distribution.samples, "sample")
+    empty = distribution.number == 0
+    label = f"no values in {samples}" if empty else f"{_parts.counted(distribution.number, 'value')} in {samples}"
+    if np.any(np.isfinite(drawn.error)):
+        label += "; bars: standard error"
+    whole = distribution.is_whole
+    return _Bars(
+        edges=drawn.edges - 0.5 if whole else drawn.edges,
+        heights=drawn.density,
+        errors=drawn.error,
+        color=_parts.color_of(distribution.name),
+        xlabel=_parts.quantity_label(distribution.name, distribution.unit),
+        ylabel="share per whole number" if whole else _parts.density_label(distribution.unit),
+        label=label,
+        empty=empty,
+        is_whole=whole,
+        mean=None if empty else distribution.mean,
+    )
+
+
+def _bars_of_sticks(result: SimulatedSticks, bins: Bins) -> _Bars:
+    sticks = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
+    number = len(sticks.duration)
+    edges = edges_of_bins("bins", bins, (0.0, sticks.duration.max(initial=0) or 1.0), "s")
+    counts, _ = np.histogram(sticks.duration, edges)
+    return _Bars(
+        edges=edges,
+        heights=counts / (max(number, 1) * np.diff(edges)),
+        errors=np.full(len(counts), np.nan),
+        color=_style.STICK,
+        xlabel=_parts.quantity_label("stick duration", "s"),
+        ylabel=_parts.density_label("s"),
+        label=outside(sticks.label, number - int(counts.sum())),
+        empty=number == 0,
+    )
+
+
+def _draw_mean(ax: Axes, mean: Estimate) -> None:
+    """The mean, with its standard error to both sides."""
+    if np.isfinite(mean.standard_error):
+        ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
+        ax.axvspan(*ends, color=_style.MASS, alpha=0.25, lw=0)
+    ax.axvline(mean.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label=f"mean {_parts.with_error(mean)}")

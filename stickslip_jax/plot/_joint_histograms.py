@@ -1,0 +1,167 @@
+"""The joint distribution of two quantities, and of each by itself."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+
+from .. import _checks
+from .._statistics.joint import JointDistribution
+from .._systems.system import System
+from . import _parts, _style
+from ._cells import Cells, cells_of_pairs, cells_of_sticks, number_of_bins
+from ._stick_positions import finish, placed_sticks
+from ._types import JointBins, SeveralAxes, SimulatedSticks, Voltage
+
+_ALSO = ', or a JointDistribution such as ensemble.statistics.joint("duration", "position")'
+_MEANS = 20  # bins at most of the conditional mean
+
+
+def joint_histogram(
+    result: JointDistribution | SimulatedSticks,
+    *,
+    bins: JointBins = 40,
+    log: bool = False,
+    conditional_mean: bool = False,
+    system: System | None = None,
+    bound: Voltage | None = None,
+    period: float | None = None,
+    axes: Axes | SeveralAxes | None = None,
+) -> tuple[Axes, ...]:
+    """Draw the joint histogram of two quantities as a probability density, with the histogram of each beside it.
+
+    - `result`: a joint distribution, such as ``ensemble.statistics.joint("duration", "position")``: all pairs,
+      sticks cut by the horizon included with the part seen; the histograms beside it have bars of one standard error.
+
+      Or the sticks themselves, as in `stick_map`: position at which they begin, and duration. Of a `MotorCart` this is
+      Lima and Sampaio (2022), figures 4 and 5, right. Sticks cut by the horizon are left out.
+    - `bins`: of a joint distribution, the largest number of bins along each axis, at most 128, which have equal width
+      and hold all pairs. Of sticks, the number of equal bins each way, or two such numbers, or two sequences of
+      increasing edges: of position (m, or angle in rad) first, then of duration (s). By default they reach from the
+      smallest to the largest position (one period of the angle) and from 0 to the longest duration. Sticks outside the
+      edges are not drawn but count: density times bin area stays the share of all complete sticks.
+    - `log`: whether colours follow the logarithm of the density, to show rare pairs beside frequent ones.
+    - `conditional_mean`: of a joint distribution, whether to draw the mean of the ordinate in each bin of the abscissa
+      (20 bins at most), with bars of one standard error, from the retained pairs.
+    - `system`, `bound`, `period`: with sticks only, as in `stick_map`.
+    - `axes`: three axes, of the joint histogram, above it and to the right of it; or one, for the joint histogram
+      alone. By default the three of a new figure.
+
+    Cells without a pair are white. Returns the axes, with a note in the first if there is nothing to draw. Raises
+    ValueError for an ensemble with ``keep="totals"``, and for arguments of another kind.
+    """
+    _checks.truth("log", log)
+    _checks.truth("conditional_mean", conditional_mean)
+    if isinstance(result, JointDistribution):
+        _refuse_options_of_sticks(system=system, bound=bound, period=period)
+        number = number_of_bins(bins)
+        cells = cells_of_pairs(result, number)
+        panels = _panels(axes)
+        _draw(panels, cells, log)
+        _finish_pairs(panels[0], result, cells)
+        if conditional_mean and not cells.empty:
+            _draw_conditional_mean(panels[0], result, min(number, _MEANS))
+    else:
+        sticks = placed_sticks(result, system, bound, period, also=_ALSO)
+        if conditional_mean:
+            raise ValueError(
+                "Argument conditional_mean must be False for sticks, but True was given; it is drawn of a joint "
+                'distribution: ensemble.statistics.joint("position", "duration").'
+            )
+        cells = cells_of_sticks(sticks, bins)
+        panels = _panels(axes)
+        _draw(panels, cells, log)
+        finish(panels[0], sticks)
+    _finish(panels, cells)
+    return panels
+
+
+def _refuse_options_of_sticks(**options: object) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(
+                f"Argument {name} must be left out with a joint distribution, but {_checks.show(value)} was given; it "
+                "goes with the sticks: joint_histogram(ensemble)."
+            )
+
+
+def _panels(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
+    """The axes given, one or three, or those of a new figure, in which neighbours share their scales."""
+    if axes is None:
+        figure = plt.figure(figsize=(6.4, 5.4), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4))
+        main = figure.add_subplot(grid[1, 0])
+        above = figure.add_subplot(grid[0, 0], sharex=main)
+        right = figure.add_subplot(grid[1, 1], sharey=main)
+        above.tick_params(labelbottom=False)
+        right.tick_params(labelleft=False)
+        return main, above, right
+    given = (axes,) if isinstance(axes, Axes) else _style.axes_in(axes)
+    if len(given) not in (1, 3):
+        raise ValueError(
+            "Argument axes must hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one, "
+            f"but {_checks.show(axes)} was given."
+        )
+    return given
+
+
+def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
+    """The density of all cells that hold a pair, the scale of its colours, and the histograms beside it."""
+    main, *others = panels
+    if not cells.empty:
+        norm = LogNorm() if log else Normalize(vmin=0)
+        mesh = main.pcolormesh(*cells.edges, cells.density.T, cmap="viridis_r", norm=norm, rasterized=True)
+        main.plot([], [], ls="none", marker="s", color=mesh.cmap(0.5), label=cells.label)
+        figure = main.get_figure(root=True)
+        assert figure is not None
+        figure.colorbar(mesh, ax=list(panels), label=_parts.density_label(*cells.units))
+    for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
+        label = _parts.density_label(cells.units[axis]).replace(" density", "\ndensity")
+        ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
+        if not cells.empty:
+            _parts.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
+
+
+def _finish_pairs(main: Axes, joint: JointDistribution, cells: Cells) -> None:
+    """The names of the axes and their limits; with a note where there are no pairs."""
+    main.set_xlabel(_parts.quantity_label(_name(joint, 0), joint.units[0]))
+    main.set_ylabel(_parts.quantity_label(_name(joint, 1), joint.units[1]))
+    if cells.empty:
+        _parts.note(main, cells.label)
+    else:
+        main.set_xlim(cells.edges[0][0], cells.edges[0][-1])
+        main.set_ylim(cells.edges[1][0], cells.edges[1][-1])
+
+
+def _finish(panels: tuple[Axes, ...], cells: Cells) -> None:
+    """The limits of the histograms beside the first of `panels`, and the legend."""
+    main, *others = panels
+    if others and not cells.empty:
+        above, right = others
+        above.set_xlim(main.get_xlim())
+        right.set_ylim(main.get_ylim())
+        above.set_ylim(bottom=0)
+        right.set_xlim(left=0)
+    if _parts.has_labels(main):
+        _style.legend_above(*others[:1], main, columns=1)
+
+
+def _name(joint: JointDistribution, axis: int) -> str:
+    """The quantity along an axis: "duration 1" is that of the first stick of each sample."""
+    name, _, number = joint.names[axis].partition(" ")
+    if name == "slip_before":
+        return f"slip before stick {number}" if number else "slip before the stick"
+    return f"{name} of stick {number}" if number else f"stick {name}"
+
+
+def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> None:
+    """The mean of the ordinate in each bin of the abscissa that holds a pair."""
+    means = joint.conditional_mean(bins)
+    known = means.counts > 0
+    centres = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
+    label = f"mean {_name(joint, 1)} given the {_name(joint, 0)}"
+    main.errorbar(
+        centres, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
+        label=label,
+        **_parts.ERROR_LOOK,
+    )  # fmt: skip
