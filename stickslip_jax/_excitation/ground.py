@@ -1,11 +1,13 @@
 """Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
 
+from functools import partial
+from typing import Annotated
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .. import _checks
+from .._fields import Quantity
 from .._types import AnyArray, FloatArray
 from .recorded import Recorded, check_times
 from .segments import SegmentLaw
@@ -28,11 +30,15 @@ class GroundAcceleration(GroundMotion):
     from 0, different lengths, or numbers that are not finite.
     """
 
-    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
-    accelerations: AnyArray = eqx.field(converter=lambda v: _array("accelerations", v))
+    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "times")
+    )
+    accelerations: Annotated[AnyArray, Quantity("m/s^2", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "accelerations")
+    )
     is_random = False
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)
 
     @property
@@ -55,8 +61,3 @@ class GroundAcceleration(GroundMotion):
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
-
-
-def _array(name: str, values: object) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
+from .._fields import Quantity
 from .._numerics.elementary import log, sincos
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Scalar
@@ -48,28 +50,18 @@ class KanaiTajimi(GroundMotion):
     Raises ValueError for numbers outside these bounds.
     """
 
-    rms: Scalar
-    ground_frequency: Scalar = 5 * math.pi
-    ground_damping: Scalar = 0.6
-    rise: Scalar = 4.0
-    plateau: Scalar = 11.0
-    decay: Scalar = 0.1
-    interval: Scalar = 0.01
+    rms: Annotated[Scalar, Quantity("m/s^2", "standard deviation of the ground's acceleration at its height", above=0)]
+    ground_frequency: Annotated[Scalar, Quantity("rad/s", "of the layer", above=0)] = 5 * math.pi
+    ground_damping: Annotated[
+        Scalar, Quantity(meaning="its damping ratio", above=0, below=1, hint="firm soil has about 0.6")
+    ] = 0.6
+    rise: Annotated[Scalar, Quantity("s", "of the envelope", above=0)] = 4.0
+    plateau: Annotated[Scalar, Quantity("s", "of the envelope", at_least=0)] = 11.0
+    decay: Annotated[Scalar, Quantity("1/s", "of the envelope", at_least=0)] = 0.1
+    interval: Annotated[Scalar, Quantity("s", "between samples", above=0)] = 0.01
     is_random = True
 
-    def __check_init__(self):
-        _checks.positive("rms", self.rms, "m/s^2")
-        _checks.positive("ground_frequency", self.ground_frequency, "rad/s")
-        _checks.positive("ground_damping", self.ground_damping)
-        _checks.positive("rise", self.rise, "s")
-        _checks.non_negative("plateau", self.plateau, "s")
-        _checks.non_negative("decay", self.decay, "1/s")
-        _checks.positive("interval", self.interval, "s")
-        if not _checks.is_traced(self.ground_damping) and not self.ground_damping < 1:
-            raise ValueError(
-                "Argument ground_damping must be a damping ratio between 0 and 1, but "
-                f"{_checks.show(self.ground_damping)} was given; firm soil has about 0.6."
-            )
+    def check_relations(self) -> None:
         if _checks.is_traced(self.interval) or _checks.is_traced(self.ground_frequency):
             return
         # Longer straight lines would leave out much of the motion; and `_step` is exact up to here.

@@ -8,7 +8,7 @@ it with more room only continues it, and an ensemble can draw intervals while it
 import abc
 import math
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
+from .._fields import Choice, Quantity
 from .._numerics.random_bits import exponential, key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
 from .piecewise import VelocitySteps
@@ -131,11 +132,8 @@ class Constant(BangBangLaw):
     `speed` in m/s, signed; zero is a base at rest. Raises ValueError if it is not finite.
     """
 
-    speed: Scalar
+    speed: Annotated[Scalar, Quantity("m/s", "signed")]
     is_random = False
-
-    def __check_init__(self):
-        _checks.numeric("speed", self.speed)
 
     def begin(self, key_data, dtype):
         return ()
@@ -157,13 +155,9 @@ class SquareWave(BangBangLaw):
     ``period = 2 pi / (r * omega)``. Raises ValueError if a number is not positive and finite.
     """
 
-    speed: Scalar
-    period: Scalar
+    speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    period: Annotated[Scalar, Quantity("s", above=0)]
     is_random = False
-
-    def __check_init__(self):
-        _checks.positive("speed", self.speed, "m/s")
-        _checks.positive("period", self.period, "s")
 
     def begin(self, key_data, dtype):
         return -jnp.ones((), dtype)
@@ -188,18 +182,12 @@ class PoissonSwitching(BangBangLaw):
     Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
     """
 
-    speed: Scalar
-    rate: Scalar
-    first_sign: str = eqx.field(static=True, default="random")
+    speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    rate: Annotated[Scalar, Quantity("1/s", "mean number of switches per second", above=0)]
+    first_sign: Annotated[
+        str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
+    ] = eqx.field(static=True, default="random")
     is_random = True
-
-    def __check_init__(self):
-        _checks.positive("speed", self.speed, "m/s")
-        _checks.positive("rate", self.rate, "1/s")
-        if self.first_sign not in ("random", "positive", "negative"):
-            raise ValueError(
-                f"Argument first_sign must be 'random', 'positive' or 'negative', but {self.first_sign!r} was given."
-            )
 
     def begin(self, key_data, dtype):
         if self.first_sign != "random":
@@ -234,17 +222,17 @@ class RandomSteps(BangBangLaw):
     level follows the odds of the others. Raises ValueError for numbers outside these bounds.
     """
 
-    speed: Scalar
-    interval: Scalar
-    levels: tuple[float, ...] = eqx.field(static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v))
-    probabilities: tuple[float, ...] | None = eqx.field(
-        static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v)
+    speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    interval: Annotated[Scalar, Quantity("s", "time between draws of the velocity", above=0)]
+    levels: Annotated[tuple[float, ...], Quantity(meaning="the velocities are speed times these", ndim=1)] = eqx.field(
+        static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v)
     )
+    probabilities: Annotated[
+        tuple[float, ...] | None, Quantity(meaning="of the levels; not given: equal odds", ndim=1)
+    ] = eqx.field(static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v))
     is_random = True
 
-    def __check_init__(self):
-        _checks.positive("speed", self.speed, "m/s")
-        _checks.positive("interval", self.interval, "s")
+    def check_relations(self) -> None:
         if len(self.levels) < 2 or len(set(self.levels)) < len(self.levels):
             raise ValueError(f"Argument levels must hold two or more different numbers, but {self.levels} was given.")
         odds = self.odds
@@ -287,24 +275,21 @@ class PiecewiseConstant(BangBangLaw):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
-    velocities: AnyArray = eqx.field(converter=lambda v: _array("velocities", v))
+    times: Annotated[AnyArray, Quantity("s", "start of each interval; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "times")
+    )
+    velocities: Annotated[AnyArray, Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "velocities")
+    )
     is_random = False
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
             raise ValueError(
                 "Arguments times and velocities must have the same length of at least 1, but they have shapes "
                 f"{np.shape(self.times)} and {np.shape(self.velocities)}."
             )
-        if _checks.is_traced(self.times):
-            return
-        times = np.asarray(self.times)
-        if times[0] != 0:
-            raise ValueError(f"Argument times must begin with 0, but its first entry is {times[0]}.")
-        if np.any(np.diff(times) <= 0):
-            at = int(np.argmax(np.diff(times) <= 0)) + 1
-            raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
+        _checks.increasing_from_zero("times", self.times)
 
     def begin(self, key_data, dtype):
         return ()
@@ -341,8 +326,3 @@ def _choose(draw: Array, cumulative: Array) -> Array:
 def _floats(name: str, values: Any) -> tuple[float, ...]:
     _checks.numeric(name, values, ndim=1)
     return tuple(float(value) for value in values)
-
-
-def _array(name: str, values: Any) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)

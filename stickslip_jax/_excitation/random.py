@@ -1,12 +1,13 @@
 """Random phases and random initial states."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._fields import Checked, Quantity
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import Array, KeyData, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
@@ -46,18 +47,16 @@ class RandomPhase(eqx.Module):
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
 
 
-class Uniform(eqx.Module):
+class Uniform(Checked):
     """An initial value that is uniform on ``[low, high]``, independent in every sample of an ensemble.
 
     Raises ValueError unless `low` and `high` are finite and ``low < high``.
     """
 
-    low: Scalar
-    high: Scalar
+    low: Annotated[Scalar, Quantity(meaning="the lowest value")]
+    high: Annotated[Scalar, Quantity(meaning="the highest value")]
 
-    def __check_init__(self):
-        _checks.numeric("low", self.low)
-        _checks.numeric("high", self.high)
+    def check_relations(self) -> None:
         if not (_checks.is_traced(self.low) or _checks.is_traced(self.high)) and not self.low < self.high:
             raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
 

@@ -7,10 +7,10 @@ its own, and an ensemble can draw pieces while it simulates.
 import abc
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .._fields import Checked
 from .._types import Array, FloatArray
 
 
@@ -33,7 +33,7 @@ class SegmentState(NamedTuple):
     spent: Array
 
 
-class SegmentLaw(eqx.Module):
+class SegmentLaw(Checked):
     """What every law of piecewise-linear motions offers.
 
     `is_random`: whether realisations differ. `jumps`: whether the value jumps from piece to piece; a stick on a base

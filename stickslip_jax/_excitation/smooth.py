@@ -3,7 +3,8 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -12,14 +13,17 @@ import numpy as np
 from jax import lax
 
 from .. import _checks
+from .._fields import Checked, Quantity
 from .._numerics.sharing import sincos
 from .._types import AnyArray, FloatArray, Scalar
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
+SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
-class Signal(eqx.Module):
+
+class Signal(Checked):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
     `shortest_period`: the shortest time (s) in which the signal goes up and down once, infinity for one that does not;
@@ -119,16 +123,10 @@ class Harmonic(_Tones):
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
 
-    amplitude: Scalar
-    angular_frequency: Scalar
-    phase: Scalar = 0.0
-    offset: Scalar = 0.0
-
-    def __check_init__(self):
-        _checks.numeric("amplitude", self.amplitude)
-        _checks.positive("angular_frequency", self.angular_frequency, "rad/s")
-        _checks.numeric("phase", self.phase)
-        _checks.numeric("offset", self.offset)
+    amplitude: Annotated[Scalar, Quantity(SIGNAL_UNIT)]
+    angular_frequency: Annotated[Scalar, Quantity("rad/s", above=0)]
+    phase: Annotated[Scalar, Quantity("rad")] = 0.0
+    offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
 
     @property
     def tones(self) -> tuple[Any, Any, Any]:
@@ -152,24 +150,24 @@ class SumOfHarmonics(_Tones):
     Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
 
-    amplitudes: AnyArray = eqx.field(converter=lambda v: _array("amplitudes", v))
-    angular_frequencies: AnyArray = eqx.field(converter=lambda v: _array("angular_frequencies", v))
-    phases: Any = eqx.field(default=None, converter=lambda v: None if v is None else _array("phases", v))
-    offset: Scalar = 0.0
+    amplitudes: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "amplitudes")
+    )
+    angular_frequencies: Annotated[
+        AnyArray, Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
+    ] = eqx.field(converter=partial(_checks.real_array, "angular_frequencies"))
+    phases: Annotated[AnyArray | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
+        default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v)
+    )
+    offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         shapes = [np.shape(self.amplitudes), np.shape(self.angular_frequencies)]
         shapes += [] if self.phases is None else [np.shape(self.phases)]
         if len(set(shapes)) > 1 or shapes[0][0] == 0:
             raise ValueError(
                 "Arguments amplitudes, angular_frequencies and phases must have the same length of at least 1, but "
                 f"they have shapes {', '.join(map(str, shapes))}."
-            )
-        _checks.numeric("offset", self.offset)
-        if not _checks.is_traced(self.angular_frequencies) and np.any(np.asarray(self.angular_frequencies) <= 0):
-            raise ValueError(
-                "Argument angular_frequencies must be positive (in rad/s), but "
-                f"{_checks.show(np.asarray(self.angular_frequencies))} was given; a constant part is the offset."
             )
 
     @property
@@ -223,8 +221,3 @@ class _Constant(eqx.Module):
     @property
     def shortest_period(self) -> Any:
         return getattr(self.held, "shortest_period", None)
-
-
-def _array(name: str, values: Any) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)

@@ -3,17 +3,20 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .. import _checks
+from .._fields import Checked, Quantity
 from .._types import FloatArray, Scalar
 
+_STATIC = "friction coefficient of a stick"
 
-class FrictionLaw(eqx.Module):
+
+class FrictionLaw(Checked):
     """What every friction law offers: a stick holds up to ``static * normal_force``; a slip at relative speed
     ``|v_rel|`` (m/s) meets ``kinetic(|v_rel|) * normal_force``.
 
@@ -53,14 +56,12 @@ class Coulomb(FrictionLaw):
     Source: Lima and Sampaio 2015, eq. 2.
     """
 
-    mu: Scalar
-    mu_static: Scalar | None = None
+    mu: Annotated[Scalar, Quantity(meaning="friction coefficient", at_least=0)]
+    mu_static: Annotated[Scalar | None, Quantity(meaning=f"{_STATIC}, at least mu; not given: mu", at_least=0)] = None
     constant = True
 
-    def __check_init__(self):
-        _checks.non_negative("mu", self.mu)
-        if self.mu_static is not None:
-            _static_at_least("mu", self.mu, self.mu_static)
+    def check_relations(self) -> None:
+        _static_at_least("mu", self.mu, self.mu_static)
 
     @property
     def holds_more(self) -> bool:
@@ -80,12 +81,8 @@ class VelocityWeakening(FrictionLaw):
     `mu_static`: dimensionless; `weakening` in s/m: zero or positive. Raises ValueError otherwise.
     """
 
-    mu_static: Scalar
-    weakening: Scalar
-
-    def __check_init__(self):
-        _checks.non_negative("mu_static", self.mu_static)
-        _checks.non_negative("weakening", self.weakening, "s/m")
+    mu_static: Annotated[Scalar, Quantity(meaning=_STATIC, at_least=0)]
+    weakening: Annotated[Scalar, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
 
     @property
     def holds_more(self) -> bool:
@@ -114,20 +111,16 @@ class Stribeck(FrictionLaw):
     Raises ValueError for numbers outside these bounds.
     """
 
-    mu: Scalar
-    mu_static: Scalar
-    stribeck_speed: Scalar
-    exponent: float = eqx.field(static=True, default=1.0)
-    viscous: Scalar = 0.0
+    mu: Annotated[Scalar, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
+    mu_static: Annotated[Scalar, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
+    stribeck_speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
+        static=True, default=1.0
+    )
+    viscous: Annotated[Scalar, Quantity("s/m", "times the speed", at_least=0)] = 0.0
 
-    def __check_init__(self):
-        _checks.non_negative("mu", self.mu)
+    def check_relations(self) -> None:
         _static_at_least("mu", self.mu, self.mu_static)
-        _checks.positive("stribeck_speed", self.stribeck_speed, "m/s")
-        _checks.numeric("exponent", self.exponent)
-        if self.exponent < 1:
-            raise ValueError(f"Argument exponent must be at least 1, but {self.exponent} was given.")
-        _checks.non_negative("viscous", self.viscous, "s/m")
 
     @property
     def holds_more(self) -> bool:
@@ -164,15 +157,14 @@ class FrictionCurve(FrictionLaw):
     """
 
     curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
-    mu_static: Scalar | None = None
+    mu_static: Annotated[Scalar | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         if not callable(self.curve):
             raise ValueError(f"Argument curve must be a function of the relative speed, but {self.curve!r} was given.")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
-        if self.mu_static is not None:
-            _static_at_least("curve(0)", at_rest, self.mu_static)
+        _static_at_least("curve(0)", at_rest, self.mu_static)
 
     @property
     def holds_more(self) -> bool:
@@ -192,9 +184,11 @@ class FrictionCurve(FrictionLaw):
         return self.curve(speed)
 
 
-def _static_at_least(name: str, kinetic: Scalar, static: Scalar) -> None:
-    _checks.non_negative("mu_static", static)
-    if not (_checks.is_traced(kinetic) or _checks.is_traced(static)) and static < kinetic:
+def _static_at_least(name: str, kinetic: Scalar, static: Scalar | None) -> None:
+    """Check that `mu_static`, if given, is at least the `kinetic` coefficient, called `name`."""
+    if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):
+        return
+    if static < kinetic:
         raise ValueError(
             f"Argument mu_static must be at least {name} = {kinetic}, but {static} was given: a stick holds at "
             "least as well as a slip."

@@ -6,7 +6,7 @@ step of a solver.
 """
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -18,6 +18,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
+from .._fields import Quantity
 from .._numerics.rotation import damped_rotation
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._numerics.sharing import sincos
@@ -46,24 +47,21 @@ class MassSpring(System):
     Raises ValueError if a number is out of its range or not finite, or `friction` or `force` is of another kind.
     """
 
-    mass: Scalar
-    stiffness: Scalar
-    normal_force: Scalar
+    mass: Annotated[Scalar, Quantity("kg", above=0)]
+    stiffness: Annotated[Scalar, Quantity("N/m", above=0)]
+    normal_force: Annotated[Scalar, Quantity("N", above=0)]
     friction: FrictionLaw
     # None rather than zero, so that what needs neither is told apart by its structure when numbers are traced.
-    damping: Scalar | None = eqx.field(default=None, converter=lambda v: None if _is_zero(v) else v)
+    damping: Annotated[Scalar | None, Quantity("N s/m", at_least=0)] = eqx.field(
+        default=None, converter=lambda v: None if _is_zero(v) else v
+    )
     force: Signal | Recorded | None = None
 
-    def __check_init__(self):
-        _checks.positive("mass", self.mass, "kg")
-        _checks.positive("stiffness", self.stiffness, "N/m")
-        _checks.positive("normal_force", self.normal_force, "N")
+    def check_relations(self) -> None:
         if not isinstance(self.friction, FrictionLaw):
             raise ValueError(
                 f"Argument friction must be a friction law such as Coulomb(mu=0.3), but {self.friction!r} was given."
             )
-        if self.damping is not None:
-            _checks.non_negative("damping", self.damping, "N s/m")
         if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
             raise ValueError(
                 "Argument force must be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, "

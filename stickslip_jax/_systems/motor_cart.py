@@ -12,7 +12,7 @@ keeps exactly (it is a linear invariant), and an exponential one only to its ord
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -23,6 +23,7 @@ from .. import _checks
 from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
+from .._fields import Choice, Quantity
 from .._numerics.elementary import sincos_of_small
 from .._numerics.runge_kutta import runge_kutta_step
 from .._numerics.sharing import sincos
@@ -58,26 +59,18 @@ class MotorCart(System):
     Raises ValueError for numbers out of range and for another `equation`.
     """
 
-    mu: Scalar = 0.2
-    cart_mass: Scalar = 5.0
-    eccentricity: Scalar = 0.01
-    gravity: Scalar = 9.81
-    motor_inertia: Scalar = 1.21e-4
-    motor_damping: Scalar = 1.545e-4
-    motor_constant: Scalar = 5.33e-2
-    resistance: Scalar = 0.307
-    inductance: Scalar = 1.88e-4
-    equation: str = eqx.field(static=True, default="physical")
-
-    def __check_init__(self):
-        _checks.non_negative("mu", self.mu)
-        units = {"cart_mass": "kg", "eccentricity": "m", "gravity": "m/s^2", "motor_inertia": "kg m^2",
-                 "motor_constant": "V s/rad", "resistance": "ohm", "inductance": "H"}  # fmt: skip
-        for name, unit in units.items():
-            _checks.positive(name, getattr(self, name), unit)
-        _checks.non_negative("motor_damping", self.motor_damping, "N m s/rad")
-        if self.equation not in ("physical", "printed"):
-            raise ValueError(f"Argument equation must be 'physical' or 'printed', but {self.equation!r} was given.")
+    mu: Annotated[Scalar, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
+    cart_mass: Annotated[Scalar, Quantity("kg", above=0)] = 5.0
+    eccentricity: Annotated[Scalar, Quantity("m", "of the pin on the disk", above=0)] = 0.01
+    gravity: Annotated[Scalar, Quantity("m/s^2", above=0)] = 9.81
+    motor_inertia: Annotated[Scalar, Quantity("kg m^2", above=0)] = 1.21e-4
+    motor_damping: Annotated[Scalar, Quantity("N m s/rad", at_least=0)] = 1.545e-4
+    motor_constant: Annotated[Scalar, Quantity("V s/rad", "of voltage and torque; also N m/A", above=0)] = 5.33e-2
+    resistance: Annotated[Scalar, Quantity("ohm", above=0)] = 0.307
+    inductance: Annotated[Scalar, Quantity("H", above=0)] = 1.88e-4
+    equation: Annotated[
+        str, Choice(("physical", "printed"), "physical, or as printed in the paper (its units do not match)")
+    ] = eqx.field(static=True, default="physical")
 
     @property
     def largest_friction_torque(self) -> Scalar:

@@ -3,7 +3,6 @@
 import abc
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from .. import _checks
@@ -12,6 +11,7 @@ from .._excitation.random import RandomPhase
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
+from .._fields import Checked
 from .._types import AnyArray, Array, Scalar
 from .switched_model import SwitchedModel
 
@@ -69,7 +69,7 @@ class TimeScale(NamedTuple):
     steps: StepCount
 
 
-class System(eqx.Module):
+class System(Checked):
     """What moves, with one dry-friction contact. Whatever is particular about a system, it knows itself."""
 
     @property
