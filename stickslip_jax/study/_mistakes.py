@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from .._checks import one_of
 from ._config import RUNS, StudyConfig
-from ._sections import NUMBER, Section, UniformConfig, kinds_in, one_of, tables_of, tag_key, tag_of, toml_value
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, tables_of, tag_key, tag_of, toml_value
 from ._systems_config import MassSpringConfig
 
 Options = Mapping[tuple[str, str], str]
