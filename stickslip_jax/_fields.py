@@ -37,6 +37,12 @@ class Quantity:
     ndim: int = 0
     hint: str = ""
 
+    def __repr__(self) -> str:
+        """What was given only: signatures show it."""
+        values = [(field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self)]
+        given = [f"{name}={value!r}" for name, value, default in values if value != default]
+        return f"Quantity({', '.join(given)})"
+
     @property
     def description(self) -> str:
         """Meaning and unit: "of the pin on the disk, m". The unit ends the first part of a meaning with semicolons."""
