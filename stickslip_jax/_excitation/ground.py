@@ -14,20 +14,22 @@ from .segments import SegmentLaw
 
 
 class GroundMotion(SegmentLaw):
-    """An acceleration of the ground that comes in pieces linear in time.
+    """Base class of ground accelerations, piecewise linear in time.
 
-    It drives a `MassSpring` described by its position relative to the ground: there the base rests, and the ground's
-    acceleration acts as the force ``-mass * acceleration``.
+    They drive a `MassSpring` described by its position relative to the ground: there the base is at rest, and the
+    acceleration of the ground acts as the force ``-mass * acceleration``.
     """
 
     jumps = False
 
 
 class GroundAcceleration(GroundMotion):
-    """A recorded ground acceleration: `accelerations` (m/s^2) at `times`, linear in between.
+    """A recorded ground acceleration, linear in time between the points of the record.
 
-    `times` in s, increasing, the first one 0, (points,), at least 2. Raises ValueError for times that do not increase
-    from 0, different lengths, or numbers that are not finite.
+    - `times`: s, increasing, the first one 0, (points,), at least 2.
+    - `accelerations`: m/s^2, as many.
+
+    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
     times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
@@ -43,7 +45,7 @@ class GroundAcceleration(GroundMotion):
 
     @property
     def duration(self):
-        """The last of `times`, s."""
+        """Duration of the record, s: the last of `times`."""
         return self.times[-1]
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:

@@ -15,7 +15,7 @@ from .smooth import SIGNAL_UNIT
 
 
 class Recorded(SegmentLaw):
-    """A recorded signal: `values` at `times`, linear in between.
+    """A recorded base velocity or force, linear in time between the points of the record.
 
     - `times`: s, increasing, the first one 0, (points,), at least 2.
     - `values`: as many; m/s for a base velocity, N for a force.
@@ -37,7 +37,7 @@ class Recorded(SegmentLaw):
 
     @property
     def duration(self):
-        """The last of `times`, s."""
+        """Duration of the record, s: the last of `times`."""
         return self.times[-1]
 
     def value(self, t: AnyArray | float) -> FloatArray:
@@ -63,7 +63,7 @@ class Recorded(SegmentLaw):
 
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:
-    """Check that `times` increase from 0 and that `values`, called `name`, are as many, at least 2."""
+    """Check that `times` increase from 0 and that the argument `name`, `values`, has as many entries, at least 2."""
     if np.shape(times) != np.shape(values) or len(times) < 2:
         raise ValueError(
             f"Arguments times and {name} must have the same length of at least 2, but they have shapes "

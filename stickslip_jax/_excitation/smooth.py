@@ -4,7 +4,7 @@ import abc
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -20,14 +20,17 @@ from .._types import AnyArray, FloatArray, Scalar
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
+Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray]
+"""Amplitudes, angular frequencies (rad/s) and phases (rad): numbers, or arrays (harmonics,)."""
+
 SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
 
 class Signal(Checked):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
-    `shortest_period`: the shortest time (s) in which the signal goes up and down once, infinity for one that does not;
-    None where it is not known, and the step of a simulation must then be given.
+    `shortest_period`: the period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
+    not known, and the step of a simulation must then be given.
     """
 
     @abc.abstractmethod
@@ -35,11 +38,11 @@ class Signal(Checked):
         """The signal at time `t` (s, a scalar): m/s for a base velocity, N for a force."""
 
     def rate(self, t: FloatArray) -> FloatArray:
-        """Its derivative with respect to time."""
+        """Its first time derivative."""
         return jax.jvp(self.value, (t,), (jnp.ones_like(t),))[1]
 
     def curvature(self, t: FloatArray) -> FloatArray:
-        """Its second derivative."""
+        """Its second time derivative."""
         return jax.jvp(self.rate, (t,), (jnp.ones_like(t),))[1]
 
     def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
@@ -48,22 +51,22 @@ class Signal(Checked):
         return h * jnp.sum(jax.vmap(self.value)(nodes) * jnp.asarray(_WEIGHTS / 2, jnp.result_type(t)))
 
     @property
-    def shortest_period(self) -> Any:
+    def shortest_period(self) -> Scalar | None:
         return None
 
 
 class _Tones(Signal):
-    """What a harmonic and a sum of harmonics have in common."""
+    """Base class of a harmonic and a sum of harmonics."""
 
     @property
     @abc.abstractmethod
-    def tones(self) -> tuple[Any, Any, Any]:
+    def tones(self) -> Tones:
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
     @property
     @abc.abstractmethod
     def mean(self) -> Scalar:
-        """What the signal swings about."""
+        """Mean of the signal."""
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.mean + _motion(self.tones, t)[0]
@@ -83,8 +86,8 @@ class _Tones(Signal):
 
 
 @jax.jit
-def _motion(tones: tuple[Any, Any, Any], t: FloatArray) -> tuple[FloatArray, ...]:
-    """Value, rate and curvature, without an offset."""
+def _motion(tones: Tones, t: FloatArray) -> tuple[FloatArray, ...]:
+    """Value, rate and curvature of the sum of `tones`."""
 
     def one(amplitude, w, phase):
         sine, cosine = sincos(angle(w, t, phase))
@@ -93,19 +96,19 @@ def _motion(tones: tuple[Any, Any, Any], t: FloatArray) -> tuple[FloatArray, ...
     return added_up(one, tones)
 
 
-def angle(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
+def angle(w: Scalar | AnyArray, t: AnyArray | float, phase: Scalar | AnyArray | int) -> FloatArray:
     """``w t + phase``, rad."""
     return jnp.asarray(w * t + phase, jnp.result_type(float, t))
 
 
-def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, Any]) -> tuple[FloatArray, ...]:
-    """``one(amplitude, angular_frequency, phase)``, numbers, added up over all tones.
+def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: Tones) -> tuple[FloatArray, ...]:
+    """The sums over all `tones` of the numbers ``one(amplitude, angular_frequency, phase)``.
 
-    A loop, so that what is compiled does not grow with their number.
+    A loop, so that the compiled code does not grow with the number of tones.
     """
     if jnp.ndim(tones[1]) == 0:
         return one(*tones)
-    shapes = jax.eval_shape(one, *(tone[0] for tone in tones))
+    shapes = jax.eval_shape(one, *(jnp.asarray(tone)[0] for tone in tones))
     start = tuple(jnp.zeros(shape.shape, shape.dtype) for shape in shapes)
 
     def add(sums, tone):
@@ -115,10 +118,10 @@ def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, 
 
 
 class Harmonic(_Tones):
-    """``offset + amplitude cos(angular_frequency t + phase)``.
+    """A harmonic base velocity or force, ``offset + amplitude cos(angular_frequency t + phase)``.
 
-    - `amplitude`, `offset`: m/s for a base velocity, N for a force. `angular_frequency`: rad/s, positive.
-    - `phase`: rad.
+    - `amplitude`, `offset`: m/s for a base velocity, N for a force.
+    - `angular_frequency`: rad/s, positive. `phase`: rad.
 
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
@@ -129,7 +132,7 @@ class Harmonic(_Tones):
     offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
 
     @property
-    def tones(self) -> tuple[Any, Any, Any]:
+    def tones(self) -> Tones:
         return self.amplitude, self.angular_frequency, self.phase
 
     @property
@@ -142,10 +145,10 @@ class Harmonic(_Tones):
 
 
 class SumOfHarmonics(_Tones):
-    """``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
+    """A sum of harmonics, ``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
 
-    - `amplitudes`, `angular_frequencies` (rad/s, positive), `phases` (rad; default zeros): arrays (harmonics,).
-    - `offset`: a number.
+    - `amplitudes`, (harmonics,), and `offset`: m/s for a base velocity, N for a force.
+    - `angular_frequencies`: rad/s, positive, (harmonics,). `phases`: rad, (harmonics,); by default 0.
 
     Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
@@ -171,7 +174,7 @@ class SumOfHarmonics(_Tones):
             )
 
     @property
-    def tones(self) -> tuple[Any, Any, Any]:
+    def tones(self) -> Tones:
         amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
         phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
         return amplitudes, jnp.asarray(self.angular_frequencies), phases
@@ -188,10 +191,10 @@ class SumOfHarmonics(_Tones):
 
 
 class UserMotion(Signal):
-    """A base motion of the user's: any object with ``velocity(t)`` and ``acceleration(t)``.
+    """A base motion of the user's: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
 
-    It may have ``shortest_period`` (s) too; without it, give the step of the simulation. To differentiate with respect
-    to its parameters, make it a pytree (an ``equinox.Module``, say); an object of another kind is a constant.
+    It may have ``shortest_period`` (s) too; without it, the step of the simulation must be given. To differentiate with
+    respect to its parameters, make it a pytree (an ``equinox.Module``, say); any other object is a constant.
     """
 
     motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
@@ -203,7 +206,7 @@ class UserMotion(Signal):
         return self.motion.acceleration(t)
 
     @property
-    def shortest_period(self) -> Any:
+    def shortest_period(self) -> Scalar | None:
         return getattr(self.motion, "shortest_period", None)
 
 
@@ -219,5 +222,5 @@ class _Constant(eqx.Module):
         return jnp.asarray(self.held.acceleration(t))
 
     @property
-    def shortest_period(self) -> Any:
+    def shortest_period(self) -> Scalar | None:
         return getattr(self.held, "shortest_period", None)

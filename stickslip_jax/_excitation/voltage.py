@@ -1,4 +1,4 @@
-"""The source voltage that drives a motor."""
+"""The source voltage of a motor."""
 
 import math
 from typing import Annotated
@@ -11,9 +11,11 @@ from .smooth import Signal
 
 
 class SourceVoltage(Signal):
-    """``mean + amplitude sin(angular_frequency t + phase)``, V (Lima and Sampaio 2022, section 2; defaults: Table 1).
+    """The source voltage of a motor, ``mean + amplitude sin(angular_frequency t + phase)``.
 
-    `mean` and `amplitude` in V, `angular_frequency` in rad/s, positive, `phase` in rad.
+    - `mean`, `amplitude`: V. `angular_frequency`: rad/s, positive. `phase`: rad.
+
+    Source: Lima and Sampaio 2022, section 2; the defaults are its Table 1.
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
 

@@ -1,18 +1,18 @@
 """A cart on a rail with dry friction, driven by a DC motor through a scotch yoke (Lima and Sampaio 2022, eqs 1, 2, 5).
 
-State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). What rubs is the cart; its velocity is
-``-d sin(alpha) alpha'``, and ``r = sin(alpha) alpha'`` stands for it. It passes through zero when the motor stops and
-at dead centre (``sin alpha = 0``), where the cart turns round; at fixed sign of r the friction torque
+State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). The cart slides with the
+velocity ``-d sin(alpha) alpha'``, for which ``r = sin(alpha) alpha'`` is used. It passes through zero when the motor
+stops and at dead centre (``sin alpha = 0``), where the cart reverses; at fixed sign of r the friction torque
 ``-sign mu m g d sin(alpha)`` is smooth, so both are events of one kind.
 
 In a stick the current is known in closed form. A slip is integrated by the eighth-order Runge-Kutta method of Prince
-and Dormand, all three states together. Exponential integrators that treat the fast current apart were tried and are far
-less accurate at the same step: the transient of the current turns the motor by an amount that a Runge-Kutta method
-keeps exactly (it is a linear invariant), and an exponential one only to its order.
+and Dormand, all three states together. Exponential integrators that treat the fast current separately
+were tried and are far less accurate at the same step: the angle by which a transient of the current turns the motor is
+a linear invariant, which a Runge-Kutta method conserves exactly and an exponential one only to its order.
 """
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -27,7 +27,7 @@ from .._fields import Choice, Quantity
 from .._numerics.elementary import sincos_of_small
 from .._numerics.runge_kutta import runge_kutta_step
 from .._numerics.sharing import sincos
-from .._types import AnyArray, Array, BoolArray, FloatArray, Scalar
+from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
@@ -74,7 +74,7 @@ class MotorCart(System):
 
     @property
     def largest_friction_torque(self) -> Scalar:
-        """``mu m gravity d``, N m: what friction can hold at ``|sin alpha| = 1``."""
+        """Largest torque that friction can hold, at ``|sin alpha| = 1``: ``mu m gravity d``, N m."""
         return self.mu * self.cart_mass * self.gravity * self.eccentricity
 
     @property
@@ -94,11 +94,11 @@ class MotorCart(System):
     def stick_position(self) -> Coordinate:
         return Coordinate("motor angle during the stick", "rad", r"\alpha", 2 * math.pi)
 
-    def switched_model(self, smooth: Signal | None, solver: Any) -> "CartModel":
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "CartModel":
         assert isinstance(smooth, SourceVoltage)
         return CartModel(self, smooth)
 
-    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         return {
             "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
             "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
@@ -106,12 +106,13 @@ class MotorCart(System):
         }
 
     @property
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar, Scalar]:
         torque, arm = self.largest_friction_torque, self.eccentricity
         return arm * torque * self.resistance / self.motor_constant**2, arm * torque / self.motor_inertia
 
-    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
         voltage = voltage_of(excitation)
+        assert isinstance(voltage, SourceVoltage)
         most = abs(voltage.mean) + abs(voltage.amplitude)
         return 1.0, most / self.motor_constant, most / self.resistance
 
@@ -122,7 +123,7 @@ class MotorCart(System):
                 "motion was given."
             )
 
-    def check_solver(self, solver: Any) -> None:
+    def check_solver(self, solver: Solver | None) -> None:
         if solver is not None:
             raise ValueError("Argument solver must be None for a MotorCart, which has an integrator of its own.")
 
@@ -138,7 +139,7 @@ class MotorCart(System):
         return stick_duration_bound(self, smooth, position) if isinstance(smooth, SourceVoltage) else None
 
     def stick_band(
-        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: Any
+        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A."""
         most = self.largest_friction_torque / self.motor_constant * jnp.abs(jnp.sin(state[0]))
@@ -146,15 +147,16 @@ class MotorCart(System):
 
 
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
-    """The longest that the cart can stick at motor angles `angle` (rad, any shape), s; infinity where for ever.
+    """Upper bound of the stick duration at motor angles `angle` (rad, any shape), s; infinity where sticks never end.
 
-    It is how long the steady current stays below what friction can hold in one period of the voltage,
+    It is the time in one period of the voltage during which friction can hold the torque of the steady current,
     ``(pi + 2 asin s) / angular_frequency`` with ``s = (mu m g d |sin angle| / motor_constant - mean / resistance) / A``
     and ``A`` the amplitude of the steady current; 0 where ``s <= -1`` (Lima and Sampaio 2022, section 4, whose eqs 7
     and 8 lack the angular frequency in some places). The current that a stick begins with decays in the time
     ``inductance / resistance``; it can prolong a stick by about that much.
 
-    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind.
+    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind, and for
+    angles that are not finite.
     """
     if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
         raise ValueError(
@@ -208,8 +210,8 @@ class CartModel(SwitchedModel):
         return speed, jnp.where(sticking, 0, self._torque(sign)(sincos(y[0]), *y[1:])), current_rate
 
     def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
-        # A jump of the torque sends the current through a transient, which calls for shorter steps while it lasts: in a
-        # slip for the integrator, in a stick so that no step holds both the transient's extremum and others.
+        # After a jump of the torque the current has a transient, which needs shorter steps: in a slip for the
+        # integrator, in a stick so that no step holds both the extremum of the transient and others.
         transient = self.system.inductance / self.system.resistance
         slip = jnp.minimum(step, _LONGEST_TURN / jnp.maximum(jnp.abs(y[1]), 1e-9))
         slip = slip * jnp.minimum(1, 0.1 + age / (6 * transient))
@@ -249,7 +251,7 @@ class CartModel(SwitchedModel):
         return (jnp.abs(self.system.motor_constant * y[2]) <= held) & (held > 0)
 
     def release_sign(self, inputs: CartInputs, y: State) -> FloatArray:
-        # The motor turns the way its current drives it.
+        # The motor starts in the direction of the torque of its current.
         return jnp.where(y[2] * sincos(y[0])[0] > 0, 1, -1).astype(y[0].dtype)
 
     @property
@@ -293,7 +295,7 @@ class CartModel(SwitchedModel):
         return turn
 
     def _steady(self, inputs: CartInputs, tau: FloatArray) -> FloatArray:
-        """The current after a long stick: the steady answer to the voltage, A."""
+        """The steady current in a stick, when its transient has decayed, A."""
         system, voltage = self.system, self.smooth
         reactance = system.inductance * voltage.angular_frequency
         gain = voltage.amplitude / (system.resistance**2 + reactance**2)

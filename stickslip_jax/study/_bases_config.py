@@ -1,6 +1,7 @@
-"""Section ``[base]`` of a study's file: what drives the system.
+"""Section ``[base]`` of a study's file: the excitation.
 
-One class for each law, told apart by its tag ``law``: to offer another, add its class here and to the union.
+One class for each law, chosen by the key ``law``. The keys are the fields of the law, with their bounds, units and
+defaults. To offer another law, add its class here and to the union.
 """
 
 from typing import Annotated, Any, Literal
@@ -44,7 +45,7 @@ class PiecewiseConstantConfig(section_of(PiecewiseConstant, "law", base=Section)
         return self
 
     def build(self) -> BangBangLaw:
-        """The law as the simulation takes it (starts JAX). Raises ValueError if float32 cannot tell times apart."""
+        """The law as the simulation takes it (starts JAX). Raises ValueError for times that are equal in float32."""
         return PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
 
 
@@ -72,7 +73,7 @@ class _Phased(DescribedSection):
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return f"{super().title} of random phase" if self.random_phase else super().title
 
     def build(self) -> Signal | RandomPhase:
@@ -124,7 +125,7 @@ class WithJumpsConfig(Section):
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return f"{self.motion.title} with jumps by {self.jumps.title}"
 
     def build(self) -> WithJumps:

@@ -1,4 +1,4 @@
-"""What is wrong with a study's file, in one sentence that names section and key."""
+"""Errors in a study's file, each as one sentence that names section and key."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
@@ -12,8 +12,8 @@ from ._sections import NUMBER, Section, UniformConfig, kinds_in, tables_of, tag_
 from ._systems_config import MassSpringConfig
 
 Options = Mapping[tuple[str, str], str]
-"""The command's option, if there was one, that each section and key come from."""
-_SETTLED = None
+"""The option of the command by which a value was given, by section and key."""
+_CHOSEN = None  # the name under which the chosen kind stands
 
 
 def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Options) -> str:
@@ -42,7 +42,7 @@ def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Opti
 
 
 class _Place(NamedTuple):
-    """The section ("base.jumps", or "" outside all), what it may be made of by name, and the key ("" for the whole)."""
+    """The section ("base.jumps", or "" outside all), its possible kinds by name, and the key ("" for the section)."""
 
     section: str
     kinds: Mapping[str | None, type[Section]]
@@ -55,20 +55,20 @@ class _Place(NamedTuple):
 
     @property
     def kind(self) -> type[Section]:
-        """What the section is made of."""
-        return self.kinds[_SETTLED]
+        """The kind of the section."""
+        return self.kinds[_CHOSEN]
 
 
 def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
-    """The place of what pydantic tells by keys, numbers in lists, and the names of the kinds that were chosen."""
-    place = outside = _Place("", {_SETTLED: StudyConfig})
+    """The place that pydantic locates by keys, indices of lists, and the names of the chosen kinds."""
+    place = outside = _Place("", {_CHOSEN: StudyConfig})
     for part in location:
         if isinstance(part, int):
             place = place._replace(key=f"{place.key}[{part}]")
-        elif part == NUMBER:  # where there might have been a table
+        elif part == NUMBER:  # a number where a table is possible too
             place = outside._replace(key=place.name)
         elif part in place.kinds:
-            place = place._replace(kinds={_SETTLED: place.kinds[part]})
+            place = place._replace(kinds={_CHOSEN: place.kinds[part]})
         else:
             fields = place.kind.model_fields
             kinds = kinds_in(fields[part].annotation) if part in fields else {}
@@ -76,17 +76,17 @@ def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
                 place = place._replace(key=str(part))
                 continue
             inside = f"{place.section}.{part}".removeprefix(".")
-            outside, place = place, _Place(inside, _settled({"run": run} if inside == "run" else kinds))
+            outside, place = place, _Place(inside, _kinds_of_place({"run": run} if inside == "run" else kinds))
     return place
 
 
-def _settled(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
+def _kinds_of_place(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
     (kind, *others) = kinds.values()
-    return {**kinds} if others or kind is UniformConfig else {_SETTLED: kind}
+    return {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
 
 
 def _run_kind(table: Mapping[str, Any]) -> type[Section]:
-    """What the section [run] is made of."""
+    """The kind of the section [run]."""
     system = table.get("system")
     model = system.get("model") if isinstance(system, dict) else None
     return {tag_of(kind): run for kind, run in RUNS.items()}.get(model or "", RUNS[MassSpringConfig])
@@ -95,7 +95,7 @@ def _run_kind(table: Mapping[str, Any]) -> type[Section]:
 def _all_sections(
     kind: type[Section] = StudyConfig, within: str = ""
 ) -> Iterator[tuple[str, dict[str, type[Section]]]]:
-    """The name of every section, and what it may be made of."""
+    """The name of every section, and its possible kinds."""
     for key, kinds in tables_of(kind).items():
         name = f"{within}.{key}".removeprefix(".")
         yield name, {tag_of(system): run for system, run in RUNS.items()} if name == "run" else kinds

@@ -1,4 +1,4 @@
-"""What the sections of a study's file have in common: how they are checked, told apart, and written as TOML.
+"""The sections of a study's file in general: how they are checked, distinguished, and written as TOML.
 
 Types are strict: neither the string "1" nor true is a number; nan and infinity are refused.
 """
@@ -24,7 +24,7 @@ class Section(BaseModel):
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return tag_of(type(self))
 
 
@@ -102,7 +102,7 @@ def key_of(described_class: type, name: str, *, signal_unit: str = "", **changed
 
 
 class UniformConfig(section_of(Uniform)):
-    """An initial value drawn anew for every sample: ``{ low = 0.0, high = 1.0 }``."""
+    """A random initial value, drawn for every sample: ``{ low = 0.0, high = 1.0 }``."""
 
 
 _KEY_WIDTH, _COMMENT_WIDTH = 32, 84
@@ -120,15 +120,15 @@ def start_value(start: Start) -> float | Uniform:
 
 
 def default_tag(key: str, name: str) -> BeforeValidator:
-    """Let a table without the tag `key` mean the kind called `name`."""
+    """Reads a table without the tag `key` as the kind called `name`."""
     return BeforeValidator(lambda table: {key: name, **table} if isinstance(table, dict) else table)
 
 
-# --- told apart
+# --- kinds
 
 
 def tag_key(kind: type[Section]) -> str | None:
-    """The key whose value tells sections of this `kind` from others: "law", "model", or none."""
+    """The key whose value names the `kind` of section, "law" or "model"; None if there is only one kind."""
     for key in ("law", "model"):
         if key in kind.model_fields and get_origin(kind.model_fields[key].annotation) is Literal:
             return key
@@ -136,20 +136,20 @@ def tag_key(kind: type[Section]) -> str | None:
 
 
 def tag_of(kind: type[Section]) -> str:
-    """The name by which the file calls this `kind`."""
+    """The name of this `kind` in the file."""
     key = tag_key(kind)
     return kind.__name__.removesuffix("Config") if key is None else get_args(kind.model_fields[key].annotation)[0]
 
 
 def kinds_in(annotation: Any) -> dict[str, type[Section]]:
-    """The kinds of section that a key annotated like this may hold, by name."""
+    """The kinds of section that a key with this annotation may hold, by name."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return {tag_of(annotation): annotation}
     return {name: kind for part in get_args(annotation) for name, kind in kinds_in(part).items()}
 
 
 def tables_of(kind: type[Section]) -> dict[str, dict[str, type[Section]]]:
-    """The keys of `kind` that hold tables of their own, and the kinds of each. What is written inline is no table."""
+    """The keys of `kind` that are sections of their own, and the kinds of each; inline tables are none."""
     found = {key: kinds_in(info.annotation) for key, info in kind.model_fields.items()}
     return {key: kinds for key, kinds in found.items() if kinds and UniformConfig not in kinds.values()}
 
@@ -158,7 +158,7 @@ def tables_of(kind: type[Section]) -> dict[str, dict[str, type[Section]]]:
 
 
 def toml_value(value: Any) -> str:
-    """A number, string, truth value, list or table of them as TOML writes it; anything else as Python does."""
+    """A number, string, truth value, list or table of them in TOML; anything else as Python shows it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -173,9 +173,9 @@ def toml_value(value: Any) -> str:
 
 
 def toml_blocks(section: Section, name: str, choices: Iterable[str] = ()) -> Iterator[str]:
-    """The table called `name` and the tables in it, with units as comments; what is not given is a comment.
+    """The section called `name` and the sections in it, with units as comments; keys without a value are comments.
 
-    `choices`: the kinds of section that may stand here, told by the comment of its tag.
+    `choices`: the kinds of section that may stand here, listed in the comment of the tag.
     """
     kind = type(section)
     tables, tag = tables_of(kind), tag_key(kind)

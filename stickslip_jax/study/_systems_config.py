@@ -1,6 +1,7 @@
-"""Section ``[system]`` of a study's file: what moves, its friction, and the force on it.
+"""Section ``[system]`` of a study's file: the system, its friction law, and the force on it.
 
-One class for each, told apart by its tag (``model``, ``law``): to offer another, add its class here and to the union.
+One class for each, chosen by the key ``model`` or ``law``. The keys are the fields of the system or law, with their
+bounds, units and defaults. To offer another, add its class here and to the union.
 """
 
 from typing import Annotated, Any, ClassVar
