@@ -4,6 +4,7 @@ The numbers that ``jit``, ``vmap`` and ``grad`` trace are not known yet: they pa
 cause shows in the status of each trajectory.
 """
 
+import math
 import numbers
 from collections.abc import Iterable
 from typing import Any
@@ -60,21 +61,29 @@ def bounded(
     numeric(name, value, ndim)
     if is_traced(value):
         return
-    array = np.asarray(value)
-    if above is not None and not np.all(array > above):
+    low, high = _range(value, ndim)
+    if above is not None and not low > above:
         demand = "positive" if above == 0 else f"above {above:g}"
-    elif at_least is not None and not np.all(array >= at_least):
+    elif at_least is not None and not low >= at_least:
         demand = "zero or positive" if at_least == 0 else f"at least {at_least:g}"
-    elif below is not None and not np.all(array < below):
+    elif below is not None and not high < below:
         demand = f"below {below:g}"
-    elif ndim == 0 and 0 in (above, at_least) and array != 0 and not SMALLEST <= float(array) <= LARGEST:
+    elif ndim == 0 and 0 in (above, at_least) and low != 0 and not SMALLEST <= low <= LARGEST:
         demand, hint = f"between {SMALLEST} and {LARGEST}", "choose other units"
     else:
         return
-    shown = show(array if ndim else value)
+    shown = show(np.asarray(value) if ndim else value)
     raise ValueError(
         f"Argument {name} must be {demand}{_unit(unit)}, but {shown} was given{f'; {hint}' if hint else ''}."
     )
+
+
+def _range(value: Any, ndim: int) -> tuple[float, float]:
+    """The smallest and the largest number; for none, what lies within any bounds."""
+    if ndim == 0:
+        return float(value), float(value)
+    array = np.asarray(value)
+    return (float(array.min()), float(array.max())) if array.size else (math.inf, -math.inf)
 
 
 def positive(name: str, value: Any, unit: str = "") -> None:

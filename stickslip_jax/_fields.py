@@ -93,16 +93,22 @@ def described(kind: type) -> dict[str, Quantity | Choice]:
     return {name: parts[0] for name, parts in found.items() if parts}
 
 
+@cache
+def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
+    """Name, `Quantity` or `Choice` of each described field, and whether it may be None."""
+    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
+    return tuple((name, about, defaults[name] is None) for name, about in described(kind).items())
+
+
 class Checked(eqx.Module):
     """A module whose constructor checks every field against its `Quantity` or `Choice`."""
 
     def __check_init__(self):
-        defaults = {field.name: field.default for field in dataclasses.fields(self)}
-        for name, about in described(type(self)).items():
+        for name, about, may_be_none in _to_check(type(self)):
             value = getattr(self, name)
-            if value is not None or defaults[name] is not None:
+            if value is not None or not may_be_none:
                 about.check(name, value)
-        self.check_relations()
+        type(self).check_relations(self)  # bound, it would be a module of its own, and cost as much as all checks
 
     def check_relations(self) -> None:
         """Check what several fields must satisfy together, and fields of other kinds. Raises ValueError otherwise."""
