@@ -17,6 +17,7 @@ from ._excitation.recorded import Recorded
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
+from ._fields import Quantity
 from ._sensitivity import (
     TOTAL_STICK_TIME,
     RealisationMeanDuration,
@@ -108,6 +109,7 @@ __all__ = [
     "OrderStatistics",
     "PiecewiseConstant",
     "PoissonSwitching",
+    "Quantity",
     "RandomPhase",
     "RandomSteps",
     "RealisationMeanDuration",

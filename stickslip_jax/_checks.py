@@ -1,16 +1,20 @@
-"""Argument checks. Each raises ValueError naming the argument, its value and what is allowed.
+"""Argument checks. Each raises ValueError that names the argument, what is allowed, and the value given.
 
-Values that are being traced by ``jit``, ``vmap`` or ``grad`` cannot be looked at; they pass unchecked,
-and what they cause shows in the per-lane status.
+The numbers that ``jit``, ``vmap`` and ``grad`` trace are not known yet: they pass unchecked, and what unsuitable ones
+cause shows in the status of each trajectory.
 """
 
+import math
 import numbers
+from collections.abc import Iterable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+
+from ._types import AnyArray
 
 SMALLEST, LARGEST = 1e-100, 1e100
 """Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
@@ -38,28 +42,78 @@ def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
         raise ValueError(f"Argument {name} must be finite, but {show(value)} was given.")
 
 
+def bounded(
+    name: str,
+    value: Any,
+    unit: str = "",
+    *,
+    above: int | float | None = None,
+    at_least: int | float | None = None,
+    below: int | float | None = None,
+    ndim: int = 0,
+    hint: str = "",
+) -> None:
+    """Check that ``value`` holds finite numbers within the bounds given.
+
+    A single number that must not be negative must also be of a size that can be computed with. `hint`: what to do
+    about a number outside the bounds.
+    """
+    numeric(name, value, ndim)
+    if is_traced(value):
+        return
+    low, high = _range(value, ndim)
+    if above is not None and not low > above:
+        demand = "positive" if above == 0 else f"above {above:g}"
+    elif at_least is not None and not low >= at_least:
+        demand = "zero or positive" if at_least == 0 else f"at least {at_least:g}"
+    elif below is not None and not high < below:
+        demand = f"below {below:g}"
+    elif ndim == 0 and 0 in (above, at_least) and low != 0 and not SMALLEST <= low <= LARGEST:
+        demand, hint = f"between {SMALLEST} and {LARGEST}", "choose other units"
+    else:
+        return
+    shown = show(np.asarray(value) if ndim else value)
+    raise ValueError(
+        f"Argument {name} must be {demand}{_unit(unit)}, but {shown} was given{f'; {hint}' if hint else ''}."
+    )
+
+
+def _range(value: Any, ndim: int) -> tuple[float, float]:
+    """The smallest and the largest number; for none, what lies within any bounds."""
+    if ndim == 0:
+        return float(value), float(value)
+    array = np.asarray(value)
+    return (float(array.min()), float(array.max())) if array.size else (math.inf, -math.inf)
+
+
 def positive(name: str, value: Any, unit: str = "") -> None:
     """Check that ``value`` is a number greater than zero, of a size that can be computed with."""
-    numeric(name, value)
-    if not is_traced(value) and not value > 0:
-        raise ValueError(f"Argument {name} must be positive{_unit(unit)}, but {show(value)} was given.")
-    _sized(name, value, unit)
+    bounded(name, value, unit, above=0)
 
 
 def non_negative(name: str, value: Any, unit: str = "") -> None:
     """Check that ``value`` is a finite number, zero or greater."""
-    numeric(name, value)
-    if not is_traced(value) and not value >= 0:
-        raise ValueError(f"Argument {name} must be zero or positive{_unit(unit)}, but {show(value)} was given.")
-    _sized(name, value, unit)
+    bounded(name, value, unit, at_least=0)
 
 
-def _sized(name: str, value: Any, unit: str) -> None:
-    if not is_traced(value) and value != 0 and not SMALLEST <= float(value) <= LARGEST:
+def real_array(name: str, values: Any) -> AnyArray:
+    """``values`` as a one-dimensional array of JAX or float64 of NumPy. Raises ValueError for anything else."""
+    numeric(name, values, ndim=1)
+    return values if isinstance(values, jax.Array) else np.asarray(values, float)
+
+
+def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
+    """Check that ``times`` begin with 0 and increase. `hint`: what to do where they begin with another number."""
+    if is_traced(times):
+        return
+    times = np.asarray(times)
+    if times[0] != 0:
         raise ValueError(
-            f"Argument {name} must be between {SMALLEST} and {LARGEST}{_unit(unit)}, but {show(value)} was given; "
-            "choose other units."
+            f"Argument {name} must begin with 0, but its first entry is {times[0]}{f'; {hint}' if hint else ''}."
         )
+    if np.any(np.diff(times) <= 0):
+        at = int(np.argmax(np.diff(times) <= 0)) + 1
+        raise ValueError(f"Argument {name} must increase, but {name}[{at}] = {times[at]} follows {times[at - 1]}.")
 
 
 def truth(name: str, value: Any) -> None:
@@ -101,6 +155,12 @@ def _kind(ndim: int | None) -> str:
 
 def _unit(unit: str) -> str:
     return f" (in {unit})" if unit else ""
+
+
+def one_of(names: Iterable[str]) -> str:
+    """The names as words: "A, B or C"."""
+    *most, last = names
+    return f"{', '.join(most)} or {last}" if most else last
 
 
 def show(value: Any) -> str:

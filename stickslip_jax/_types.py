@@ -1,7 +1,8 @@
-"""Array aliases used in annotations: the shape is in the annotation, the unit in the docstring."""
+"""Names of types for annotations: shapes are in the annotations, units in the docstrings."""
 
 from typing import TypeAlias
 
+import diffrax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Real, UInt32
 
@@ -12,13 +13,20 @@ AnyArray: TypeAlias = Array | np.ndarray
 """An array of JAX or, in results that have left JAX, of NumPy."""
 
 AnyInteger: TypeAlias = Array | np.integer
-"""A whole number of fixed size, traced or not."""
+"""A whole number of JAX or NumPy, traced or not."""
 
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
 IntArray: TypeAlias = Int[Array, "..."]
-KeyData: TypeAlias = UInt32[Array, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
-"""The two 32-bit words of a threefry key, as one array or apart."""
+KeyData: TypeAlias = UInt32[Array | np.ndarray, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
+"""The two 32-bit words of a threefry key, as one array or as two."""
+
+State: TypeAlias = tuple[FloatArray, ...]
+"""The state of a system: one array for each of its coordinates, all of one shape."""
+
+Solver: TypeAlias = diffrax.AbstractSolver
+ExplicitSolver: TypeAlias = diffrax.AbstractERK
+"""An explicit Runge-Kutta method, such as ``diffrax.Dopri8()``."""
 
 __all__ = [
     "AnyArray",
@@ -26,10 +34,13 @@ __all__ = [
     "Array",
     "Bool",
     "BoolArray",
+    "ExplicitSolver",
     "Float",
     "FloatArray",
     "Int",
     "IntArray",
     "KeyData",
     "Scalar",
+    "Solver",
+    "State",
 ]

@@ -1,7 +1,7 @@
-"""What drives a system, taken apart into what the switched engine can follow: a smooth part and parts in pieces."""
+"""The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them."""
 
 import math
-from typing import Any
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks
 from .._numerics.random_bits import key_data_of, random_words
-from .._types import Array, Scalar
+from .._types import Array, KeyData, Scalar
 from .ground import GroundMotion
 from .laws import BangBangLaw
 from .piecewise import VelocitySteps
@@ -58,7 +58,7 @@ class WithJumps(eqx.Module):
 
 
 class _Given(SegmentLaw):
-    """A realisation of a base velocity that jumps, as a law of one possible outcome."""
+    """A realisation of a base velocity that jumps, as a law with this one realisation."""
 
     steps: VelocitySteps
     is_random = False
@@ -81,11 +81,11 @@ class _Given(SegmentLaw):
 
 
 class Excitation(eqx.Module):
-    """A base motion, ground motion or voltage, taken apart.
+    """The parts of a base motion, ground motion or voltage.
 
     - `smooth`: the smooth part (base velocity or voltage), None if there is none.
-    - `base`: parts of the base velocity that come in pieces; `ground`: ground acceleration in pieces.
-    - `parts_differ`: whether the parts draw from keys of their own.
+    - `base`: piecewise-linear parts of the base velocity; `ground`: of the ground acceleration.
+    - `parts_differ`: whether each part draws from key data of its own.
     """
 
     smooth: Signal | RandomPhase | None
@@ -95,23 +95,38 @@ class Excitation(eqx.Module):
 
     @property
     def signal(self) -> Signal | None:
-        """The smooth part of a drive without random phases."""
+        """The smooth part of an excitation without random phases."""
         assert not isinstance(self.smooth, RandomPhase)
         return self.smooth
 
-    def realised(self, key_data: Any, dtype) -> Signal | None:
-        """The smooth part of the sample whose key has these words."""
+    def realised(self, key_data: KeyData, dtype) -> Signal | None:
+        """The smooth part of the realisation that `key_data` draw."""
         if isinstance(self.smooth, RandomPhase):
             return self.smooth.realised(_part(key_data, 1) if self.parts_differ else key_data, dtype)
         return self.signal
 
-    def segment_key_data(self, key_data: Any) -> Any:
-        """The words for `base` and `ground`."""
+    def segment_key_data(self, key_data: KeyData) -> KeyData:
+        """The key data for `base` and `ground`."""
         return _part(key_data, 0) if self.parts_differ else key_data
 
 
+@runtime_checkable
+class UserBaseMotion(Protocol):
+    """A base motion of the user's: any object with these methods of the time `t` (s)."""
+
+    def velocity(self, t: Any) -> Any:
+        """The base velocity, m/s."""
+
+    def acceleration(self, t: Any) -> Any:
+        """Its time derivative, m/s^2."""
+
+
+BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomPhase | WithJumps | UserBaseMotion
+"""What can drive a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
+
+
 def excitation_of(base: Any, name: str = "base") -> Excitation:
-    """Take `base`, an argument called `name`, apart. Raises ValueError if it is nothing that can drive a system."""
+    """The parts of `base`, the argument called `name`. Raises ValueError if it cannot drive a system."""
     if isinstance(base, VelocitySteps):
         return Excitation(None, (_Given(base),))
     if isinstance(base, GroundMotion):
@@ -136,15 +151,15 @@ def _is_users(base: Any) -> bool:
     return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
 
 
-def is_random(base: Any) -> bool:
-    """Whether `base` is a law whose realisations differ, so that one must be drawn before simulating it."""
+def is_random(base: BaseMotion) -> bool:
+    """Whether `base` is a law whose realisations differ, so that one must be drawn before `simulate`."""
     if isinstance(base, WithJumps):
         return is_random(base.motion) or is_random(base.jumps)
     return isinstance(base, RandomPhase) or (isinstance(base, SegmentLaw) and base.is_random)
 
 
-def key_data_for(base: Any, key: Array | None) -> Array:
-    """The key's two words, zeros where nothing is random and no key is given. Raises ValueError for a missing key."""
+def key_data_for(base: BaseMotion, key: Array | None) -> Array:
+    """The data of `key`; zeros if no key is given and nothing is random. Raises ValueError for a missing key."""
     if key is not None:
         return key_data_of(key)
     if is_random(base):
@@ -155,13 +170,13 @@ def key_data_for(base: Any, key: Array | None) -> Array:
     return jnp.zeros(2, jnp.uint32)
 
 
-def longest_time(base: Any) -> float:
-    """How long a recorded motion lasts, s; infinity for one that is not recorded, or whose times are being traced."""
+def longest_time(base: BaseMotion) -> float:
+    """Duration of a recorded motion, s; infinity for one that is not recorded, or whose times are traced."""
     if isinstance(base, WithJumps):
         return min(longest_time(base.motion), longest_time(base.jumps))
     times = getattr(base, "times", None) if isinstance(base, SegmentLaw) and not isinstance(base, BangBangLaw) else None
     return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
 
 
-def _part(key_data: Any, number: int) -> tuple[Array, Array]:
+def _part(key_data: KeyData, number: int) -> tuple[Array, Array]:
     return random_words(key_data, jnp.asarray(np.uint32(number)))

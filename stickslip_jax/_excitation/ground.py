@@ -1,43 +1,51 @@
 """Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
 
+from functools import partial
+from typing import Annotated
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .. import _checks
+from .._fields import Quantity
 from .._types import AnyArray, FloatArray
 from .recorded import Recorded, check_times
 from .segments import SegmentLaw
 
 
 class GroundMotion(SegmentLaw):
-    """An acceleration of the ground that comes in pieces linear in time.
+    """Base class of ground accelerations, piecewise linear in time.
 
-    It drives a `MassSpring` described by its position relative to the ground: there the base rests, and the ground's
-    acceleration acts as the force ``-mass * acceleration``.
+    They drive a `MassSpring` described by its position relative to the ground: there the base is at rest, and the
+    acceleration of the ground acts as the force ``-mass * acceleration``.
     """
 
     jumps = False
 
 
 class GroundAcceleration(GroundMotion):
-    """A recorded ground acceleration: `accelerations` (m/s^2) at `times`, linear in between.
+    """A recorded ground acceleration, linear in time between the points of the record.
 
-    `times` in s, increasing, the first one 0, (points,), at least 2. Raises ValueError for times that do not increase
-    from 0, different lengths, or numbers that are not finite.
+    - `times`: s, increasing, the first one 0, (points,), at least 2.
+    - `accelerations`: m/s^2, as many.
+
+    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
-    accelerations: AnyArray = eqx.field(converter=lambda v: _array("accelerations", v))
+    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "times")
+    )
+    accelerations: Annotated[AnyArray, Quantity("m/s^2", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "accelerations")
+    )
     is_random = False
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)
 
     @property
     def duration(self):
-        """The last of `times`, s."""
+        """Duration of the record, s: the last of `times`."""
         return self.times[-1]
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:
@@ -55,8 +63,3 @@ class GroundAcceleration(GroundMotion):
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
-
-
-def _array(name: str, values: object) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)

@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
+from .._fields import Quantity
 from .._numerics.elementary import log, sincos
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Scalar
@@ -17,8 +19,8 @@ from .ground import GroundAcceleration, GroundMotion
 
 LARGEST_NUMBER_OF_POINTS = 2**31
 """Samples of one realisation are numbered in 32 bits."""
-_BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
-# Gauss-Legendre nodes and weights on [-1, 1]: right to rounding for what `_step` integrates, over one radian or less.
+_BEGINNING = np.uint32(0xFFFFFFFF)  # number of the random words that the beginning of a realisation is drawn from
+# Gauss-Legendre nodes and weights on [-1, 1]: exact to rounding for the integrands of `_step`, over one radian or less.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 Memory = tuple[FloatArray, FloatArray, FloatArray]
@@ -31,8 +33,8 @@ class KanaiTajimi(GroundMotion):
     relative to the surface, ``x'' + 2 ground_damping ground_frequency x' + ground_frequency^2 x = w``, and the surface
     accelerates by ``ground_frequency^2 x + 2 ground_damping ground_frequency x'``, positive in the direction of w.
 
-    - `rms`: standard deviation of the acceleration while the envelope is 1, m/s^2. At time t it is
-      ``rms * envelope(t)``, for every t.
+    - `rms`: standard deviation of the acceleration while the envelope is 1, m/s^2. At every time t the standard
+      deviation is ``rms * envelope(t)``.
     - `ground_frequency`: angular frequency of the layer, rad/s. `ground_damping`: its damping ratio, between 0 and 1.
       The defaults, 5 pi rad/s and 0.6, are the usual ones for firm soil.
     - `rise`, `plateau` (s) and `decay` (1/s): the envelope is ``(t / rise)^2`` up to `rise`, then 1 for `plateau`, then
@@ -43,36 +45,26 @@ class KanaiTajimi(GroundMotion):
     The layer is already in its stationary motion at t = 0, where the envelope is 0: so the acceleration begins with 0,
     and its standard deviation is known at every time. The normal deviates behind each step end at 6.8 (5.8 in float32)
     standard deviations. The spectrum does not vanish at frequency 0, so the ground's own velocity and displacement
-    wander off; motion relative to the ground does not feel that.
+    drift; motion relative to the ground is not affected.
 
     Raises ValueError for numbers outside these bounds.
     """
 
-    rms: Scalar
-    ground_frequency: Scalar = 5 * math.pi
-    ground_damping: Scalar = 0.6
-    rise: Scalar = 4.0
-    plateau: Scalar = 11.0
-    decay: Scalar = 0.1
-    interval: Scalar = 0.01
+    rms: Annotated[Scalar, Quantity("m/s^2", "standard deviation of the ground's acceleration at its height", above=0)]
+    ground_frequency: Annotated[Scalar, Quantity("rad/s", "of the layer", above=0)] = 5 * math.pi
+    ground_damping: Annotated[
+        Scalar, Quantity(meaning="its damping ratio", above=0, below=1, hint="firm soil has about 0.6")
+    ] = 0.6
+    rise: Annotated[Scalar, Quantity("s", "of the envelope", above=0)] = 4.0
+    plateau: Annotated[Scalar, Quantity("s", "of the envelope", at_least=0)] = 11.0
+    decay: Annotated[Scalar, Quantity("1/s", "of the envelope", at_least=0)] = 0.1
+    interval: Annotated[Scalar, Quantity("s", "between samples", above=0)] = 0.01
     is_random = True
 
-    def __check_init__(self):
-        _checks.positive("rms", self.rms, "m/s^2")
-        _checks.positive("ground_frequency", self.ground_frequency, "rad/s")
-        _checks.positive("ground_damping", self.ground_damping)
-        _checks.positive("rise", self.rise, "s")
-        _checks.non_negative("plateau", self.plateau, "s")
-        _checks.non_negative("decay", self.decay, "1/s")
-        _checks.positive("interval", self.interval, "s")
-        if not _checks.is_traced(self.ground_damping) and not self.ground_damping < 1:
-            raise ValueError(
-                "Argument ground_damping must be a damping ratio between 0 and 1, but "
-                f"{_checks.show(self.ground_damping)} was given; firm soil has about 0.6."
-            )
+    def check_relations(self) -> None:
         if _checks.is_traced(self.interval) or _checks.is_traced(self.ground_frequency):
             return
-        # Longer straight lines would leave out much of the motion; and `_step` is exact up to here.
+        # Longer intervals would leave out much of the motion; and the quadrature of `_step` is exact up to here.
         longest = 1 / float(self.ground_frequency)
         if float(self.interval) > longest * (1 + 1e-6):
             raise ValueError(
@@ -102,7 +94,7 @@ class KanaiTajimi(GroundMotion):
         return self.spectral_density * (1 + passed) / ((1 - squared) ** 2 + passed)
 
     def envelope(self, t: AnyArray | float) -> FloatArray:
-        """The factor at times `t` (s, any shape) by which the stationary motion is multiplied, between 0 and 1."""
+        """Envelope of the motion at times `t` (s, any shape), between 0 and 1: the factor of the stationary motion."""
         t = jnp.asarray(t)
         growth = jnp.minimum(t / self.rise, 1)
         return growth**2 * jnp.exp(-self.decay * jnp.maximum(t - self.rise - self.plateau, 0))
@@ -120,7 +112,7 @@ class KanaiTajimi(GroundMotion):
         return *_normal_pair(key_data, number, dtype), end, end - begin
 
     def next_segment(self, memory: Memory, drawn, dtype):
-        """The memory: x and x' in units of their standard deviations, and the acceleration (m/s^2) at the beginning."""
+        """Memory: x and x' in units of their standard deviations, and the acceleration (m/s^2) at the beginning."""
         x, v, value = memory
         one, other, end, duration = drawn
         transition, noise = _step(self.ground_frequency, self.ground_damping, self.interval, dtype)
@@ -138,7 +130,7 @@ class KanaiTajimi(GroundMotion):
 
         - `key`: a key from ``jax.random.key(seed)``. `t1`: duration to cover, s.
         - `points`: number of samples, `interval` apart from t = 0; by default as many as cover `t1`. More continue the
-          same motion. Needed under ``jit`` or ``grad`` when `t1` or the law's `interval` is traced.
+          same motion. They must be given under ``jit`` or ``grad`` when `t1` or the law's `interval` is traced.
 
         Raises ValueError for an unsuitable key, a `t1` that is not positive or is too long, fewer than 2 points.
         """
@@ -155,7 +147,7 @@ class KanaiTajimi(GroundMotion):
         except ConcretizationTypeError:
             raise ValueError(
                 "Argument points must be given when t1 or the law's interval is traced by a JAX transformation (their "
-                "values are not known then); about t1 / interval + 2 cover the time."
+                "values are not known then); about t1 / interval + 2 are enough."
             ) from None
         if samples > LARGEST_NUMBER_OF_POINTS - 2:
             raise ValueError(
@@ -167,18 +159,18 @@ class KanaiTajimi(GroundMotion):
 
 
 def _step(ground_frequency, damping, interval, dtype):
-    """How the layer moves on over one interval, x and x' in units of their stationary standard deviations.
+    """Transition of the layer over one interval, x and x' in units of their stationary standard deviations.
 
-    The transition matrix as two rows, and the lower triangle of the noise's Cholesky factor as ``(11, 21, 22)``. The
-    noise has the covariance ``I - transition transition^T`` (the stationary one is I), written as integrals of
-    positive functions, so that nothing cancels when the interval is short.
+    Returns the transition matrix as two rows, and the lower triangle of the Cholesky factor of the noise covariance as
+    ``(11, 21, 22)``. The covariance of the noise is ``I - transition transition^T``, since the stationary one is I. It
+    is computed by integrals of positive functions, so that nothing cancels when the interval is short.
     """
     angle = jnp.asarray(ground_frequency * interval, dtype)
     zeta = jnp.asarray(damping, dtype)
     root = jnp.asarray(jnp.sqrt((1 - damping) * (1 + damping)), dtype)
 
     def response(angle):
-        """What an impulse that sets x' to 1 leaves of x and x'."""
+        """Impulse response, x and x', to an impulse that sets x' to 1."""
         fade, ratio = jnp.exp(-zeta * angle), angle * jnp.sinc(root * angle / np.pi)
         return fade * ratio, fade * (jnp.cos(root * angle) - zeta * ratio)
 

@@ -1,14 +1,14 @@
 """Laws of piecewise-constant base velocity: how realisations are drawn.
 
-A law tells the intervals of a realisation one after the other: what is random about number i (`draw`, computed from
-the key and i alone), and what that makes of it (`next_interval`). So a realisation has no length of its own: sampling
-it with more room only continues it, and an ensemble can draw intervals while it simulates.
+A law gives the intervals of a realisation one after the other: `draw` computes what is random about interval i from the
+key and i alone, and `next_interval` makes its duration and velocity of that. So a realisation has no length of its own:
+a larger capacity only continues it, and an ensemble can draw intervals while it simulates.
 """
 
 import abc
 import math
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
+from .._fields import Choice, Quantity
 from .._numerics.random_bits import exponential, key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
 from .piecewise import VelocitySteps
@@ -26,34 +27,34 @@ from .segments import SegmentLaw
 Interval = tuple[FloatArray, FloatArray, Any]
 LARGEST_CAPACITY = 2**31
 """Intervals of one realisation are numbered in 32 bits."""
-_BEGINNING = np.uint32(0xFFFFFFFF)  # the number whose random words settle how a realisation begins
+_BEGINNING = np.uint32(0xFFFFFFFF)  # number of the random words that the beginning of a realisation is drawn from
 
 
 class BangBangLaw(SegmentLaw):
-    """What every law of piecewise-constant base velocity offers. Subclass it to add one."""
+    """Base class of the laws of piecewise-constant base velocity. Subclass it to add one."""
 
     jumps = True
 
     @abc.abstractmethod
     def begin(self, key_data: KeyData, dtype) -> Any:
-        """What is known before the first interval (for example the first sign), drawn from the key's words."""
+        """The memory before the first interval (for example the first sign), drawn by the key data."""
 
     @abc.abstractmethod
     def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
-        """What is random (or looked up) about interval `number`, from the key's words and that number alone."""
+        """What is random (or looked up) about interval `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
     def next_interval(self, memory: Any, drawn: Any, dtype) -> Interval:
-        """Duration (s) and velocity (m/s) of an interval, and what to remember for the next.
+        """Duration (s) and velocity (m/s) of an interval, and the memory for the next.
 
-        Neighbouring velocities must differ, except that a duration of 0 marks a spare slot.
+        Neighbouring velocities must differ. A duration of 0 marks an unused interval, after the last one.
         """
 
     def all_intervals(self, memory: Any, drawn: Any, number: int, dtype) -> tuple[FloatArray, FloatArray]:
         """Durations (s) and velocities (m/s) of the first `number` intervals, (number,), one after the other.
 
-        `memory`: what is known before the first. `drawn`: what is random about each, along a first axis. To be
-        overridden where all can be told at once, which is faster.
+        `memory`: that before the first. `drawn`: what `draw` returned for each, along a first axis. Override it where
+        all can be computed at once, which is faster.
         """
 
         def step(memory, drawn_here):
@@ -62,7 +63,7 @@ class BangBangLaw(SegmentLaw):
 
         return lax.scan(step, memory, drawn, length=number)[1]
 
-    def segments(self, t1: Any) -> int:
+    def segments(self, t1: Scalar) -> int:
         return self.capacity(t1)
 
     def next_segment(self, memory: Any, drawn: Any, dtype):
@@ -71,15 +72,15 @@ class BangBangLaw(SegmentLaw):
 
     @abc.abstractmethod
     def capacity(self, t1: Scalar) -> int:
-        """How many intervals hold nearly every realisation on ``[0, t1]``."""
+        """The number of intervals that nearly every realisation on ``[0, t1]`` (s) needs at most."""
 
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> VelocitySteps:
         """One realisation that covers ``[0, t1]``.
 
         - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness.
         - `t1`: duration to cover, s.
-        - `capacity`: number of intervals to keep room for. By default enough for nearly every realisation (a random
-          one can outgrow it, about once in 10^9; `simulate` then reports ``Status.BASE_TOO_SHORT``). Needed under
+        - `capacity`: number of intervals of the realisation. By default enough for nearly all (about one random
+          realisation in 10^9 needs more; `simulate` then reports ``Status.BASE_TOO_SHORT``). It must be given under
           ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
 
         Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a capacity below 1.
@@ -93,7 +94,7 @@ class BangBangLaw(SegmentLaw):
         return VelocitySteps(*_sample(self, key_data, capacity, jnp.result_type(float)))
 
     def key_data(self, key: Array | None) -> Array:
-        """The key's two 32-bit words; zeros for a law without randomness, whatever the key."""
+        """The two 32-bit words of `key`; zeros for a law without randomness. Raises ValueError for a missing key."""
         if not self.is_random:
             return jnp.zeros(2, jnp.uint32)
         if key is None:
@@ -104,7 +105,7 @@ class BangBangLaw(SegmentLaw):
         return key_data_of(key)
 
     def checked_capacity(self, t1: Scalar) -> int:
-        """`capacity`, or a ValueError where the intervals are too many to be numbered in 32 bits."""
+        """The `capacity`. Raises ValueError for more intervals than 32 bits can number."""
         try:
             capacity = self.capacity(t1)
         except OverflowError:
@@ -126,16 +127,13 @@ class BangBangLaw(SegmentLaw):
 
 
 class Constant(BangBangLaw):
-    """A base that moves with one velocity for ever.
+    """A base that moves with constant velocity.
 
-    `speed` in m/s, signed; zero is a base at rest. Raises ValueError if it is not finite.
+    `speed`: the velocity, m/s, of either sign; 0 for a base at rest. Raises ValueError if it is not finite.
     """
 
-    speed: Scalar
+    speed: Annotated[Scalar, Quantity("m/s", "signed")]
     is_random = False
-
-    def __check_init__(self):
-        _checks.numeric("speed", self.speed)
 
     def begin(self, key_data, dtype):
         return ()
@@ -151,19 +149,17 @@ class Constant(BangBangLaw):
 
 
 class SquareWave(BangBangLaw):
-    """``-speed`` on the first half of each period, ``+speed`` on the second (Lima and Sampaio, conference, eq. 4).
+    """A square wave: ``-speed`` in the first half of each period, ``+speed`` in the second.
 
-    `speed` in m/s and `period` in s, both positive. The papers' ratio ``r`` gives
-    ``period = 2 pi / (r * omega)``. Raises ValueError if a number is not positive and finite.
+    - `speed`: m/s, positive. `period`: s, positive. The frequency ratio r of the papers gives
+      ``period = 2 pi / (r * omega)``.
+
+    Raises ValueError if a number is not positive and finite. Source: Lima and Sampaio, conference paper, eq. 4.
     """
 
-    speed: Scalar
-    period: Scalar
+    speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    period: Annotated[Scalar, Quantity("s", above=0)]
     is_random = False
-
-    def __check_init__(self):
-        _checks.positive("speed", self.speed, "m/s")
-        _checks.positive("period", self.period, "s")
 
     def begin(self, key_data, dtype):
         return -jnp.ones((), dtype)
@@ -179,27 +175,21 @@ class SquareWave(BangBangLaw):
 
 
 class PoissonSwitching(BangBangLaw):
-    """``+speed`` or ``-speed``, the sign flipping at the points of a Poisson process (Lima and Sampaio 2017).
+    """``+speed`` or ``-speed``, the sign changing at the points of a Poisson process (Lima and Sampaio 2017).
 
-    - `speed` in m/s; `rate`, the mean number of flips per second, in 1/s: both positive.
+    - `speed`: m/s, positive. `rate`: the mean number of sign changes per second, 1/s, positive.
     - `first_sign`: "random" (a fair coin, the default), "positive" or "negative".
 
-    Gaps are independent exponential variables of mean ``1 / rate``; for a fixed key they scale as ``1 / rate``.
+    The durations are independent exponential variables of mean ``1 / rate``; for a fixed key they scale by that mean.
     Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
     """
 
-    speed: Scalar
-    rate: Scalar
-    first_sign: str = eqx.field(static=True, default="random")
+    speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    rate: Annotated[Scalar, Quantity("1/s", "mean number of switches per second", above=0)]
+    first_sign: Annotated[
+        str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
+    ] = eqx.field(static=True, default="random")
     is_random = True
-
-    def __check_init__(self):
-        _checks.positive("speed", self.speed, "m/s")
-        _checks.positive("rate", self.rate, "1/s")
-        if self.first_sign not in ("random", "positive", "negative"):
-            raise ValueError(
-                f"Argument first_sign must be 'random', 'positive' or 'negative', but {self.first_sign!r} was given."
-            )
 
     def begin(self, key_data, dtype):
         if self.first_sign != "random":
@@ -226,53 +216,53 @@ class PoissonSwitching(BangBangLaw):
 class RandomSteps(BangBangLaw):
     """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
 
-    - `speed` in m/s, `interval` in s (the papers' ``1 / f_b``): positive.
-    - `levels`: at least two different numbers; the velocities are ``speed * levels``. Default -1 and +1.
-    - `probabilities` of the levels, each at least 1e-6, summing to 1. Default: equal odds.
+    - `speed`: m/s, positive. `interval`: s, positive (the papers' ``1 / f_b``).
+    - `levels`: at least two different numbers; the velocities are ``speed * levels``. By default -1 and +1.
+    - `probabilities`: those of the levels, each at least 1e-6, with sum 1. By default equal.
 
-    Equal velocities in a row are drawn at once as one long interval: its number of steps is geometric, and the next
-    level follows the odds of the others. Raises ValueError for numbers outside these bounds.
+    Equal velocities in a row are drawn as one long interval: its number of steps is geometric, and the next level has
+    the probabilities of the others. Raises ValueError for numbers outside these bounds.
     """
 
-    speed: Scalar
-    interval: Scalar
-    levels: tuple[float, ...] = eqx.field(static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v))
-    probabilities: tuple[float, ...] | None = eqx.field(
-        static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v)
+    speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    interval: Annotated[Scalar, Quantity("s", "time between draws of the velocity", above=0)]
+    levels: Annotated[tuple[float, ...], Quantity(meaning="the velocities are speed times these", ndim=1)] = eqx.field(
+        static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v)
+    )
+    probabilities: Annotated[tuple[float, ...] | None, Quantity(meaning="of the levels; not given: equal", ndim=1)] = (
+        eqx.field(static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v))
     )
     is_random = True
 
-    def __check_init__(self):
-        _checks.positive("speed", self.speed, "m/s")
-        _checks.positive("interval", self.interval, "s")
+    def check_relations(self) -> None:
         if len(self.levels) < 2 or len(set(self.levels)) < len(self.levels):
             raise ValueError(f"Argument levels must hold two or more different numbers, but {self.levels} was given.")
-        odds = self.odds
-        if len(odds) != len(self.levels) or min(odds) < 1e-6 or abs(sum(odds) - 1) > 1e-9:
+        shares = self.level_probabilities
+        if len(shares) != len(self.levels) or min(shares) < 1e-6 or abs(sum(shares) - 1) > 1e-9:
             raise ValueError(
                 f"Argument probabilities must hold one number of at least 1e-6 for each of the {len(self.levels)} "
                 f"levels, summing to 1, but {self.probabilities} was given."
             )
 
     @property
-    def odds(self) -> tuple[float, ...]:
-        """The probability of each level."""
+    def level_probabilities(self) -> tuple[float, ...]:
+        """Probabilities of the levels, also where `probabilities` is None."""
         return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
 
     def begin(self, key_data, dtype):
         high, _ = random_words(key_data, jnp.asarray(_BEGINNING))
-        return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.odds, dtype)))
+        return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.level_probabilities, dtype)))
 
     def draw(self, key_data, number, dtype):
         high, low = random_words(key_data, number)
         return uniform(high, dtype), uniform(low, dtype)
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
-        odds = jnp.asarray(self.odds, dtype)
-        # Row i: the odds of the next level when the present one, i, is excluded.
-        others = jnp.where(jnp.eye(len(self.levels), dtype=bool), 0, odds[None, :] / (1 - odds[:, None]))
+        shares = jnp.asarray(self.level_probabilities, dtype)
+        # Row i: the probabilities of the next level when the present one, i, is excluded.
+        others = jnp.where(jnp.eye(len(self.levels), dtype=bool), 0, shares[None, :] / (1 - shares[:, None]))
         for_length, for_next = drawn
-        steps = jnp.floor(jnp.log(for_length) / jnp.log(odds)[memory]) + 1
+        steps = jnp.floor(jnp.log(for_length) / jnp.log(shares)[memory]) + 1
         velocity = self.speed * jnp.asarray(self.levels, dtype)[memory]
         return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
 
@@ -283,35 +273,34 @@ class RandomSteps(BangBangLaw):
 class PiecewiseConstant(BangBangLaw):
     """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one lasts for ever.
 
-    `times` in s, increasing, the first one 0; `velocities` in m/s, as many. Neighbouring equal velocities are merged.
+    - `times`: s, increasing, the first one 0, (intervals,).
+    - `velocities`: m/s, as many. Equal neighbours are merged.
+
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
-    velocities: AnyArray = eqx.field(converter=lambda v: _array("velocities", v))
+    times: Annotated[AnyArray, Quantity("s", "start of each interval; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "times")
+    )
+    velocities: Annotated[AnyArray, Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "velocities")
+    )
     is_random = False
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
             raise ValueError(
                 "Arguments times and velocities must have the same length of at least 1, but they have shapes "
                 f"{np.shape(self.times)} and {np.shape(self.velocities)}."
             )
-        if _checks.is_traced(self.times):
-            return
-        times = np.asarray(self.times)
-        if times[0] != 0:
-            raise ValueError(f"Argument times must begin with 0, but its first entry is {times[0]}.")
-        if np.any(np.diff(times) <= 0):
-            at = int(np.argmax(np.diff(times) <= 0)) + 1
-            raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
+        _checks.increasing_from_zero("times", self.times)
 
     def begin(self, key_data, dtype):
         return ()
 
     def draw(self, key_data, number, dtype):
         times, velocities = jnp.asarray(self.times, dtype), jnp.asarray(self.velocities, dtype)
-        # Neighbours of equal velocity are one interval: number i begins where the i-th change is found.
+        # Neighbours of equal velocity are one interval: interval i begins at the i-th change of velocity.
         found = jnp.cumsum(jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]]))
         begin, end = (jnp.searchsorted(found, (number + np.uint32(later)).astype(found.dtype)) for later in (1, 2))
         last = len(times) - 1
@@ -334,15 +323,10 @@ def _sample(law: BangBangLaw, key_data: Array, capacity: int, dtype) -> tuple[Fl
 
 
 def _choose(draw: Array, cumulative: Array) -> Array:
-    """Index of the cell of ``cumulative`` odds that holds the uniform ``draw``."""
+    """Index of the cell of the ``cumulative`` probabilities that holds the uniform ``draw``."""
     return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
 
 
 def _floats(name: str, values: Any) -> tuple[float, ...]:
     _checks.numeric(name, values, ndim=1)
     return tuple(float(value) for value in values)
-
-
-def _array(name: str, values: Any) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)

@@ -1,4 +1,4 @@
-"""Realisations of a base motion whose velocity is constant between jumps."""
+"""Realisations of a piecewise-constant base velocity."""
 
 from typing import Any
 
@@ -17,10 +17,11 @@ def _as_jax(values: Any) -> Any:
 
 
 class VelocitySteps(eqx.Module):
-    """One base motion: ``velocities[i]`` (m/s) for ``durations[i]`` (s), one after the other from t = 0.
+    """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
 
-    Neighbouring velocities differ, except that spare slots at the end have duration 0. A last duration of
-    infinity means "for ever". Made by the laws' ``sample``; use `PiecewiseConstant` to give your own.
+    The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
+    duration 0. A last duration of infinity means "for ever". The ``sample`` method of the laws makes them; for a base
+    motion of your own use `PiecewiseConstant`.
 
     Raises ValueError for arrays of different shapes, negative durations, velocities that are not finite or equal to
     their neighbour's.
@@ -54,13 +55,13 @@ class VelocitySteps(eqx.Module):
 
     @property
     def times(self) -> Float[Array, " intervals"]:
-        """The instants at which the intervals begin, s."""
+        """Times at which the intervals begin, s."""
         zero = jnp.zeros_like(self.durations[..., :1])
         return jnp.concatenate([zero, jnp.cumsum(self.durations, axis=-1)[..., :-1]], axis=-1)
 
     def velocity(self, time: AnyArray | float) -> FloatArray:
         """Base velocity at the given times (any shape), m/s; at a jump, the one after it. One realisation only."""
-        # Spare slots begin when all is over: searching among starts with the spare ones moved to infinity skips them.
+        # Unused intervals are moved to infinity, so that the search skips them.
         starts = jnp.where(self.durations > 0, self.times, jnp.inf)
         index = jnp.searchsorted(starts, jnp.asarray(time), side="right") - 1
         return self.velocities[jnp.clip(index, 0)]

@@ -1,18 +1,19 @@
 """Random phases and random initial states."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._fields import Checked, Quantity
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import Array, KeyData, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
-_FIRST_PHASE, _FIRST_STATE = 0xFFFFFF00, 0xFFFFFE00  # the numbers of the random words that settle them
+_FIRST_PHASE, _FIRST_STATE = 0xFFFFFF00, 0xFFFFFE00  # numbers of the random words that they are drawn from
 
 
 class RandomPhase(eqx.Module):
@@ -32,11 +33,11 @@ class RandomPhase(eqx.Module):
             )
 
     def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
-        """The signal with phases drawn by `key`, from ``jax.random.key(seed)``; `t1` does not matter."""
+        """The signal with phases drawn by `key`, from ``jax.random.key(seed)``; `t1` is not used."""
         return self.realised(key_data_of(key), jnp.result_type(float))
 
     def realised(self, key_data: KeyData, dtype) -> Signal:
-        """The signal with phases drawn by the two key words."""
+        """The signal with phases drawn by `key_data`."""
         if isinstance(self.signal, SumOfHarmonics):
             first = jnp.asarray(_FIRST_PHASE, jnp.uint32)
             numbers = first + jnp.arange(len(self.signal.amplitudes), dtype=jnp.uint32)
@@ -46,24 +47,24 @@ class RandomPhase(eqx.Module):
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
 
 
-class Uniform(eqx.Module):
-    """An initial value that is uniform on ``[low, high]``, independent in every sample of an ensemble.
+class Uniform(Checked):
+    """A random initial value, uniform on ``[low, high]`` and independent in every sample of an ensemble.
+
+    `low`, `high`: the lowest and the highest value, in the unit of the initial value.
 
     Raises ValueError unless `low` and `high` are finite and ``low < high``.
     """
 
-    low: Scalar
-    high: Scalar
+    low: Annotated[Scalar, Quantity(meaning="the lowest value")]
+    high: Annotated[Scalar, Quantity(meaning="the highest value")]
 
-    def __check_init__(self):
-        _checks.numeric("low", self.low)
-        _checks.numeric("high", self.high)
+    def check_relations(self) -> None:
         if not (_checks.is_traced(self.low) or _checks.is_traced(self.high)) and not self.low < self.high:
             raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
 
 
 def realised_state(y0: tuple[Any, ...], key_data: KeyData, dtype) -> tuple[Array, ...]:
-    """The initial state of the sample whose key has the two words `key_data`."""
+    """The initial state that `key_data` draw."""
 
     def draw(index, value):
         if not isinstance(value, Uniform):

@@ -1,4 +1,4 @@
-"""Recorded motions from files: tables of numbers (CSV) and accelerograms of the PEER NGA database (AT2)."""
+"""Readers of recorded motions: tables of numbers (CSV) and accelerograms of the PEER NGA database (AT2)."""
 
 import csv
 import math
@@ -18,7 +18,7 @@ STANDARD_GRAVITY = 9.80665
 """m/s^2 (ISO 80000-3)."""
 
 Row: TypeAlias = tuple[int, list[str]]
-"""Number of the line, counted from 1, and its entries."""
+"""Number of a line, counted from 1, and its entries."""
 
 _WHOLE, _DECIMAL = r"(\d+)", r"([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)"
 _COUNT_AND_STEP = (
@@ -44,7 +44,7 @@ def read_csv(
     - `time_column`, `value_column`: numbers of the columns, counted from 0, or their names in the header row. The first
       row is a header if it has no number in either column. Blank lines, and lines that begin with ``#``, do not count.
     - `scale`: what the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2. Times must be in s.
-    - `delimiter`: the sign between columns; None for any white space.
+    - `delimiter`: the character between columns; None for any white space.
     - `shift`: subtract the first time from all; without it, the first time must be 0.
 
     Raises ValueError for arguments outside these bounds and, with the number of the line, for a file that is empty, has
@@ -117,9 +117,11 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
 
     - `g`: m/s^2 in one unit of the file.
 
-    The header says that the record is an acceleration in units of g; its last line tells the number of samples and the
-    time between them (s), as ``NPTS= 5372, DT= .0050 SEC`` or ``5372 0.0050 NPTS, DT``. The samples follow, any number
-    a line. Raises ValueError for a `g` that is not positive, and for a file that is empty, has no such header, holds
+    The header states that the record is an acceleration in units of g; its last line gives the number of samples and
+    the time between them (s), as ``NPTS= 5372, DT= .0050 SEC`` or ``5372 0.0050 NPTS, DT``. The samples follow, any
+    number a line.
+
+    Raises ValueError for a `g` that is not positive, and for a file that is empty, has no such header, holds
     another quantity or unit, another number of samples, or an entry that is not a finite number (with its line);
     OSError for a file that is missing or cannot be read.
     """
@@ -140,7 +142,7 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
 
 
 def _end_of_header(file: str, lines: list[str]) -> tuple[int, int, float]:
-    """The number of the line with NPTS and DT, and the two."""
+    """Number of the line that holds NPTS and DT, and these two."""
     for number, line in enumerate(lines, 1):
         for pattern in _COUNT_AND_STEP:
             if found := pattern.search(line.upper()):
@@ -158,18 +160,18 @@ def _end_of_header(file: str, lines: list[str]) -> tuple[int, int, float]:
 
 
 def _check_unit(file: str, header: list[str]) -> None:
-    """Check that the header's last line about quantity and unit says acceleration and g."""
-    told = [line.strip() for line in header if _QUANTITY_AND_UNIT.search(line.upper())]
-    if not told:
+    """Check that the last line of the header about quantity and unit states an acceleration in g."""
+    stated = [line.strip() for line in header if _QUANTITY_AND_UNIT.search(line.upper())]
+    if not stated:
         raise _unsuitable(
             "an acceleration in units of g",
             f"the header of {file} names no unit; if it is g, add the line 'ACCELERATION TIME SERIES IN UNITS OF G'",
         )
-    said = told[-1].upper()
-    if _NO_ACCELERATION.search(said) or not _IN_G.search(said):
+    last = stated[-1].upper()
+    if _NO_ACCELERATION.search(last) or not _IN_G.search(last):
         raise _unsuitable(
             "an acceleration in units of g",
-            f"the header of {file} says {_checks.show(told[-1])}; take the AT2 file of the same record",
+            f"the header of {file} says {_checks.show(stated[-1])}; take the AT2 file of the same record",
         )
 
 
@@ -177,7 +179,7 @@ def _text(path: Any) -> str:
     if not isinstance(path, (str, os.PathLike)):
         raise ValueError(f"Argument path must be the name of a file, but {_checks.show(path)} was given.")
     try:
-        # Old headers hold names in old encodings: a sign that cannot be read matters only where a number should be.
+        # Old headers hold names in old encodings: an unreadable character matters only where a number should be.
         return Path(path).read_text(encoding="utf-8-sig", errors="replace")
     except FileNotFoundError:
         raise FileNotFoundError(
@@ -192,7 +194,7 @@ def _text(path: Any) -> str:
 
 
 def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
-    """The lines that count, cut into entries."""
+    """The lines that are neither blank nor comments, split into entries."""
     rows = []
     for number, line in enumerate(text.split("\n"), 1):
         # Line by line, so that a stray quotation mark cannot swallow the rest of the file.

@@ -1,17 +1,21 @@
 """Recorded motions: values at given times, joined by straight lines."""
 
+from functools import partial
+from typing import Annotated
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._fields import Quantity
 from .._types import AnyArray, FloatArray
 from .segments import SegmentLaw
+from .smooth import SIGNAL_UNIT
 
 
 class Recorded(SegmentLaw):
-    """A recorded signal: `values` at `times`, linear in between.
+    """A recorded base velocity or force, linear in time between the points of the record.
 
     - `times`: s, increasing, the first one 0, (points,), at least 2.
     - `values`: as many; m/s for a base velocity, N for a force.
@@ -19,17 +23,21 @@ class Recorded(SegmentLaw):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: AnyArray = eqx.field(converter=lambda v: _array("times", v))
-    values: AnyArray = eqx.field(converter=lambda v: _array("values", v))
+    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "times")
+    )
+    values: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "values")
+    )
     is_random = False
     jumps = False
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         check_times("values", self.times, self.values)
 
     @property
     def duration(self):
-        """The last of `times`, s."""
+        """Duration of the record, s: the last of `times`."""
         return self.times[-1]
 
     def value(self, t: AnyArray | float) -> FloatArray:
@@ -55,25 +63,10 @@ class Recorded(SegmentLaw):
 
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:
-    """Check that `times` increase from 0 and that `values`, called `name`, are as many, at least 2."""
+    """Check that `times` increase from 0 and that the argument `name`, `values`, has as many entries, at least 2."""
     if np.shape(times) != np.shape(values) or len(times) < 2:
         raise ValueError(
             f"Arguments times and {name} must have the same length of at least 2, but they have shapes "
             f"{np.shape(times)} and {np.shape(values)}."
         )
-    if _checks.is_traced(times):
-        return
-    times = np.asarray(times)
-    if times[0] != 0:
-        raise ValueError(
-            f"Argument times must begin with 0, but its first entry is {times[0]}; subtract it to start the record "
-            "there."
-        )
-    if np.any(np.diff(times) <= 0):
-        at = int(np.argmax(np.diff(times) <= 0)) + 1
-        raise ValueError(f"Argument times must increase, but times[{at}] = {times[at]} follows {times[at - 1]}.")
-
-
-def _array(name: str, values: object) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)
+    _checks.increasing_from_zero("times", times, "subtract it to start the record there")

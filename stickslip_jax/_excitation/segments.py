@@ -1,21 +1,21 @@
-"""Motions that come in pieces, one after the other, each linear in time: what laws of such motions offer.
+"""Piecewise-linear functions of time: base velocities, ground accelerations and forces, segment by segment.
 
-A law tells piece number i from the key, i and what it remembers of the pieces before; so a motion needs no length of
-its own, and an ensemble can draw pieces while it simulates.
+A law computes segment number i from the key, i, and a memory of the segments before. So a realisation has no length of
+its own, and an ensemble can draw segments while it simulates.
 """
 
 import abc
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._types import Array, FloatArray
+from .._fields import Checked
+from .._types import Array, FloatArray, KeyData, Scalar
 
 
 class Segment(NamedTuple):
-    """``value + slope (t - begin)`` for t from `begin` to `end` (s)."""
+    """One linear segment: ``value + slope (t - begin)`` for t from `begin` to `end` (s)."""
 
     begin: FloatArray
     end: FloatArray
@@ -24,7 +24,7 @@ class Segment(NamedTuple):
 
 
 class SegmentState(NamedTuple):
-    """The piece under way of one motion, and what is needed to tell the next; `spent` when there is none."""
+    """The present segment of one realisation, and what the next follows from; `spent` after the last one."""
 
     key_data: tuple[Array, Array]
     number: Array
@@ -33,10 +33,10 @@ class SegmentState(NamedTuple):
     spent: Array
 
 
-class SegmentLaw(eqx.Module):
-    """What every law of piecewise-linear motions offers.
+class SegmentLaw(Checked):
+    """Base class of the laws of piecewise-linear functions of time.
 
-    `is_random`: whether realisations differ. `jumps`: whether the value jumps from piece to piece; a stick on a base
+    `is_random`: whether realisations differ. `jumps`: whether the value jumps between segments; a stick on a base
     whose velocity jumps ends there.
     """
 
@@ -44,27 +44,27 @@ class SegmentLaw(eqx.Module):
     jumps: ClassVar[bool]
 
     @abc.abstractmethod
-    def segments(self, t1: Any) -> int:
-        """About how many pieces there are on ``[0, t1]``; `t1` (s) is no tracer."""
+    def segments(self, t1: Scalar) -> int:
+        """About how many segments there are on ``[0, t1]``; `t1` (s) must not be traced."""
 
     @abc.abstractmethod
-    def begin(self, key_data: Any, dtype) -> Any:
-        """What is known before the first piece, drawn from the key's words."""
+    def begin(self, key_data: KeyData, dtype) -> Any:
+        """The memory before the first segment, drawn by the key data."""
 
     @abc.abstractmethod
-    def draw(self, key_data: Any, number: Array, dtype) -> Any:
-        """What is random (or looked up) about piece `number`, from the key's words and that number alone."""
+    def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
+        """What is random (or looked up) about segment `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
     def next_segment(self, memory: Any, drawn: Any, dtype) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
-        """Duration (s), value at its beginning, slope (1/s) of a piece, and what to remember for the next.
+        """Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next.
 
-        A duration of 0 says that there is no further piece.
+        A duration of 0 means that there is no further segment.
         """
 
 
-def first_segment(law: SegmentLaw, key_data: Any, dtype) -> SegmentState:
-    """The first piece of the motion that `key_data` choose."""
+def first_segment(law: SegmentLaw, key_data: KeyData, dtype) -> SegmentState:
+    """The first segment of the realisation that `key_data` draw."""
     zero = jnp.zeros((), dtype)
     memory = law.begin(key_data, dtype)
     segment_state = SegmentState(
@@ -78,7 +78,7 @@ def first_segment(law: SegmentLaw, key_data: Any, dtype) -> SegmentState:
 
 
 def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> SegmentState:
-    """The piece after the present one."""
+    """The segment after the present one."""
     drawn = law.draw(segment_state.key_data, segment_state.number, dtype)
     duration, value, slope, memory = law.next_segment(segment_state.memory, drawn, dtype)
     value, slope = (jnp.asarray(number, dtype) for number in (value, slope))
@@ -87,7 +87,7 @@ def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> Se
 
 
 def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, FloatArray]:
-    """Value at `t` and slope of the sum of some pieces."""
+    """Value at `t` and slope of the sum of `segments`."""
     value, slope = jnp.zeros_like(t), jnp.zeros_like(t)
     for segment in segments:
         value, slope = value + segment.value + segment.slope * (t - segment.begin), slope + segment.slope

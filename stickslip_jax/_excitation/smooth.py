@@ -3,7 +3,8 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Annotated, Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -12,18 +13,24 @@ import numpy as np
 from jax import lax
 
 from .. import _checks
+from .._fields import Checked, Quantity
 from .._numerics.sharing import sincos
 from .._types import AnyArray, FloatArray, Scalar
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
+Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray]
+"""Amplitudes, angular frequencies (rad/s) and phases (rad): numbers, or arrays (harmonics,)."""
 
-class Signal(eqx.Module):
+SIGNAL_UNIT = "m/s for a base velocity, N for a force"
+
+
+class Signal(Checked):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
-    `shortest_period`: the shortest time (s) in which the signal goes up and down once, infinity for one that does not;
-    None where it is not known, and the step of a simulation must then be given.
+    `shortest_period`: the period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
+    not known, and the step of a simulation must then be given.
     """
 
     @abc.abstractmethod
@@ -31,11 +38,11 @@ class Signal(eqx.Module):
         """The signal at time `t` (s, a scalar): m/s for a base velocity, N for a force."""
 
     def rate(self, t: FloatArray) -> FloatArray:
-        """Its derivative with respect to time."""
+        """Its first time derivative."""
         return jax.jvp(self.value, (t,), (jnp.ones_like(t),))[1]
 
     def curvature(self, t: FloatArray) -> FloatArray:
-        """Its second derivative."""
+        """Its second time derivative."""
         return jax.jvp(self.rate, (t,), (jnp.ones_like(t),))[1]
 
     def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
@@ -44,22 +51,22 @@ class Signal(eqx.Module):
         return h * jnp.sum(jax.vmap(self.value)(nodes) * jnp.asarray(_WEIGHTS / 2, jnp.result_type(t)))
 
     @property
-    def shortest_period(self) -> Any:
+    def shortest_period(self) -> Scalar | None:
         return None
 
 
 class _Tones(Signal):
-    """What a harmonic and a sum of harmonics have in common."""
+    """Base class of a harmonic and a sum of harmonics."""
 
     @property
     @abc.abstractmethod
-    def tones(self) -> tuple[Any, Any, Any]:
+    def tones(self) -> Tones:
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
     @property
     @abc.abstractmethod
     def mean(self) -> Scalar:
-        """What the signal swings about."""
+        """Mean of the signal."""
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.mean + _motion(self.tones, t)[0]
@@ -79,8 +86,8 @@ class _Tones(Signal):
 
 
 @jax.jit
-def _motion(tones: tuple[Any, Any, Any], t: FloatArray) -> tuple[FloatArray, ...]:
-    """Value, rate and curvature, without an offset."""
+def _motion(tones: Tones, t: FloatArray) -> tuple[FloatArray, ...]:
+    """Value, rate and curvature of the sum of `tones`."""
 
     def one(amplitude, w, phase):
         sine, cosine = sincos(angle(w, t, phase))
@@ -89,19 +96,19 @@ def _motion(tones: tuple[Any, Any, Any], t: FloatArray) -> tuple[FloatArray, ...
     return added_up(one, tones)
 
 
-def angle(w: Any, t: AnyArray | float, phase: Any) -> FloatArray:
+def angle(w: Scalar | AnyArray, t: AnyArray | float, phase: Scalar | AnyArray | int) -> FloatArray:
     """``w t + phase``, rad."""
     return jnp.asarray(w * t + phase, jnp.result_type(float, t))
 
 
-def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, Any]) -> tuple[FloatArray, ...]:
-    """``one(amplitude, angular_frequency, phase)``, numbers, added up over all tones.
+def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: Tones) -> tuple[FloatArray, ...]:
+    """The sums over all `tones` of the numbers ``one(amplitude, angular_frequency, phase)``.
 
-    A loop, so that what is compiled does not grow with their number.
+    A loop, so that the compiled code does not grow with the number of tones.
     """
     if jnp.ndim(tones[1]) == 0:
         return one(*tones)
-    shapes = jax.eval_shape(one, *(tone[0] for tone in tones))
+    shapes = jax.eval_shape(one, *(jnp.asarray(tone)[0] for tone in tones))
     start = tuple(jnp.zeros(shape.shape, shape.dtype) for shape in shapes)
 
     def add(sums, tone):
@@ -111,27 +118,21 @@ def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: tuple[Any, Any, 
 
 
 class Harmonic(_Tones):
-    """``offset + amplitude cos(angular_frequency t + phase)``.
+    """A harmonic base velocity or force, ``offset + amplitude cos(angular_frequency t + phase)``.
 
-    - `amplitude`, `offset`: m/s for a base velocity, N for a force. `angular_frequency`: rad/s, positive.
-    - `phase`: rad.
+    - `amplitude`, `offset`: m/s for a base velocity, N for a force.
+    - `angular_frequency`: rad/s, positive. `phase`: rad.
 
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
 
-    amplitude: Scalar
-    angular_frequency: Scalar
-    phase: Scalar = 0.0
-    offset: Scalar = 0.0
-
-    def __check_init__(self):
-        _checks.numeric("amplitude", self.amplitude)
-        _checks.positive("angular_frequency", self.angular_frequency, "rad/s")
-        _checks.numeric("phase", self.phase)
-        _checks.numeric("offset", self.offset)
+    amplitude: Annotated[Scalar, Quantity(SIGNAL_UNIT)]
+    angular_frequency: Annotated[Scalar, Quantity("rad/s", above=0)]
+    phase: Annotated[Scalar, Quantity("rad")] = 0.0
+    offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
 
     @property
-    def tones(self) -> tuple[Any, Any, Any]:
+    def tones(self) -> Tones:
         return self.amplitude, self.angular_frequency, self.phase
 
     @property
@@ -144,20 +145,26 @@ class Harmonic(_Tones):
 
 
 class SumOfHarmonics(_Tones):
-    """``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
+    """A sum of harmonics, ``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
 
-    - `amplitudes`, `angular_frequencies` (rad/s, positive), `phases` (rad; default zeros): arrays (harmonics,).
-    - `offset`: a number.
+    - `amplitudes`, (harmonics,), and `offset`: m/s for a base velocity, N for a force.
+    - `angular_frequencies`: rad/s, positive, (harmonics,). `phases`: rad, (harmonics,); by default 0.
 
     Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
 
-    amplitudes: AnyArray = eqx.field(converter=lambda v: _array("amplitudes", v))
-    angular_frequencies: AnyArray = eqx.field(converter=lambda v: _array("angular_frequencies", v))
-    phases: Any = eqx.field(default=None, converter=lambda v: None if v is None else _array("phases", v))
-    offset: Scalar = 0.0
+    amplitudes: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "amplitudes")
+    )
+    angular_frequencies: Annotated[
+        AnyArray, Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
+    ] = eqx.field(converter=partial(_checks.real_array, "angular_frequencies"))
+    phases: Annotated[AnyArray | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
+        default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v)
+    )
+    offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         shapes = [np.shape(self.amplitudes), np.shape(self.angular_frequencies)]
         shapes += [] if self.phases is None else [np.shape(self.phases)]
         if len(set(shapes)) > 1 or shapes[0][0] == 0:
@@ -165,15 +172,9 @@ class SumOfHarmonics(_Tones):
                 "Arguments amplitudes, angular_frequencies and phases must have the same length of at least 1, but "
                 f"they have shapes {', '.join(map(str, shapes))}."
             )
-        _checks.numeric("offset", self.offset)
-        if not _checks.is_traced(self.angular_frequencies) and np.any(np.asarray(self.angular_frequencies) <= 0):
-            raise ValueError(
-                "Argument angular_frequencies must be positive (in rad/s), but "
-                f"{_checks.show(np.asarray(self.angular_frequencies))} was given; a constant part is the offset."
-            )
 
     @property
-    def tones(self) -> tuple[Any, Any, Any]:
+    def tones(self) -> Tones:
         amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
         phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
         return amplitudes, jnp.asarray(self.angular_frequencies), phases
@@ -190,10 +191,10 @@ class SumOfHarmonics(_Tones):
 
 
 class UserMotion(Signal):
-    """A base motion of the user's: any object with ``velocity(t)`` and ``acceleration(t)``.
+    """A base motion of the user's: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
 
-    It may have ``shortest_period`` (s) too; without it, give the step of the simulation. To differentiate with respect
-    to its parameters, make it a pytree (an ``equinox.Module``, say); an object of another kind is a constant.
+    It may have ``shortest_period`` (s) too; without it, the step of the simulation must be given. To differentiate with
+    respect to its parameters, make it a pytree (an ``equinox.Module``, say); any other object is a constant.
     """
 
     motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
@@ -205,7 +206,7 @@ class UserMotion(Signal):
         return self.motion.acceleration(t)
 
     @property
-    def shortest_period(self) -> Any:
+    def shortest_period(self) -> Scalar | None:
         return getattr(self.motion, "shortest_period", None)
 
 
@@ -221,10 +222,5 @@ class _Constant(eqx.Module):
         return jnp.asarray(self.held.acceleration(t))
 
     @property
-    def shortest_period(self) -> Any:
+    def shortest_period(self) -> Scalar | None:
         return getattr(self.held, "shortest_period", None)
-
-
-def _array(name: str, values: Any) -> AnyArray:
-    _checks.numeric(name, values, ndim=1)
-    return values if isinstance(values, jax.Array) else np.asarray(values, float)

@@ -1,4 +1,4 @@
-"""How a function asks the XLA compiler for native loops, one function at a time and without process-wide options.
+"""Native loops of the XLA compiler, asked for function by function and without process-wide options.
 
 XLA's CPU back end launches each operation of a loop separately, at about a microsecond each, and where several results
 share an intermediate value it computes that value again for each. Both can be turned off for one function by frontend
@@ -47,7 +47,7 @@ def native_loop(
 
 
 def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """`function`, its results stored: whatever uses them does not compute them again."""
+    """`function`, its results stored, so that no use of them computes them again."""
     compiled = jax.jit(function)
 
     @wraps(function)
@@ -62,7 +62,7 @@ def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Argument
 class CompiledNatively(Generic[_Arguments, _Result]):
     """`function` under ``jax.jit`` with these `options`, as a native loop where XLA can make one of it.
 
-    XLA refuses some operations there (sorting, say). The first call finds out.
+    XLA does not accept all operations there (sorting, say); the first call shows whether it does.
     """
 
     def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
@@ -90,7 +90,7 @@ class CompiledNatively(Generic[_Arguments, _Result]):
 
 @cache
 def native_loops_work() -> bool:
-    """Whether this JAX compiles a tagged loop for the CPU, and computes the right thing."""
+    """Whether this version of JAX compiles a tagged loop for the CPU, and correctly."""
     if jax.default_backend() != "cpu":
         return False
 

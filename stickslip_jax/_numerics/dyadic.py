@@ -1,8 +1,8 @@
-"""Histograms whose bins are set by the numbers alone: merged by adding, never too narrow, nothing falls outside.
+"""Histograms with dyadic bins, which merge exactly and hold every number.
 
-Bins have the width ``2**exponent`` and begin at multiples of it. The exponent is the least at which the numbers' range
-takes no more than a given number of bins, so it depends on the smallest and the largest number only, not on the order
-in which parts are merged; two bins of one exponent make one of the next.
+Bins have the width ``2**exponent`` and begin at multiples of it. The exponent is the least at which the range of the
+numbers takes no more than a given number of bins. So it depends on the smallest and the largest number only, not on the
+order of merging, and two bins of one exponent make one of the next.
 """
 
 import math
@@ -12,12 +12,12 @@ import numpy as np
 
 _BLOCK = 1 << 15
 
-_FINEST = 30  # bits below the leading one of the largest number: no bin is narrower than 1e-9 of it
-_LEAST = -200  # exponent of the narrowest bins of all, so that products of widths stay numbers
+_FINEST = 30  # bits below the leading bit of the largest number: no bin is narrower than 1e-9 of that number
+_LEAST = -200  # exponent of the narrowest bins, so that products of widths do not underflow
 
 
 def exponent_for(low: float, high: float, bins: int, finest: int | None = None) -> int:
-    """The least exponent at which ``[low, high]`` takes at most `bins` bins (2 or more), but no less than `finest`."""
+    """The least exponent, at least `finest`, at which ``[low, high]`` takes at most `bins` bins (2 or more)."""
     largest = max(abs(low), abs(high))
     least = max(math.frexp(largest)[1] - _FINEST, _LEAST) if largest > 0 else _LEAST
     exponent = least if finest is None else max(least, finest)
@@ -29,9 +29,9 @@ def exponent_for(low: float, high: float, bins: int, finest: int | None = None) 
 
 
 def joined_bins(number: int, most: int) -> int:
-    """How many of `number` bins to join into one, so that at most so many are left and the last is full, or nearly.
+    """How many of `number` bins to join into one, so that at most `most` are left and the last is nearly full.
 
-    A last bin that reaches far beyond the numbers would look emptier than the density there.
+    A last bin that extends far beyond the numbers would show too low a density.
     """
     least = -(-number // most)
     within = range(least, least + least // 8 + 1)
@@ -47,7 +47,10 @@ def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
 
 
 class Axis(NamedTuple):
-    """Numbers (number,) to be put into at most `most` bins, the smallest and the largest of them, and the bins."""
+    """Numbers (number,) to count along one axis, the smallest and the largest of them, and their bins.
+
+    The bins have the width ``2**exponent``; `first`: number of the first one, `size`: how many there are.
+    """
 
     values: np.ndarray
     low: float
@@ -58,21 +61,22 @@ class Axis(NamedTuple):
 
     @classmethod
     def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "Axis":
-        """Of any numbers, at least one."""
+        """The axis of `values`, at least one, with at most `most` bins."""
         return cls.within(values, float(values.min()), float(values.max()), most, finest)
 
     @classmethod
     def within(cls, values: np.ndarray, low: float, high: float, most: int, finest: int | None = None) -> "Axis":
-        """Of numbers whose smallest and largest are known."""
+        """The axis of `values` whose smallest and largest number are known."""
         exponent = exponent_for(low, high, most, finest)
         first = _floor(low, exponent)
         return cls(values, low, high, exponent, first, _floor(high, exponent) - first + 1)
 
 
 class DyadicCounts(NamedTuple):
-    """How many numbers, or pairs of numbers, fell into each bin; one entry an axis (one or two).
+    """Counts of numbers, or of pairs of numbers, in dyadic bins; tuples have one entry for each axis (one or two).
 
-    - `low`, `high`: the smallest and the largest number. `exponent`: of the bin width. `first`: the first bin.
+    - `low`, `high`: the smallest and the largest number. `exponent`: that of the bin width. `first`: number of the
+      first bin.
     - `counts`: (bins,) or (bins, bins), or with a leading axis where several histograms share their bins.
     - `most`: the largest number of bins. `finest`: the least exponent.
     """
@@ -87,21 +91,21 @@ class DyadicCounts(NamedTuple):
 
     @classmethod
     def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "DyadicCounts":
-        """Of numbers (number,)."""
+        """The histogram of `values`, (number,)."""
         if len(values) == 0:
             return cls.none(1, most, finest)
         return cls.on_axes((Axis.of(values, most, finest),), most, finest)
 
     @classmethod
     def of_columns(cls, columns: tuple[np.ndarray, ...], most: int) -> "DyadicCounts":
-        """Of tuples of numbers, one of each column (number,)."""
+        """The joint histogram of `columns`, each (number,)."""
         if len(columns[0]) == 0:
             return cls.none(len(columns), most)
         return cls.on_axes(tuple(Axis.of(column, most) for column in columns), most)
 
     @classmethod
     def of_groups(cls, values: np.ndarray, group: np.ndarray, groups: int, most: int) -> "DyadicCounts":
-        """One histogram for each group, all with the same bins. `group`: of each number, (number,)."""
+        """One histogram for each group, all with the same bins. `group`: the group of each number, (number,)."""
         if len(values) == 0:
             return cls.none(1, most, groups=groups)
         axis = Axis.of(values, most)
@@ -111,10 +115,10 @@ class DyadicCounts(NamedTuple):
 
     @classmethod
     def on_axes(cls, axes: tuple[Axis, ...], most: int, finest: int | None = None) -> "DyadicCounts":
-        """Of the numbers, or tuples of numbers, of the axes."""
+        """The histogram, or joint histogram, of the numbers of the `axes`."""
         shape = tuple(axis.size for axis in axes)
         counts = np.zeros(math.prod(shape), np.int64)
-        for block in range(0, len(axes[0].values), _BLOCK):  # what is between stays in the cache
+        for block in range(0, len(axes[0].values), _BLOCK):  # intermediate results stay in the cache
             flat = 0
             for axis in axes:
                 place = places(axis.values[block : block + _BLOCK], axis.low, axis.exponent)
@@ -128,14 +132,14 @@ class DyadicCounts(NamedTuple):
     ) -> tuple[tuple["DyadicCounts", ...], tuple["DyadicCounts", ...]]:
         """The histograms of all columns (number,), at least one number each, and of `pairs` of them.
 
-        As `of` and `of_columns` would give them, but every number is put into its bin only once.
+        They equal those of `of` and `of_columns`, but the bin of every number is computed only once.
         """
         axes = {name: Axis.of(column, most) for name, column in columns.items()}
         coarse = {name: Axis.within(*axis[:3], most_of_pairs) for name, axis in axes.items()}
         counts = {name: np.zeros(axis.size, np.int64) for name, axis in axes.items()}
         both = [np.zeros(coarse[x].size * coarse[y].size, np.int64) for x, y in pairs]
         number = len(next(iter(columns.values())))
-        for block in range(0, number, _BLOCK):  # what is between stays in the cache
+        for block in range(0, number, _BLOCK):  # intermediate results stay in the cache
             place = {}
             for name, (values, low, _, exponent, first, size) in axes.items():
                 place[name] = places(values[block : block + _BLOCK], low, exponent)
@@ -153,19 +157,19 @@ class DyadicCounts(NamedTuple):
 
     @classmethod
     def with_counts(cls, axes: tuple[Axis, ...], counts: np.ndarray, most: int, finest: int | None = None):
-        """On given axes."""
+        """The histogram with these `counts` on given `axes`."""
         lows, highs, exponents, firsts = zip(*(axis[1:5] for axis in axes), strict=True)
         return cls(lows, highs, exponents, firsts, counts, most, finest)
 
     @classmethod
     def none(cls, axes: int, most: int, finest: int | None = None, groups: int = 0) -> "DyadicCounts":
-        """Of no numbers."""
+        """The empty histogram."""
         shape = (groups,) * bool(groups) + (0,) * axes
         infinite = (math.inf,) * axes
         return cls(infinite, (-math.inf,) * axes, (0,) * axes, (0,) * axes, np.zeros(shape, np.int64), most, finest)
 
     def merge(self, other: "DyadicCounts") -> "DyadicCounts":
-        """Of both sets of numbers together."""
+        """The histogram of both sets of numbers together."""
         if other.low[0] > other.high[0]:
             return self
         if self.low[0] > self.high[0]:
@@ -178,7 +182,7 @@ class DyadicCounts(NamedTuple):
         return DyadicCounts(low, high, exponent, first, counts, self.most, self.finest)
 
     def _on(self, low, high, exponent) -> np.ndarray:
-        """The counts on the bins that the range ``[low, high]`` has at coarser exponents."""
+        """The counts in the coarser bins of the range ``[low, high]``."""
         counts, lead = self.counts, self.counts.ndim - len(exponent)
         for axis, (least, most, coarse) in enumerate(zip(low, high, exponent, strict=True)):
             begin, at = _floor(least, coarse), lead + axis
@@ -187,7 +191,7 @@ class DyadicCounts(NamedTuple):
             if shift == 0 and (first, old) == (begin, size):
                 continue
             place = np.arange(first, first + old) >> shift
-            starts = np.flatnonzero(np.diff(place, prepend=place[0] - 1))  # of the runs of bins that become one
+            starts = np.flatnonzero(np.diff(place, prepend=place[0] - 1))  # of the groups of bins that become one
             wide = np.zeros((*counts.shape[:at], size, *counts.shape[at + 1 :]), counts.dtype)
             before: tuple[Any, ...] = (slice(None),) * at
             into = slice(place[0] - begin, place[0] - begin + len(starts))  # neighbours stay neighbours

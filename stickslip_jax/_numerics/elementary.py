@@ -1,4 +1,4 @@
-"""Vectorising elementary functions: sine and cosine together, the angle of a vector, the logarithm.
+"""Elementary functions that vectorise: sine and cosine together, the angle of a vector, the logarithm.
 
 XLA's CPU back end calls scalar library code for ``sin``, ``cos``, ``atan2`` and ``log``; the polynomials below
 compile to vector instructions and cost a fifth of that. The coefficients are those of
@@ -25,7 +25,7 @@ _ATAN = (3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.428571427250
          -3.65315727442169155270e-02, 1.62858201153657823623e-02)  # fmt: skip
 # (log(1 + f) - f + f^2/2) / f^3 on [sqrt(1/2) - 1, sqrt(2) - 1], a Chebyshev fit with error 6e-17. Longer than the
 # usual form in s = f / (2 + f), but free of division: XLA stores the result of a division and computes everything
-# before it again for each user, here the random bits.
+# before it again for each use, here the random bits.
 _LOG = (0.33333333333333337, -0.2499999999999993, 0.19999999999993223, -0.16666666666697305, 0.1428571428759174,
         -0.12499999997109267, 0.11111110909841072, -0.0999999999631727, 0.09090919875998202, -0.08333345056413204,
         0.0769198812013375, -0.0714223204915847, 0.06671985555271291, -0.06265031869518063, 0.05837018351464999,

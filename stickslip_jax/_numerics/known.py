@@ -1,7 +1,7 @@
-"""What is known of a number that JAX is tracing: under jvp, grad and vmap (outside jit) its value is there.
+"""Bounds of numbers that JAX traces: under jvp, grad and vmap (outside jit) their values are known.
 
-Sizes of arrays must be Python numbers; they are taken from these bounds where a transformation traces what they
-depend on. Nothing else should look at them: results would not depend on the numbers as JAX believes they do.
+Sizes of arrays must be Python numbers; where they depend on traced numbers, they are computed from these bounds.
+Nothing else may use them: a result would depend on numbers without JAX knowing it.
 """
 
 from typing import Any
@@ -14,11 +14,11 @@ from .. import _checks
 
 
 class NotKnown(Exception):
-    """JAX traces a number whose value is not known before the compiled function is called."""
+    """Raised for a traced number whose value is not known before the compiled function is called."""
 
 
 def plain(value: Any) -> Any:
-    """A number without derivatives, which is no tracer under jvp and grad alone; what is not traced stays as it is."""
+    """A number without its derivatives: no tracer any more under jvp and grad alone. Others stay as they are."""
     return lax.stop_gradient(value) if _checks.is_traced(value) else value
 
 

@@ -1,8 +1,8 @@
-"""Loops over sticks and numbers that NumPy would need many passes for, compiled by Numba.
+"""Loops over sticks and numbers that would take NumPy many passes, compiled by Numba.
 
-They run without Python's lock, so that threads do not wait for one another. `compiled` gives them; their callers do the
-same in NumPy where Numba is not installed. Indices are unsigned where it matters: Numba would test signed ones for
-being negative.
+They run without Python's lock, so that threads do not wait for one another. `compiled` returns them; their callers
+compute the same in NumPy where Numba is not installed. Indices are unsigned where speed matters, since Numba tests
+signed ones for being negative.
 """
 
 from functools import cache
@@ -22,7 +22,7 @@ def compiled() -> ModuleType | None:
 
 
 def read_only(array: np.ndarray, dtype: type | None = None) -> np.ndarray:
-    """The same numbers in order of memory and not to be written to, as the loops take them: a kind less to compile."""
+    """The same numbers, contiguous and read-only: the loops are then compiled for one kind of array only."""
     array = np.ascontiguousarray(array, dtype).view()
     array.flags.writeable = False
     return array

@@ -1,9 +1,9 @@
-"""A call that stays whole under every transformation of JAX, and is compiled into one native function of the CPU.
+"""A call that stays one call under every transformation of JAX, compiled into one native function of the CPU.
 
-XLA (jaxlib 0.10.2) ends the process where a native function does not read one of its arguments. A function under
-``jax.jit`` may come to that whatever it reads: JAX drops the results that nobody uses, as there always are in a
-derivative of a derivative, and what they alone needed. This primitive has no rule by which anything could be dropped,
-and when JAX has done all that it does, every argument is read and every result kept.
+XLA (jaxlib 0.10.2) aborts the process if a native function does not read one of its arguments. That can happen to any
+function under ``jax.jit``: JAX removes unused results, which every derivative of a derivative has, and what only they
+needed. This primitive has no rule for removing anything, so that after all transformations every argument is read and
+every result kept.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 _call = Primitive("native_call")
 _call.multiple_results = True
-_KEPT = 512  # functions and their derivatives: those called outside of ``jax.jit`` are not to be compiled again
+_KEPT = 512  # functions and their derivatives, so that those called outside ``jax.jit`` are not compiled again
 
 
 def native_call(closed: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
-    """The results of `closed`; under jit, vmap and jvp. Reverse mode is not known, as for the loops inside."""
+    """The results of `closed`. Works under jit, vmap and jvp, not in reverse mode, as the loops inside."""
     return _call.bind(*args, closed=closed)
 
 
@@ -96,7 +96,7 @@ def _batched(closed: ClosedJaxpr, axes: tuple[Any, ...], size: int) -> tuple[Clo
 
     def look(*args):
         results = jaxpr_as_fun(closed)(*args)
-        # What no batched argument has gone into has no axis, and is not to be computed for each member of the batch.
+        # A result that depends on no batched argument has no batch axis, and must not be computed for each element.
         found[:] = [None if getattr(result, "batch_dim", None) is None else 0 for result in results]
         return results
 

@@ -1,21 +1,21 @@
-"""What `loops.compiled` gives: loops that Numba compiles when they are first called."""
+"""The loops that `loops.compiled` returns; Numba compiles each when it is first called."""
 
 from typing import Any, no_type_check
 
 import numba
 import numpy as np
 
-_BLOCK = 2048  # sticks: what is between stays in the fastest cache
+_BLOCK = 2048  # sticks: intermediate results stay in the fastest cache
 _WIDTH = 32  # numbers compared at once
 
 
 def _loop(function: Any) -> Any:
-    """Compile `function` on its first call, and keep the machine code for the next process where there is a place."""
+    """Compile `function` on its first call, and keep the machine code for other processes where possible."""
     # Sums may be taken in any order: several numbers at a time.
     options = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "nsz", "contract"}}
     try:
         return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no folder to keep it in can be written to
+    except RuntimeError:  # no cache folder is writable
         return numba.njit(**options)(function)
 
 
@@ -34,7 +34,7 @@ def gather(
     slots = len(ending) // blocks
     found = np.empty(lanes + 1, np.uint32)
     skipped = np.empty(lanes, np.int8)
-    one, at = np.uint64(1), np.uint64(0)  # Unsigned, for Numba tests whether signed indices are negative.
+    one, at = np.uint64(1), np.uint64(0)  # unsigned: Numba tests whether signed indices are negative
     for block in range(blocks):
         for lane in range(lanes):
             of_lane = sample[block, lane]
@@ -42,7 +42,7 @@ def gather(
             if of_lane != whose[lane]:
                 whose[lane], so_far[lane], last[lane] = of_lane, 0, 0
         for slot in range(block * slots, (block + 1) * slots):
-            # No branch depends on whether there is a stick: guessed wrong, it would cost more than all the rest.
+            # No branch depends on whether there is a stick: its mispredictions would cost more than all the rest.
             codes, number = ending[slot], np.uint64(0)
             for lane in range(np.uint64(lanes)):
                 found[number] = lane
@@ -82,8 +82,8 @@ def put_in_order(first, owner, order, columns, ordered):
 @_loop
 @no_type_check
 def _fill(start, end, position, slip, first, size, rows):
-    """Start, duration, position, and slip before, of a block of sticks."""
-    # Slices, for Numba tests whether sums of signed indices are negative, and then takes numbers one at a time.
+    """Start, duration, position and preceding slip of each stick of a block, written into `rows`."""
+    # Slices: Numba tests whether sums of signed indices are negative, and does not vectorise then.
     starts, ends, positions = start[first : first + size], end[first : first + size], position[first : first + size]
     slips, one, two, three, four = slip[first : first + size], rows[0], rows[1], rows[2], rows[3]
     for i in range(len(starts)):
@@ -107,7 +107,7 @@ def _positive(row):
 @no_type_check
 def _look(row, a, low, high, total):
     """Update the extremes and the sum of quantity a."""
-    # Several of each, for a least number of one row would be found one number at a time.
+    # Several extremes and sums side by side: a single one would not be vectorised.
     ends = np.empty((3, _WIDTH))
     least, most, added = ends[0], ends[1], ends[2]
     for i in range(_WIDTH):
@@ -137,7 +137,7 @@ def _count(row, scale, bin_of, place, counts):
 @_loop
 @no_type_check
 def _sum(row, a, mean, scatter, third):
-    """Take the mean off, and add squares and cubes of what is left."""
+    """Subtract the mean, and add squares and cubes of the deviations."""
     centre, square, cube = mean[a], 0.0, 0.0
     for i in range(len(row)):
         step = row[i] - centre
@@ -214,7 +214,7 @@ def count(
 def numbered(start, end, position, owner, order, skipped, columns, number, earlier, first_two):
     """Start, duration and position, (3, orders, sticks), of the sticks of each order, and their `number`, (orders,).
 
-    And the durations of the first and the second stick of each sample that has both, (2, samples); `earlier`: room.
+    And the durations of the first and the second stick of each sample that has both, (2, samples); `earlier`: space.
     `skipped`: how many sticks of each sample have no number, (samples,).
     """
     most = len(number)

@@ -1,4 +1,4 @@
-"""Hand over many small arrays as a few: to give one to a compiled function takes JAX microseconds.
+"""Many small arrays packed into a few: JAX takes microseconds for each array that a compiled function is given.
 
 Arrays of the same type and shape are stacked.
 """
@@ -10,14 +10,14 @@ import jax.numpy as jnp
 
 
 class Layout(NamedTuple):
-    """How to take a pytree out of what it was packed into; may be a static argument of ``jax.jit``."""
+    """How to unpack a pytree; may be a static argument of ``jax.jit``."""
 
     structure: Any
     kinds: tuple[tuple[Any, tuple[int, ...]], ...]  # type and shape of each leaf
 
     @classmethod
     def of(cls, tree: Any) -> "Layout":
-        """Of a pytree of arrays, or of their shapes."""
+        """The layout of a pytree of arrays, or of their shapes."""
         leaves, structure = jax.tree.flatten(tree)
         return cls(structure, tuple((leaf.dtype, leaf.shape) for leaf in leaves))
 

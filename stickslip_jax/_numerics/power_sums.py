@@ -8,10 +8,10 @@ _BLOCK = 1 << 15
 
 
 class PowerSums(NamedTuple):
-    """Sums of vectors of d numbers; leading axes (...) hold separate sums.
+    """Power sums and extremes of vectors of d numbers; leading axes (...) hold separate sums.
 
-    The sums are of deviations from the mean, so that merging loses no digits. Without any vector the mean is 0 and
-    the extremes are the infinities.
+    The sums are of deviations from the mean, so that merging loses no digits. Without any vector the mean is 0, and the
+    smallest and largest numbers are infinity and minus infinity.
     """
 
     number: np.ndarray  # (...)
@@ -23,14 +23,14 @@ class PowerSums(NamedTuple):
 
     @classmethod
     def of(cls, *columns: np.ndarray) -> "PowerSums":
-        """Of vectors whose components are the `columns`, each (number,)."""
+        """The sums of vectors whose components are the `columns`, each (number,)."""
         number, d = len(columns[0]), len(columns)
         if number == 0:
             return cls.none(d)
         mean = np.array([column.mean() for column in columns], np.float64)
         scatter, third = np.zeros((d, d)), np.zeros(d)
-        # Block by block, so that what is between stays in the cache, and without matrix products: their threads would
-        # get in the way of those that simulate.
+        # In blocks, so that intermediate results stay in the cache; without matrix products, whose threads would
+        # compete with those of the simulation.
         for first in range(0, number, _BLOCK):
             rows = [column[first : first + _BLOCK] - centre for column, centre in zip(columns, mean, strict=True)]
             for a, row in enumerate(rows):
@@ -50,7 +50,7 @@ class PowerSums(NamedTuple):
         return cls(*(np.stack(column) for column in zip(*sums, strict=True)))
 
     def one(self, index: int) -> "PowerSums":
-        """Those at one place of the leading axis."""
+        """The sums at one `index` of the leading axis."""
         return PowerSums(
             self.number[index], self.mean[index], self.scatter[index], self.third[index], self.smallest[index],
             self.largest[index],

@@ -1,4 +1,4 @@
-"""Values alone, where a derivative is not wanted."""
+"""Values without their derivatives."""
 
 from typing import TypeVar
 

@@ -1,4 +1,4 @@
-"""Random bits by counter: word ``i`` of a key's stream is computed from ``i`` alone.
+"""Counter-based random bits: word ``i`` of the stream of a key is computed from the key and ``i`` alone.
 
 So a stream can be cut into blocks anywhere and continued without end, and a longer sample of the same key begins
 with the shorter one. The generator is JAX's own threefry-2x32; ``random_words`` returns the bits that
@@ -23,7 +23,7 @@ def key_data_of(key: Array) -> Array:
     """The two 32-bit words of a threefry key (new style ``jax.random.key`` or old style ``PRNGKey``).
 
     Raises ValueError for anything else; other generators are refused because under ``vmap`` some of them
-    give every lane the same stream.
+    give every element of the batch the same stream.
     """
     dtype = getattr(key, "dtype", None)
     if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
@@ -49,7 +49,7 @@ def random_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
 
 
 def stored_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
-    """`random_words`, computed once for both words and for all that use them."""
+    """`random_words`, computed only once for both words and all their uses."""
     if not jax.config.read("jax_enable_x64"):
         return computed_once(random_words)(words, counter)
     both = computed_once(_joined_words)(words, counter)
@@ -57,7 +57,7 @@ def stored_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
 
 
 def _joined_words(words: KeyData, counter: Array) -> Array:
-    """Both words in one number, since XLA would compute one after the other, each from the beginning."""
+    """Both words in one number; XLA would compute each of two results from the beginning."""
     high, low = random_words(words, counter)
     return (high.astype(np.uint64) << np.uint64(32)) | low.astype(np.uint64)
 

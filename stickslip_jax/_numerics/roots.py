@@ -1,8 +1,8 @@
-"""Where a smooth function first falls through zero in a step, guessed from its values and slopes at both ends.
+"""Estimates of where a smooth function first falls through zero in a step, from its values and slopes at both ends.
 
-The guess comes from the cubic through them (Hermite); whoever uses it goes there, looks, and guesses again, so that
-the result depends on the function only. No derivative passes through a guess: the implicit function theorem enters
-where the last Newton step is taken.
+The estimate is a root of the cubic Hermite interpolant. The caller evaluates the function there and estimates again, so
+that the result depends on the function only. No derivative passes through an estimate: by the implicit function theorem
+it comes from the last Newton step.
 """
 
 from typing import NamedTuple
@@ -12,17 +12,17 @@ from jax import lax
 
 from .._types import BoolArray, FloatArray
 
-_POLISHES = 4  # of the root of the cubic; the next guess starts from a shorter step anyway
-_NEAR_START = 0.02  # a minimum in so small a part of the step has been looked at already
-_UNSURE = 0.1
+_NEWTON_STEPS = 4  # to the root of the cubic; the next estimate starts from a shorter step anyway
+_NEAR_START = 0.02  # fraction of the step; a minimum before it has been evaluated already
+_UNSURE = 0.1  # of the fall to the minimum
 
 
 class Outlook(NamedTuple):
-    """What the cubic says of the step.
+    """Behaviour of the cubic in the step.
 
-    - `falls`: the function falls below zero; `turns`: it comes down near zero and goes up again.
+    - `falls`: it falls below zero. `turns`: it has a minimum near zero, not below it.
     - `where`: the root or the minimum, a fraction of the step. `lowest`: the value at the minimum inside the step
-      (infinity where there is none). `early`: the fall comes well before the end, although the end lies near a root.
+      (infinity where there is none). `early`: the minimum below zero lies well before the end of the step.
     """
 
     falls: BoolArray
@@ -33,9 +33,9 @@ class Outlook(NamedTuple):
 
 
 def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, noise: FloatArray) -> Outlook:
-    """Look for the first fall through zero on [0, 1] of a function with these values and slopes at 0 and 1.
+    """The `Outlook` for a function with values `s0`, `s1` and slopes `d0`, `d1` at 0 and 1, the ends of the step.
 
-    It starts at or above zero, but for `noise`, the round-off in its values.
+    The function starts at or above zero, but for `noise`, the round-off in its values.
     """
     s0, d0, s1, d1, noise = lax.stop_gradient((jnp.maximum(s0, 0), d0, s1, d1, noise))
     c = 3 * (s1 - s0) - 2 * d0 - d1
@@ -55,7 +55,7 @@ def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, n
     lowest = jnp.where(turning, p(jnp.where(turning, least, 0)), jnp.inf)
     dips = lowest < -noise
     falls = dips | (s1 < -noise)
-    # Near the start the cubic is good to a small part of the fall that is left: enough, unless zero is as close.
+    # Near the start the error of the cubic is a small part of its fall: enough, unless zero is as close.
     uncertain = lowest < _UNSURE * (s0 - lowest)
     turns = ~falls & turning & ((least > _NEAR_START) | uncertain) & (lowest < 0.5 * jnp.minimum(s0, s1))
     turns = turns & (s0 - lowest > noise)
@@ -68,8 +68,8 @@ def look_ahead(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray, n
 
 
 def steepest_fall(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
-    """Where on [0, 1) the cubic with these values and slopes falls, before it rises again: at 0, or where it bends the
-    other way; 1 where it does not.
+    """A point on [0, 1) at which the cubic with these values and slopes falls: 0, or its inflection point; 1 if it
+    falls at neither.
     """
     s0, d0, s1, d1 = lax.stop_gradient((s0, d0, s1, d1))
     c, e = 3 * (s1 - s0) - 2 * d0 - d1, 2 * (s0 - s1) + d0 + d1
@@ -79,10 +79,10 @@ def steepest_fall(s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray
 
 
 def _first_root(p, slope, left, right):
-    """The root of the cubic `p` between a point above zero and one below, by Newton steps kept inside the bracket."""
+    """The root of the cubic `p` between `left`, where it is positive, and `right`: Newton steps within the bracket."""
     above, below = p(left), p(right)
     u = left + (right - left) * jnp.clip(_divide(above, above - below), 0, 1)
-    for _ in range(_POLISHES):
+    for _ in range(_NEWTON_STEPS):
         value = p(u)
         left, right = jnp.where(value > 0, u, left), jnp.where(value > 0, right, u)
         newton = u - _divide(value, slope(u))
@@ -91,5 +91,5 @@ def _first_root(p, slope, left, right):
 
 
 def _divide(above, below):
-    """A quotient that is 0 where the divisor is."""
+    """The quotient, 0 where the divisor is 0."""
     return jnp.where(below == 0, 0, above / jnp.where(below == 0, 1, below))

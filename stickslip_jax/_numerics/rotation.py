@@ -11,7 +11,11 @@ _SERIES = 0.1  # below this |(beta^2 - omega^2) h^2|, damped rotations are summe
 
 
 def damped_rotation(beta: Any, omega_squared: Any, h: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``exp(-beta h)`` times ``cos(w h)`` and ``sin(w h) / w``, where ``w^2 = omega^2 - beta^2`` may have any sign."""
+    """``exp(-beta h)`` times ``cos(w h)`` and ``sin(w h) / w``, where ``w^2 = omega^2 - beta^2`` may have any sign.
+
+    The free motion of a damped oscillator is a combination of the two. `beta`: damping ratio times omega, 1/s (the int
+    0 for none); `omega_squared`: rad^2/s^2; `h`: time, s.
+    """
     if isinstance(beta, int):
         w = jnp.sqrt(omega_squared)
         sine, cosine = sincos(w * h)

@@ -1,13 +1,12 @@
-"""One step of an explicit Runge-Kutta method; the coefficients are diffrax's, the loop over stages is not.
+"""One step of an explicit Runge-Kutta method with the coefficients of diffrax.
 
 The stages are unrolled and the states are tuples of scalars, so that zero coefficients cost nothing and many lanes
-advance as vectors. Derivatives go through a second form in which the stages are a loop: unrolled they would take
-a minute to compile.
+advance as vectors. Derivatives use a second form in which the stages are a loop: unrolled they would take a minute to
+compile.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -15,21 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._types import FloatArray
-
-State = tuple[FloatArray, ...]
+from .._types import ExplicitSolver, FloatArray, State
 
 
 @eqx.filter_custom_jvp
 def runge_kutta_step(
-    field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any
+    field: Callable[[FloatArray, State], State], y: State, h: FloatArray, *, solver: ExplicitSolver
 ) -> tuple[State, State]:
     """The state after the time `h` under ``y' = field(tau, y)``, starting at tau = 0, and the step's error.
 
     The error is the solver's own estimate; no derivative passes through it. 0 for a solver without an estimate.
 
-    `field` must be a pytree that holds everything it depends on, an ``equinox.Module`` say; `solver` a
-    ``diffrax.AbstractERK``.
+    `field` must be a pytree that holds everything it depends on, an ``equinox.Module`` say.
     """
     tableau = _tableau(solver)
     slopes = [field(0 * h, y)]
@@ -44,7 +40,9 @@ def _runge_kutta_step_jvp(primals, tangents, *, solver):
     return eqx.filter_jvp(partial(_looped, solver=solver), primals, tangents)
 
 
-def _looped(field: Callable[[Any, State], State], y: State, h: FloatArray, *, solver: Any) -> tuple[State, State]:
+def _looped(
+    field: Callable[[FloatArray, State], State], y: State, h: FloatArray, *, solver: ExplicitSolver
+) -> tuple[State, State]:
     tableau = _tableau(solver)
     stages = len(tableau.b_sol)
     dtype = jnp.result_type(h)
@@ -66,7 +64,7 @@ def _looped(field: Callable[[Any, State], State], y: State, h: FloatArray, *, so
     return reached, _error(h, np.asarray(tableau.b_error), list(rows))
 
 
-def _tableau(solver: Any) -> diffrax.ButcherTableau:
+def _tableau(solver: ExplicitSolver) -> diffrax.ButcherTableau:
     assert isinstance(solver.tableau, diffrax.ButcherTableau)
     return solver.tableau
 
@@ -81,10 +79,10 @@ def _error(h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:
 
 
 def relative_error(error: State, y: State, reached: State, way: State) -> FloatArray:
-    """Of the state's component in which the `error` of a step from `y` to what it `reached` is largest beside it.
+    """Largest relative error of a component of the state, for a step from `y` to `reached` with this `error`.
 
-    `way`: how far each component would go in the step by each term of its rate alone, their sum. Where they cancel the
-    rest is round-off, which no shorter step makes smaller beside itself.
+    `way`: the sum of the changes of each component in the step by each term of its rate alone. Where these terms
+    cancel, the change is round-off, whose relative error no shorter step would reduce.
     """
     worst = jnp.zeros_like(error[0])
     for wrong, begin, end, alone in zip(error, y, reached, way, strict=True):
@@ -94,10 +92,11 @@ def relative_error(error: State, y: State, reached: State, way: State) -> FloatA
 
 
 def ways(h: FloatArray, y: State, idle: State, by_state: tuple[State, ...], push: State) -> State:
-    """The `way` of each component for `relative_error`: rates without friction, slopes of the rates by the state (rows:
-    rates), and what one unit of friction adds.
+    """The `way` of each component for `relative_error`.
 
-    What moves a component may itself be round-off, of something that has moved on the way.
+    `idle`: the rates without friction; `by_state`: their derivatives with respect to the state (rows: rates); `push`:
+    what one unit of friction adds. Components are coupled, so the round-off of one moves the others; hence one pass for
+    each component.
     """
     moved, way = tuple(map(jnp.abs, y)), y
     for _ in y:

@@ -1,8 +1,8 @@
-"""Compute what several results share once, whatever the compiler would do.
+"""Common subexpressions of several results, computed only once.
 
-XLA's CPU back end compiles every result of a large function into one loop of its own, and repeats in it all that the
-result depends on, however much of that other results need too. `sharing` cuts a function where that happens: a value
-that is used more than once, and is worth more than the memory it takes, becomes the result of a call that the compiler
+XLA's CPU back end compiles every result of a large function into a loop of its own, and repeats in it all that the
+result depends on, even if other results need the same. `sharing` cuts a function where that happens: a value
+that is used more than once, and costs more than storing it, becomes the result of a call that the compiler
 does not inline.
 """
 
@@ -23,9 +23,9 @@ _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 sincos = jax.jit(elementary.sincos)
-"""The same, traced once: what `sharing` finds twice it computes once."""
+"""`elementary.sincos`, traced once, so that `sharing` recognises calls with the same angle."""
 
-# What an operation costs, in additions; others than these are not looked into.
+# The cost of an operation, in additions. Operations that are not listed are opaque.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
          "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
 _PLAIN = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
@@ -36,11 +36,11 @@ _DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "exp
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
 
-_WORTH = 4  # what costs less is computed again
+_WORTH = 4  # cheaper values are computed again
 
 
 def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """`function` of scalars (pytrees of them), cut so that nothing dear is computed twice; for every transformation."""
+    """`function` of scalars (pytrees of them), cut so that no costly value is computed twice, in any transformation."""
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
@@ -68,7 +68,7 @@ def _shared(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
 
 
 def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, Any]) -> list[Any]:
-    """The results of `closed`, calls inside it evaluated as part of it, and what is `known` already not again."""
+    """The results of `closed`, calls inside it inlined, values that are `known` not computed again."""
     jaxpr, values = closed.jaxpr, _Values(closed, leaves)
     for equation in jaxpr.eqns:
         given = values.of(equation.invars)
@@ -78,7 +78,7 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, A
             name = (equation.primitive.name, _details(equation), *map(_name, given))
             if name not in known:
                 cut = _with_sharing(equation) if equation.primitive.name == _WITH_RULE else equation
-                # What was given is held, so that names stay its own.
+                # The operands are kept alive, so that their names stay unique.
                 known[name] = _bound(cut, given), given
             results, _ = known[name]
         values.update(equation.outvars, results)
@@ -86,27 +86,26 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, A
 
 
 def _name(value: Any) -> Any:
-    """What tells values apart that an operation is given: tracers are themselves, numbers are not."""
+    """Identity of an operand: of a tracer the object, of a number its value."""
     return id(value) if _checks.is_traced(value) else (str(jax.typeof(value)), np.asarray(value).tobytes())
 
 
 def _details(equation: Any) -> Any:
-    """What tells equations apart that do the same to different values.
-
-    Of others than the plainest ones, nothing but being the same equation: of a function that jit has traced once.
+    """Identity of the operation of an equation: its parameters; of an opaque one the equation itself, which is the same
+    object in a function that jit has traced once.
     """
     return str(equation.params) if equation.primitive.name in _COSTS else id(equation)
 
 
 def _with_sharing(equation: Any) -> Any:
-    """A function with a derivative of its own, its value cut."""
+    """The call of a function with a custom derivative, its value cut."""
     closed = equation.params["call_jaxpr"]
     call = jax.make_jaxpr(lambda *leaves: _shared(closed, leaves))(*closed.in_avals)
     return equation.replace(params={**equation.params, "call_jaxpr": call})
 
 
 class _Values:
-    """What the variables of a jaxpr stand for."""
+    """The values of the variables of a jaxpr."""
 
     def __init__(self, closed: core.ClosedJaxpr, leaves: Sequence[Any]):
         self._known = {}
@@ -118,7 +117,7 @@ class _Values:
         return [atom.val if isinstance(atom, core.Literal) else self._known[atom] for atom in atoms]
 
     def update(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
-        """Set some."""
+        """Set the values of some variables."""
         self._known.update(zip(variables, values, strict=True))
 
 
@@ -131,7 +130,7 @@ def _bound(equation: Any, given: Sequence[Any]) -> list[Any]:
 
 
 def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
-    """The results of `closed`, each variable to be stored as the result of a call."""
+    """The results of `closed`, each stored variable computed by a call of its own."""
     jaxpr, values = closed.jaxpr, _Values(closed, leaves)
     kept = _kept(jaxpr)
     used = {atom for equation in jaxpr.eqns for atom in _variables(equation)}
@@ -166,7 +165,7 @@ def _variables(equation: Any) -> list[Any]:
 
 
 def _kept(jaxpr: core.Jaxpr) -> set[Any]:
-    """The variables whose values are stored: results, what opaque operations take, and what is dear and used again."""
+    """The variables whose values are stored: results, operands of opaque operations, and costly values used again."""
     uses: dict[Any, int] = {}
     kept = {atom for atom in jaxpr.outvars if not isinstance(atom, core.Literal)}
     for equation in jaxpr.eqns:

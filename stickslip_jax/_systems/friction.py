@@ -3,64 +3,66 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .. import _checks
+from .._fields import Checked, Quantity
 from .._types import FloatArray, Scalar
 
+_STATIC = "friction coefficient of a stick"
 
-class FrictionLaw(eqx.Module):
-    """What every friction law offers: a stick holds up to ``static * normal_force``; a slip at relative speed
-    ``|v_rel|`` (m/s) meets ``kinetic(|v_rel|) * normal_force``.
 
-    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms. To write a law of your
-    own, take `FrictionCurve`, or subclass this.
+class FrictionLaw(Checked):
+    """Base class of friction laws.
+
+    The friction force is at most ``static * normal_force`` in a stick, and ``kinetic(|v_rel|) * normal_force`` in a
+    slip at relative speed ``|v_rel|`` (m/s). For a law of your own take `FrictionCurve`, or subclass this.
+
+    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms.
     """
 
     constant: ClassVar[bool] = False
 
     @property
     def holds_more(self) -> bool:
-        """Whether a stick may hold more than a slip at vanishing speed meets, ``static > kinetic(0)``."""
+        """Whether static friction may exceed kinetic friction at vanishing speed, ``static > kinetic(0)``."""
         return True
 
     @property
-    def speed_scale(self) -> Any:
-        """The relative speed (m/s) over which the coefficient changes; infinity if it does not, None if not known."""
+    def speed_scale(self) -> Scalar | None:
+        """Relative speed over which the coefficient changes, m/s; infinity if it does not change, None if not known."""
         return math.inf if self.constant else None
 
     @property
     @abc.abstractmethod
     def static(self) -> Scalar:
-        """The friction coefficient of a stick."""
+        """Static friction coefficient."""
 
     @abc.abstractmethod
-    def kinetic(self, speed: FloatArray) -> Any:
-        """The friction coefficient of a slip at relative speed `speed` (m/s, zero or positive)."""
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        """Kinetic friction coefficient at the relative speed `speed` (m/s, zero or positive)."""
 
 
 class Coulomb(FrictionLaw):
-    """Coulomb dry friction: the force is ``mu * normal_force`` against the sliding.
+    """Coulomb dry friction: the force in a slip is ``mu * normal_force``, against the relative velocity.
 
-    - `mu`: the friction coefficient (dimensionless, zero or positive).
-    - `mu_static`: that of a stick, at least `mu`; by default the same.
+    - `mu`: the kinetic friction coefficient (dimensionless, zero or positive).
+    - `mu_static`: the static one, at least `mu`; by default equal to it.
 
     Raises ValueError if a number is negative or not finite, or `mu_static` below `mu`.
     Source: Lima and Sampaio 2015, eq. 2.
     """
 
-    mu: Scalar
-    mu_static: Scalar | None = None
+    mu: Annotated[Scalar, Quantity(meaning="friction coefficient", at_least=0)]
+    mu_static: Annotated[Scalar | None, Quantity(meaning=f"{_STATIC}, at least mu; not given: mu", at_least=0)] = None
     constant = True
 
-    def __check_init__(self):
-        _checks.non_negative("mu", self.mu)
-        if self.mu_static is not None:
-            _static_at_least("mu", self.mu, self.mu_static)
+    def check_relations(self) -> None:
+        _static_at_least("mu", self.mu, self.mu_static)
 
     @property
     def holds_more(self) -> bool:
@@ -70,22 +72,21 @@ class Coulomb(FrictionLaw):
     def static(self) -> Scalar:
         return self.mu if self.mu_static is None else self.mu_static
 
-    def kinetic(self, speed: FloatArray) -> Any:
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         return self.mu
 
 
 class VelocityWeakening(FrictionLaw):
-    """Friction that falls with the speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
+    """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
 
-    `mu_static`: dimensionless; `weakening` in s/m: zero or positive. Raises ValueError otherwise.
+    - `mu_static`: the static friction coefficient (dimensionless, zero or positive).
+    - `weakening`: s/m, zero or positive.
+
+    Raises ValueError for numbers outside these bounds.
     """
 
-    mu_static: Scalar
-    weakening: Scalar
-
-    def __check_init__(self):
-        _checks.non_negative("mu_static", self.mu_static)
-        _checks.non_negative("weakening", self.weakening, "s/m")
+    mu_static: Annotated[Scalar, Quantity(meaning=_STATIC, at_least=0)]
+    weakening: Annotated[Scalar, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
 
     @property
     def holds_more(self) -> bool:
@@ -96,38 +97,35 @@ class VelocityWeakening(FrictionLaw):
         return self.mu_static
 
     @property
-    def speed_scale(self) -> Any:
+    def speed_scale(self) -> Scalar | None:
         if not _checks.is_traced(self.weakening) and self.weakening == 0:
             return math.inf
         return 1 / self.weakening
 
-    def kinetic(self, speed: FloatArray) -> Any:
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         return self.mu_static / (1 + self.weakening * speed)
 
 
 class Stribeck(FrictionLaw):
-    """``mu + (mu_static - mu) exp(-(|v_rel| / stribeck_speed)^exponent) + viscous |v_rel|``.
+    """Stribeck friction: ``mu + (mu_static - mu) exp(-(|v_rel| / stribeck_speed)^exponent) + viscous |v_rel|``.
 
-    - `mu`: far above the Stribeck speed, `mu_static`: of a stick, at least `mu`; dimensionless.
+    - `mu`: the kinetic friction coefficient far above the Stribeck speed; `mu_static`: the static one, at least `mu`.
+      Both are dimensionless.
     - `stribeck_speed` in m/s, positive. `exponent`: at least 1. `viscous` in s/m, zero or positive.
 
     Raises ValueError for numbers outside these bounds.
     """
 
-    mu: Scalar
-    mu_static: Scalar
-    stribeck_speed: Scalar
-    exponent: float = eqx.field(static=True, default=1.0)
-    viscous: Scalar = 0.0
+    mu: Annotated[Scalar, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
+    mu_static: Annotated[Scalar, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
+    stribeck_speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
+        static=True, default=1.0
+    )
+    viscous: Annotated[Scalar, Quantity("s/m", "times the speed", at_least=0)] = 0.0
 
-    def __check_init__(self):
-        _checks.non_negative("mu", self.mu)
+    def check_relations(self) -> None:
         _static_at_least("mu", self.mu, self.mu_static)
-        _checks.positive("stribeck_speed", self.stribeck_speed, "m/s")
-        _checks.numeric("exponent", self.exponent)
-        if self.exponent < 1:
-            raise ValueError(f"Argument exponent must be at least 1, but {self.exponent} was given.")
-        _checks.non_negative("viscous", self.viscous, "s/m")
 
     @property
     def holds_more(self) -> bool:
@@ -138,10 +136,10 @@ class Stribeck(FrictionLaw):
         return self.mu_static
 
     @property
-    def speed_scale(self) -> Any:
+    def speed_scale(self) -> Scalar | None:
         return self.stribeck_speed
 
-    def kinetic(self, speed: FloatArray) -> Any:
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         ratio = speed / self.stribeck_speed
         power = ratio if self.exponent == 1 else ratio**self.exponent
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
@@ -154,25 +152,24 @@ def _traceable(curve: Any) -> Any:
 
 
 class FrictionCurve(FrictionLaw):
-    """A friction law of the user's: the coefficient of a slip is ``curve(|v_rel|)``.
+    """A friction law of your own: the kinetic friction coefficient is ``curve(|v_rel|)``.
 
     - `curve`: a smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
       with parameters of its own.
-    - `mu_static`: the coefficient of a stick, at least ``curve(0)``; by default equal to it.
+    - `mu_static`: the static friction coefficient, at least ``curve(0)``; by default equal to it.
 
     Raises ValueError for a curve that cannot be called, or coefficients that are negative or do not fit.
     """
 
     curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
-    mu_static: Scalar | None = None
+    mu_static: Annotated[Scalar | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         if not callable(self.curve):
             raise ValueError(f"Argument curve must be a function of the relative speed, but {self.curve!r} was given.")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
-        if self.mu_static is not None:
-            _static_at_least("curve(0)", at_rest, self.mu_static)
+        _static_at_least("curve(0)", at_rest, self.mu_static)
 
     @property
     def holds_more(self) -> bool:
@@ -183,18 +180,20 @@ class FrictionCurve(FrictionLaw):
         return self.curve(jnp.zeros(())) if self.mu_static is None else self.mu_static
 
     @property
-    def speed_scale(self) -> Any:
-        """By the slope at rest: the speed at which the tangent would have changed the coefficient by all of itself."""
+    def speed_scale(self) -> Scalar | None:
+        """Speed at which the tangent to the curve at rest reaches zero or twice the value at rest, m/s."""
         at_rest, slope = jax.jvp(lambda speed: jnp.asarray(self.curve(speed)), (jnp.zeros(()),), (jnp.ones(()),))
         return at_rest / jnp.maximum(jnp.abs(slope), 1e-9 * at_rest)
 
-    def kinetic(self, speed: FloatArray) -> Any:
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         return self.curve(speed)
 
 
-def _static_at_least(name: str, kinetic: Scalar, static: Scalar) -> None:
-    _checks.non_negative("mu_static", static)
-    if not (_checks.is_traced(kinetic) or _checks.is_traced(static)) and static < kinetic:
+def _static_at_least(name: str, kinetic: Scalar, static: Scalar | None) -> None:
+    """Check that `mu_static`, if given, is at least the `kinetic` coefficient, called `name`."""
+    if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):
+        return
+    if static < kinetic:
         raise ValueError(
             f"Argument mu_static must be at least {name} = {kinetic}, but {static} was given: a stick holds at "
             "least as well as a slip."

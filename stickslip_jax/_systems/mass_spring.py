@@ -1,12 +1,12 @@
-"""A mass on a spring, rubbing on a moving base: what it is, and how it moves.
+"""A mass on a spring, pressed on a moving base: its parameters, and how it moves.
 
 ``m x'' + c x' + k x = F(t) - sign mu n`` in a slip: a damped rotation about the response to the force, which is known
 for constant, linear and harmonic forces (any book on vibration). Under other forces and friction laws each step is one
-step of a solver.
+Runge-Kutta step.
 """
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -18,10 +18,11 @@ from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
+from .._fields import Quantity
 from .._numerics.rotation import damped_rotation
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._numerics.sharing import sincos
-from .._types import Array, BoolArray, FloatArray, Scalar
+from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .own import is_own
 from .resonance import check_no_resonance
@@ -46,24 +47,21 @@ class MassSpring(System):
     Raises ValueError if a number is out of its range or not finite, or `friction` or `force` is of another kind.
     """
 
-    mass: Scalar
-    stiffness: Scalar
-    normal_force: Scalar
+    mass: Annotated[Scalar, Quantity("kg", above=0)]
+    stiffness: Annotated[Scalar, Quantity("N/m", above=0)]
+    normal_force: Annotated[Scalar, Quantity("N", above=0)]
     friction: FrictionLaw
-    # None rather than zero, so that what needs neither is told apart by its structure when numbers are traced.
-    damping: Scalar | None = eqx.field(default=None, converter=lambda v: None if _is_zero(v) else v)
+    # None rather than zero: an undamped system is then another pytree, known as undamped when numbers are traced.
+    damping: Annotated[Scalar | None, Quantity("N s/m", at_least=0)] = eqx.field(
+        default=None, converter=lambda v: None if _is_zero(v) else v
+    )
     force: Signal | Recorded | None = None
 
-    def __check_init__(self):
-        _checks.positive("mass", self.mass, "kg")
-        _checks.positive("stiffness", self.stiffness, "N/m")
-        _checks.positive("normal_force", self.normal_force, "N")
+    def check_relations(self) -> None:
         if not isinstance(self.friction, FrictionLaw):
             raise ValueError(
                 f"Argument friction must be a friction law such as Coulomb(mu=0.3), but {self.friction!r} was given."
             )
-        if self.damping is not None:
-            _checks.non_negative("damping", self.damping, "N s/m")
         if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
             raise ValueError(
                 "Argument force must be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, "
@@ -77,9 +75,9 @@ class MassSpring(System):
 
     @property
     def stick_half_width(self) -> Scalar:
-        """Largest displacement at which the mass can stick on a base of constant velocity, without force and damping.
+        """Largest displacement (m) at which the mass sticks on a base of constant velocity, without force and damping.
 
-        ``a = mu_static * normal_force / stiffness``, m.
+        It is ``a = mu_static * normal_force / stiffness``.
         """
         return self.friction.static * self.normal_force / self.stiffness
 
@@ -114,18 +112,18 @@ class MassSpring(System):
 
     @property
     def has_closed_form(self) -> bool:
-        """Whether its slips have a closed form: constant kinetic friction, and a force that is constant, linear in
-        time from instant to instant, or harmonic.
+        """Whether its slips have a closed form: constant kinetic friction, and a force that is constant, piecewise
+        linear in time, or harmonic.
         """
         harmonic = isinstance(self.force, (Harmonic, SumOfHarmonics)) or not isinstance(self.force, Signal)
         return self.friction.constant and harmonic
 
-    def switched_model(self, smooth: Signal | None, solver: Any) -> "OscillatorModel":
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
 
-    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         steps = PERIOD if self.has_closed_form and solver is None else SOLVED
         natural = 2 * math.pi * (self.mass / self.stiffness) ** 0.5
         force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
@@ -138,23 +136,23 @@ class MassSpring(System):
             "shortest period of the base motion": TimeScale(shortest_period(excitation), steps),
         }
 
-    def _passing_time(self) -> Any:
-        """How long the largest friction takes to change the speed by the scale of the friction law, s."""
+    def _passing_time(self) -> Scalar:
+        """Time in which the largest friction force changes the speed by the speed scale of the friction law, s."""
         scale, held = self.friction.speed_scale, self.friction.static * self.normal_force
         if scale is None or _is(scale, math.inf) or _is(held, 0):
             return math.inf
         return scale * self.mass / held
 
     @property
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar, Scalar]:
         held = self.friction.static * self.normal_force
         return held / jnp.sqrt(jnp.asarray(self.mass * self.stiffness, float)), held / self.mass
 
-    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
         speed, _ = self.contact_scales
         return speed / self.angular_frequency, speed
 
-    def check_solver(self, solver: Any) -> None:
+    def check_solver(self, solver: Solver | None) -> None:
         traced = any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self))
         if solver is None and self.damping is None and isinstance(self.force, Signal) and not traced:
             check_no_resonance(self.force, (float(self.stiffness) / float(self.mass)) ** 0.5)
@@ -175,7 +173,7 @@ class MassSpring(System):
         return rf"|x| \leq {mu} n/k"
 
     def stick_band(
-        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: Any
+        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m."""
         force: Any = 0.0
@@ -189,7 +187,7 @@ class MassSpring(System):
 
 
 class OscillatorInputs(NamedTuple):
-    """From time `t` on: what comes in pieces, linear in time. Base velocity in m/s, load in N."""
+    """The piecewise-linear parts of base velocity (m/s) and load (N) from time `t` on: values and slopes."""
 
     t: FloatArray
     base: FloatArray
@@ -199,7 +197,7 @@ class OscillatorInputs(NamedTuple):
 
 
 class OscillatorModel(SwitchedModel):
-    """A `MassSpring` on a base that moves with ``smooth(t)`` plus what comes in pieces. State: x (m), x' (m/s)."""
+    """A `MassSpring` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts. State: x (m), x' (m/s)."""
 
     system: MassSpring
     smooth: Signal | None
@@ -275,7 +273,7 @@ class OscillatorModel(SwitchedModel):
         return jnp.abs(self._needed(inputs, jnp.zeros_like(y[0]), y)) <= self._holds()
 
     def release_sign(self, inputs: OscillatorInputs, y: State) -> FloatArray:
-        # The base pulls harder than friction can hold: the mass falls behind.
+        # The base pulls harder than friction can hold: the mass lags behind.
         return jnp.where(self._needed(inputs, jnp.zeros_like(y[0]), y) > 0, -1, 1).astype(y[0].dtype)
 
     @property
@@ -298,9 +296,9 @@ class OscillatorModel(SwitchedModel):
         return self.system.mass, self.system.stiffness, self.system.damping
 
     def _coefficient(self, speed: FloatArray) -> Any:
-        """The friction coefficient of a slip, continued with the same slope to where the slip is over.
+        """The kinetic friction coefficient, continued with the same slope to beyond the end of the slip.
 
-        The stages of a Runge-Kutta step that ends an arc may lie slightly beyond; a kink there would cost its order.
+        The last Runge-Kutta step of a slip may have stages slightly beyond its end; a kink there would cost its order.
         """
         friction = self.system.friction
         coefficient = friction.kinetic(jnp.abs(speed))
@@ -334,7 +332,7 @@ class OscillatorModel(SwitchedModel):
         return m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(inputs, tau)
 
     def _response(self, inputs: OscillatorInputs, tau: FloatArray, rub: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The particular solution, position and velocity, for the load and the rubbing force."""
+        """The particular solution, position and velocity, for the load and the friction force."""
         m, k, c = self._constants()
         c = 0 if c is None else c
         x = (inputs.load + tau * inputs.load_slope - rub - c / k * inputs.load_slope) / k
@@ -356,7 +354,7 @@ class OscillatorModel(SwitchedModel):
 class SolverOscillatorModel(OscillatorModel):
     """An `OscillatorModel` whose slips are integrated by `solver`: any friction law, any smooth force."""
 
-    solver: diffrax.AbstractERK
+    solver: ExplicitSolver
     steps_may_be_long: ClassVar[bool] = False
 
     def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
@@ -366,7 +364,7 @@ class SolverOscillatorModel(OscillatorModel):
         self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
     ) -> tuple[State, FloatArray | None]:
         y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
-        if is_own(self):  # then all is known that the step depends on (`time_scales.py`)
+        if is_own(self):  # the time scales of the package's own laws are known: the step is short enough
             return y1, None
         m, k, c = self._constants()
         none = jnp.zeros_like(h)

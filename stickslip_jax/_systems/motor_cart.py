@@ -1,18 +1,18 @@
 """A cart on a rail with dry friction, driven by a DC motor through a scotch yoke (Lima and Sampaio 2022, eqs 1, 2, 5).
 
-State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). What rubs is the cart; its velocity is
-``-d sin(alpha) alpha'``, and ``r = sin(alpha) alpha'`` stands for it. It passes through zero when the motor stops and
-at dead centre (``sin alpha = 0``), where the cart turns round; at fixed sign of r the friction torque
+State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). The cart slides with the
+velocity ``-d sin(alpha) alpha'``, for which ``r = sin(alpha) alpha'`` is used. It passes through zero when the motor
+stops and at dead centre (``sin alpha = 0``), where the cart reverses; at fixed sign of r the friction torque
 ``-sign mu m g d sin(alpha)`` is smooth, so both are events of one kind.
 
 In a stick the current is known in closed form. A slip is integrated by the eighth-order Runge-Kutta method of Prince
-and Dormand, all three states together. Exponential integrators that treat the fast current apart were tried and are far
-less accurate at the same step: the transient of the current turns the motor by an amount that a Runge-Kutta method
-keeps exactly (it is a linear invariant), and an exponential one only to its order.
+and Dormand, all three states together. Exponential integrators that treat the fast current separately
+were tried and are far less accurate at the same step: the angle by which a transient of the current turns the motor is
+a linear invariant, which a Runge-Kutta method conserves exactly and an exponential one only to its order.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -23,10 +23,11 @@ from .. import _checks
 from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
+from .._fields import Choice, Quantity
 from .._numerics.elementary import sincos_of_small
 from .._numerics.runge_kutta import runge_kutta_step
 from .._numerics.sharing import sincos
-from .._types import AnyArray, Array, BoolArray, FloatArray, Scalar
+from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
@@ -58,30 +59,22 @@ class MotorCart(System):
     Raises ValueError for numbers out of range and for another `equation`.
     """
 
-    mu: Scalar = 0.2
-    cart_mass: Scalar = 5.0
-    eccentricity: Scalar = 0.01
-    gravity: Scalar = 9.81
-    motor_inertia: Scalar = 1.21e-4
-    motor_damping: Scalar = 1.545e-4
-    motor_constant: Scalar = 5.33e-2
-    resistance: Scalar = 0.307
-    inductance: Scalar = 1.88e-4
-    equation: str = eqx.field(static=True, default="physical")
-
-    def __check_init__(self):
-        _checks.non_negative("mu", self.mu)
-        units = {"cart_mass": "kg", "eccentricity": "m", "gravity": "m/s^2", "motor_inertia": "kg m^2",
-                 "motor_constant": "V s/rad", "resistance": "ohm", "inductance": "H"}  # fmt: skip
-        for name, unit in units.items():
-            _checks.positive(name, getattr(self, name), unit)
-        _checks.non_negative("motor_damping", self.motor_damping, "N m s/rad")
-        if self.equation not in ("physical", "printed"):
-            raise ValueError(f"Argument equation must be 'physical' or 'printed', but {self.equation!r} was given.")
+    mu: Annotated[Scalar, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
+    cart_mass: Annotated[Scalar, Quantity("kg", above=0)] = 5.0
+    eccentricity: Annotated[Scalar, Quantity("m", "of the pin on the disk", above=0)] = 0.01
+    gravity: Annotated[Scalar, Quantity("m/s^2", above=0)] = 9.81
+    motor_inertia: Annotated[Scalar, Quantity("kg m^2", above=0)] = 1.21e-4
+    motor_damping: Annotated[Scalar, Quantity("N m s/rad", at_least=0)] = 1.545e-4
+    motor_constant: Annotated[Scalar, Quantity("V s/rad", "of voltage and torque; also N m/A", above=0)] = 5.33e-2
+    resistance: Annotated[Scalar, Quantity("ohm", above=0)] = 0.307
+    inductance: Annotated[Scalar, Quantity("H", above=0)] = 1.88e-4
+    equation: Annotated[
+        str, Choice(("physical", "printed"), "physical, or as printed in the paper (its units do not match)")
+    ] = eqx.field(static=True, default="physical")
 
     @property
     def largest_friction_torque(self) -> Scalar:
-        """``mu m gravity d``, N m: what friction can hold at ``|sin alpha| = 1``."""
+        """Largest torque that friction can hold, at ``|sin alpha| = 1``: ``mu m gravity d``, N m."""
         return self.mu * self.cart_mass * self.gravity * self.eccentricity
 
     @property
@@ -101,11 +94,11 @@ class MotorCart(System):
     def stick_position(self) -> Coordinate:
         return Coordinate("motor angle during the stick", "rad", r"\alpha", 2 * math.pi)
 
-    def switched_model(self, smooth: Signal | None, solver: Any) -> "CartModel":
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "CartModel":
         assert isinstance(smooth, SourceVoltage)
         return CartModel(self, smooth)
 
-    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         return {
             "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
             "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
@@ -113,12 +106,13 @@ class MotorCart(System):
         }
 
     @property
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar, Scalar]:
         torque, arm = self.largest_friction_torque, self.eccentricity
         return arm * torque * self.resistance / self.motor_constant**2, arm * torque / self.motor_inertia
 
-    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
         voltage = voltage_of(excitation)
+        assert isinstance(voltage, SourceVoltage)
         most = abs(voltage.mean) + abs(voltage.amplitude)
         return 1.0, most / self.motor_constant, most / self.resistance
 
@@ -129,7 +123,7 @@ class MotorCart(System):
                 "motion was given."
             )
 
-    def check_solver(self, solver: Any) -> None:
+    def check_solver(self, solver: Solver | None) -> None:
         if solver is not None:
             raise ValueError("Argument solver must be None for a MotorCart, which has an integrator of its own.")
 
@@ -145,7 +139,7 @@ class MotorCart(System):
         return stick_duration_bound(self, smooth, position) if isinstance(smooth, SourceVoltage) else None
 
     def stick_band(
-        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: Any
+        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A."""
         most = self.largest_friction_torque / self.motor_constant * jnp.abs(jnp.sin(state[0]))
@@ -153,15 +147,16 @@ class MotorCart(System):
 
 
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
-    """The longest that the cart can stick at motor angles `angle` (rad, any shape), s; infinity where for ever.
+    """Upper bound of the stick duration at motor angles `angle` (rad, any shape), s; infinity where sticks never end.
 
-    It is how long the steady current stays below what friction can hold in one period of the voltage,
+    It is the time in one period of the voltage during which friction can hold the torque of the steady current,
     ``(pi + 2 asin s) / angular_frequency`` with ``s = (mu m g d |sin angle| / motor_constant - mean / resistance) / A``
     and ``A`` the amplitude of the steady current; 0 where ``s <= -1`` (Lima and Sampaio 2022, section 4, whose eqs 7
     and 8 lack the angular frequency in some places). The current that a stick begins with decays in the time
     ``inductance / resistance``; it can prolong a stick by about that much.
 
-    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind.
+    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind, and for
+    angles that are not finite.
     """
     if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
         raise ValueError(
@@ -215,8 +210,8 @@ class CartModel(SwitchedModel):
         return speed, jnp.where(sticking, 0, self._torque(sign)(sincos(y[0]), *y[1:])), current_rate
 
     def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
-        # A jump of the torque sends the current through a transient, which calls for shorter steps while it lasts: in a
-        # slip for the integrator, in a stick so that no step holds both the transient's extremum and others.
+        # After a jump of the torque the current has a transient, which needs shorter steps: in a slip for the
+        # integrator, in a stick so that no step holds both the extremum of the transient and others.
         transient = self.system.inductance / self.system.resistance
         slip = jnp.minimum(step, _LONGEST_TURN / jnp.maximum(jnp.abs(y[1]), 1e-9))
         slip = slip * jnp.minimum(1, 0.1 + age / (6 * transient))
@@ -256,7 +251,7 @@ class CartModel(SwitchedModel):
         return (jnp.abs(self.system.motor_constant * y[2]) <= held) & (held > 0)
 
     def release_sign(self, inputs: CartInputs, y: State) -> FloatArray:
-        # The motor turns the way its current drives it.
+        # The motor starts in the direction of the torque of its current.
         return jnp.where(y[2] * sincos(y[0])[0] > 0, 1, -1).astype(y[0].dtype)
 
     @property
@@ -300,7 +295,7 @@ class CartModel(SwitchedModel):
         return turn
 
     def _steady(self, inputs: CartInputs, tau: FloatArray) -> FloatArray:
-        """The current after a long stick: the steady answer to the voltage, A."""
+        """The steady current in a stick, when its transient has decayed, A."""
         system, voltage = self.system, self.smooth
         reactance = system.inductance * voltage.angular_frequency
         gain = voltage.amplitude / (system.resistance**2 + reactance**2)

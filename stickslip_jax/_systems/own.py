@@ -1,4 +1,4 @@
-"""Whether nothing but the package's own functions is at work in a pytree, or a user's functions too."""
+"""Whether a pytree holds the package's own modules only, or functions of the user's too."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from .._excitation.smooth import UserMotion
 from .friction import FrictionCurve
 
 _PACKAGE = __name__.partition(".")[0]
-_THEIRS = (FrictionCurve, UserMotion)  # what wraps a user's function
+_THEIRS = (FrictionCurve, UserMotion)  # these hold a function of the user's
 
 
 def is_own(tree: Any) -> bool:

@@ -1,4 +1,4 @@
-"""What a system of the user's must keep to, as far as can be seen before it moves."""
+"""Checks of a user's system, as far as it can be checked before it is simulated."""
 
 import dataclasses
 from typing import Any
@@ -8,15 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._types import Scalar
 from .switched_model import Base
 from .system import System
 
-_SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force, at which rates are looked at to see whether they are affine
+_SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
 _AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 
 def check_fields(system: Any) -> None:
-    """Check the numbers that describe `system`. Raises ValueError otherwise."""
+    """Check the fields and properties of `system`. Raises ValueError for what does not fit."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(system):
         if not isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array)):
             field = jax.tree_util.keystr(path).lstrip(".")
@@ -47,13 +48,15 @@ def check_fields(system: Any) -> None:
             _checks.positive(name, getattr(system, name))
 
 
-def check_motion(system: Any, y0: tuple[Any, ...]) -> None:
-    """Check what `system` returns in the state `y0` at time 0, with the base at rest. Raises ValueError otherwise."""
+def check_motion(system: Any, y0: tuple[Scalar, ...]) -> None:
+    """Check the methods of `system` in the state `y0` at time 0, with the base at rest. Raises ValueError for what they
+    must not return.
+    """
     kind, zero = type(system).__name__, jnp.zeros(())
     y, base = tuple(jnp.asarray(value, float) for value in y0), Base(zero, zero)
     try:
         rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in _SHARES]
-    except ValueError as error:  # the state does not come apart into as many names as rates gives it
+    except ValueError as error:  # rates unpacks the state into another number of variables
         raise ValueError(
             f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
         ) from error
@@ -86,9 +89,9 @@ def _check_rates(kind: str, rates: Any, size: int) -> None:
 
 
 def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
-    """`rates` at the shares (4, states) must be affine in them, and friction must not speed up what slides."""
+    """Check that `rates`, (4, states) at `_SHARES`, are affine in them, and that friction opposes the sliding."""
     if not np.all(np.isfinite(rates)):
-        return  # such a simulation says so by its status
+        return  # the status of the simulation reports it
     bend = np.max(np.abs([rates[1] + rates[2] - 2 * rates[0], rates[0] + rates[1] - 2 * rates[3]]), axis=0)
     wrong = np.flatnonzero(bend > _AFFINE * np.max(np.abs(rates - rates[0]), axis=0, initial=0))
     wrong = [number for number in wrong if bend[number] > 1e-5 * np.max(np.abs(rates[:, number]))]

@@ -1,15 +1,15 @@
-"""Forces at the natural frequency of what they drive."""
+"""Forces at the natural frequency of an undamped system."""
 
 import numpy as np
 
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 
-_RESONANCE = 1e-7  # relative distance of frequencies at which the steady answer to a force means nothing any more
+_RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
 
 
 def check_no_resonance(force: Signal, omega: float) -> None:
-    """Raises ValueError for a harmonic `force` at the natural angular frequency `omega` (rad/s) of undamped motion,
-    to which the closed form knows no steady answer.
+    """Raises ValueError for a harmonic `force` at the natural angular frequency `omega` (rad/s) of undamped motion:
+    the closed form is the steady response, and there is none at resonance.
     """
     if not isinstance(force, (Harmonic, SumOfHarmonics)):
         return

@@ -1,7 +1,7 @@
-"""One system and what drives it, as the engines follow it: how it slips and sticks, and when each is over.
+"""A system under its excitation, as the engines integrate it: how it slips and sticks, and when each ends.
 
-Exact dynamics needs the slips, the sticks and the guards; regularised dynamics the rates under any friction and the
-relative velocity.
+Exact dynamics uses the slips, the sticks and the guards; regularised dynamics the rates under any friction force and
+the relative velocity.
 """
 
 import abc
@@ -10,15 +10,14 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 
 from .._excitation.segments import Segment
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, State
 from .friction import FrictionLaw
 
-State = tuple[FloatArray, ...]
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
 
 
 class Segments(NamedTuple):
-    """The piece under way of every part that comes in pieces: of base velocity, ground acceleration and force."""
+    """The present segments of the piecewise-linear parts of base velocity, ground acceleration and force."""
 
     base: tuple[Segment, ...]
     ground: tuple[Segment, ...]
@@ -33,30 +32,30 @@ class Base(NamedTuple):
 
 
 class SwitchedModel(eqx.Module):
-    """One system and its drive. `inputs` are what `inputs(t, segments)` returned; `tau` is the time since that t.
+    """A system under its excitation. `inputs` is what `inputs(t, segments)` returned, `tau` (s) the time since that t.
 
-    `steps_may_be_long`: whether `slip` and `stick` are as exact over long times as over a step.
+    `steps_may_be_long`: whether `slip` and `stick` are as exact over a long time as over a short step.
     """
 
     steps_may_be_long: ClassVar[bool] = False
 
     @abc.abstractmethod
     def inputs(self, t: FloatArray, segments: Segments) -> Any:
-        """What the drive does from time t on, until a piece ends."""
+        """The excitation from time t (s) on, until a segment ends."""
 
     @abc.abstractmethod
     def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
-        """The state after slipping for the time `h` with relative velocity of this sign."""
+        """The state after a slip of duration `h` (s) with relative velocity of this `sign`."""
 
     def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray | None]:
-        """The same, and its relative error as far as it comes from the length of the step; None where that is known
-        to be short enough.
+        """The same, and its relative error by the length of the step; None where the step is known to be short
+        enough.
         """
         return self.slip(inputs, y, h, sign), None
 
     @abc.abstractmethod
     def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
-        """The state after sticking for the time `h`."""
+        """The state after a stick of duration `h` (s)."""
 
     def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray | None]:
         """The same, and its relative error or None."""
@@ -68,22 +67,23 @@ class SwitchedModel(eqx.Module):
 
     @abc.abstractmethod
     def at_rest(self, inputs: Any, y: State) -> BoolArray:
-        """Whether the mass has the velocity of what it rubs on, but for round-off, at `tau` 0."""
+        """Whether the relative velocity is zero, but for round-off, at `tau` 0."""
 
     @abc.abstractmethod
     def slip_sign(self, inputs: Any, y: State) -> FloatArray:
-        """The sign of the relative velocity at `tau` 0 and right after it, for a mass that is not at rest."""
+        """The sign of the relative velocity at and right after `tau` 0, for a state that is not `at_rest`."""
 
     @abc.abstractmethod
     def guard(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A number that is positive while the mode lasts, and its time derivative.
+        """Guard of the mode, positive while the stick or slip lasts, and its time derivative.
 
-        In a slip: ``sign`` times the relative velocity. In a stick: ``1 - (needed friction / largest friction)^2``.
+        In a slip: ``sign`` times the relative velocity. In a stick (`sign` 0): ``1 - (f / f_max)^2``, where f is the
+        friction force needed and f_max the largest one.
         """
 
     @abc.abstractmethod
     def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
-        """The size of the terms that cancel in the guard, to judge round-off by."""
+        """The size of the terms that cancel in the guard: the scale of its round-off."""
 
     @abc.abstractmethod
     def on_base(self, inputs: Any, y: State) -> State:
@@ -91,16 +91,16 @@ class SwitchedModel(eqx.Module):
 
     @abc.abstractmethod
     def can_stick(self, inputs: Any, y: State) -> BoolArray:
-        """Whether friction can hold the mass on the base, at `tau` 0 and relative velocity zero."""
+        """Whether friction can hold a stick at `tau` 0, the relative velocity being zero."""
 
     @abc.abstractmethod
     def release_sign(self, inputs: Any, y: State) -> FloatArray:
-        """The sign of the relative velocity with which a mass leaves a stick, at `tau` 0."""
+        """The sign of the relative velocity after a release at `tau` 0."""
 
     def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
-        """The longest step to take from `y`, `age` s after the last event at rest.
+        """The longest step to take from `y`, `age` (s) after the last event at rest.
 
-        Transients may call for shorter ones at first, and a stick may allow longer ones.
+        Transients may need shorter steps at first, and a stick may allow longer ones.
         """
         return step
 

@@ -1,10 +1,9 @@
-"""Systems of the user's: any ordinary differential equations with one dry-friction contact, and how they move.
+"""Systems of the user's: any ordinary differential equations with one dry-friction contact.
 
-Slips and sticks are integrated; all switches follow from the rates. With the relative velocity ``sigma(t, y, base)``
-and ``rates = a + b friction``, friction changes ``sigma'`` by
-``gain = grad sigma . b`` (negative). In a stick it is the share u of the kinetic force that keeps ``sigma' = 0``
-(Filippov's sliding field), which lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma
-(``gain = 0``) nothing sticks.
+Slips and sticks are integrated; their ends follow from the rates. With the relative velocity ``sigma(t, y, base)`` and
+``rates = a + b friction``, one unit of friction changes ``sigma'`` by ``gain = grad sigma . b`` (negative). In a stick,
+friction is the share u of the kinetic force that keeps ``sigma' = 0`` (Filippov's sliding field); the stick
+lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma (``gain = 0``) nothing sticks.
 """
 
 import abc
@@ -22,20 +21,20 @@ from .._excitation.segments import added
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
-from .._types import BoolArray, FloatArray, Scalar
+from .._types import BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .own_checks import check_fields, check_motion
 from .switched_model import NOISE_ULPS, Base, Segments, State, SwitchedModel
 from .system import OWN_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
 
-_NEWTON_STEPS = 2  # to the relative velocity zero; where it is linear in the state, the first one arrives
-_LEAST_GAIN = 64  # units in the last place of the terms of the gain; what is smaller has no effect
+_NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
+_LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
 
 
 class SwitchedSystem(System):
-    """One dry-friction contact in any system of ordinary differential equations. Subclass it and write three things.
+    """A system of your own: ordinary differential equations with one dry-friction contact. Subclass it and write:
 
-    - `state_names`: what each number of the state is, and its unit; there are two or more.
+    - `state_names`: name and unit of each number of the state, two or more.
     - `rates(t, y, base, friction)`: the time derivative of the state.
     - `relative_velocity(t, y, base)`: the velocity of one side of the contact relative to the other.
 
@@ -74,36 +73,37 @@ class SwitchedSystem(System):
         one = ss.simulate(system, ss.Harmonic(1.0, 0.8), t1=50.0, y0=(0.0, 0.0, 1.0, 0.0))
 
     Fields hold numbers and arrays, or signals such as `Harmonic` for a force, ``self.force.value(t)``: what JAX can
-    differentiate with respect to. Anything else, such as a name or a function, is declared
-    ``field: str = equinox.field(static=True)``. `position` of a stick is the first number of the state. Figures name
-    their axes by `state_names`; `coordinates`, `body_name`, `stick_band` and others of `System` may be given for what
-    else figures show.
+    differentiate with respect to. Where the annotation of a field holds a `Quantity`, the constructor checks the
+    field. Anything else, such as a name or a function, is declared ``field: str = equinox.field(static=True)``.
 
-    `simulate` and `simulate_ensemble` raise ValueError where an instance breaks these rules, as far as can be seen in
-    the initial state with the base at rest. A base velocity of any kind drives the system, not a ground acceleration.
+    The position of a stick is the first number of the state. Figures label their axes by `state_names`; override
+    `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
+
+    `simulate` and `simulate_ensemble` raise ValueError for an instance that breaks these rules in the initial state
+    with the base at rest. Any base velocity can drive the system, but no ground acceleration.
     """
 
     @property
     @abc.abstractmethod
     def state_names(self) -> tuple[str, ...]:
-        """What each number of the state is, with its unit: ``("angle in rad", "angular velocity in rad/s")``."""
+        """Name and unit of each number of the state: ``("angle in rad", "angular velocity in rad/s")``."""
 
     @abc.abstractmethod
-    def rates(self, t: FloatArray, y: tuple[FloatArray, ...], base: Base, friction: FloatArray) -> tuple[Any, ...]:
+    def rates(self, t: FloatArray, y: State, base: Base, friction: FloatArray) -> tuple[Any, ...]:
         """The time derivatives of the state `y` (a tuple of scalars) at time `t` (s), as many scalars, by JAX.
 
         - `base`: velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
-        - `friction`: the share of the kinetic friction force that acts: +1 while the relative velocity is positive, -1
-          while it is negative, what it takes in a stick, at most `static_ratio`. The friction force is ``friction``
-          times the kinetic one, and positive values act against a positive relative velocity. So rates are affine in
-          `friction`: ``a + b friction``, where a and b depend on time, state and base.
+        - `friction`: the friction force over the kinetic friction force: +1 while the relative velocity is positive, -1
+          while it is negative, and in a stick whatever holds it, at most `static_ratio` in size. Positive values must
+          act against a positive relative velocity, and rates must be affine in `friction`: ``a + b friction``, where a
+          and b depend on time, state and base.
 
-        Of a kinetic force that depends on the relative velocity r, write ``friction * force(jnp.abs(r))``. Rates must
-        be smooth, but for their dependence on ``jnp.abs(r)``.
+        Write a kinetic force that depends on the relative velocity r as ``friction * force(jnp.abs(r))``. Rates must be
+        smooth functions otherwise.
         """
 
     @abc.abstractmethod
-    def relative_velocity(self, t: FloatArray, y: tuple[FloatArray, ...], base: Base) -> FloatArray:
+    def relative_velocity(self, t: FloatArray, y: State, base: Base) -> FloatArray:
         """The relative velocity in the contact, m/s (or rad/s): a smooth scalar function of the state.
 
         It may depend on the base's velocity, not on its acceleration.
@@ -111,11 +111,11 @@ class SwitchedSystem(System):
 
     @property
     def static_ratio(self) -> Scalar:
-        """What a stick holds over what a slip meets at its beginning, ``mu_static / mu``; at least 1."""
+        """Largest static friction force over the kinetic one at vanishing speed, ``mu_static / mu``; at least 1."""
         return 1.0
 
     @property
-    def shortest_time(self) -> Any:
+    def shortest_time(self) -> Scalar | None:
         """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
 
         The default time step is 1/48 of it, and no step may be longer than 1/12 of it. None where it is not known; the
@@ -124,10 +124,10 @@ class SwitchedSystem(System):
         return None
 
     @property
-    def speed_scale(self) -> Any:
-        """The scale of relative velocities, m/s (or rad/s): the speed that friction takes away in one `shortest_time`.
+    def speed_scale(self) -> Scalar | None:
+        """The scale of relative velocities, m/s (or rad/s): the change of speed by friction in one `shortest_time`.
 
-        A smoothed friction law takes its width from it. None where it is not known.
+        The default thresholds of `Regularized` follow from it. None where it is not known.
         """
         return None
 
@@ -139,10 +139,10 @@ class SwitchedSystem(System):
     def holds_more(self) -> bool:
         return float(self.static_ratio) > 1
 
-    def switched_model(self, smooth: Signal | None, solver: Any) -> "GeneralModel":
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "GeneralModel":
         return GeneralModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
 
-    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         return {
             OWN_TIME: TimeScale(self.shortest_time, SOLVED),
             "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
@@ -156,7 +156,7 @@ class SwitchedSystem(System):
     def check_numbers(self) -> None:
         check_fields(self)
 
-    def check_state(self, y0: tuple[Any, ...]) -> None:
+    def check_state(self, y0: tuple[Scalar, ...]) -> None:
         check_motion(self, y0)
 
     def check_excitation(self, excitation: Excitation) -> None:
@@ -169,7 +169,7 @@ class SwitchedSystem(System):
 
 
 class GeneralInputs(NamedTuple):
-    """From time `t` on: what of the base velocity comes in pieces, m/s, linear in time."""
+    """The piecewise-linear part of the base velocity from time `t` on: value (m/s) and slope."""
 
     t: FloatArray
     base: FloatArray
@@ -177,10 +177,11 @@ class GeneralInputs(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """How friction acts at one instant.
+    """The effect of friction at one instant.
 
     `idle`, `push`: rates without friction, and what one unit of friction adds. `drift`: the rate of the relative
-    velocity without friction. `grips`: whether friction acts on it; `per_gain`: by ``1 / gain``, 0 where it does not.
+    velocity without friction; `gain`: what one unit of friction adds to it. `grips`: whether friction has an effect on
+    it; `per_gain`: ``1 / gain``, 0 where it has none.
     """
 
     idle: State
@@ -192,16 +193,16 @@ class _Contact(NamedTuple):
 
     @property
     def share(self) -> FloatArray:
-        """The share of the kinetic friction that holds the relative velocity."""
+        """The friction, as a share of the kinetic force, that keeps the relative velocity constant."""
         return -self.drift * self.per_gain
 
 
 class GeneralModel(SwitchedModel):
-    """A `SwitchedSystem` on a base that moves with ``smooth(t)`` plus what comes in pieces."""
+    """A `SwitchedSystem` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts."""
 
     system: SwitchedSystem
     smooth: Signal | None
-    solver: diffrax.AbstractERK
+    solver: ExplicitSolver
 
     def inputs(self, t: FloatArray, segments: Segments) -> GeneralInputs:
         return GeneralInputs(t, *added(t, segments.base))
@@ -227,10 +228,11 @@ class GeneralModel(SwitchedModel):
         return tuple(jnp.where(sign == 0, a, b) for a, b in zip(held, slid, strict=True))
 
     def slip_rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
-        """The rates of a slip of this sign, continued smoothly to where the slip is over.
+        """The rates of a slip of this sign, continued smoothly to beyond the end of the slip.
 
-        The stages of a Runge-Kutta step that ends an arc may lie slightly beyond. Friction that depends on the absolute
-        relative velocity has a kink there, which would cost the order; so what lies beyond is told by the mirror image.
+        The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
+        absolute relative velocity has a kink there, which would cost the order: beyond, rates are extrapolated from the
+        mirror image of the state.
         """
         t, base, _ = self.base_at(inputs, tau)
         sigma, gradient = self._gradient(t, y, base)
@@ -281,7 +283,7 @@ class GeneralModel(SwitchedModel):
         slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
         slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
         if self.system.shortest_time is not None:
-            # What the forces change in the time of one radian: all of a velocity about a base at rest comes from that.
+            # What the forces change in the time of one radian: on a base at rest all relative velocity is due to them.
             contact = self._contact(t, base, y)
             change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
             slip = slip + self.system.shortest_time / (2 * np.pi) * (change + jnp.abs(contact.gain))
@@ -295,13 +297,13 @@ class GeneralModel(SwitchedModel):
         return contact.grips & (jnp.abs(contact.share) <= self.system.static_ratio)
 
     def release_sign(self, inputs: GeneralInputs, y: State) -> FloatArray:
-        # What drives the relative velocity without friction is more than friction can hold.
+        # Without friction the relative velocity would change faster than friction can prevent.
         contact = self._contact(*self.base_at(inputs, jnp.zeros_like(y[0]))[:2], y)
         return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
 
     @property
     def friction(self) -> FrictionLaw:
-        """Its friction coefficient is the share of the kinetic force."""
+        """Coulomb's law, its coefficient a share of the kinetic force."""
         holds_more = type(self.system).static_ratio is not SwitchedSystem.static_ratio
         return Coulomb(1.0, self.system.static_ratio if holds_more else None)
 
@@ -330,7 +332,7 @@ class GeneralModel(SwitchedModel):
         return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
 
     def _way(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
-        """How far each number of the state goes in the time `h` by each term of its rate alone, their sum."""
+        """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
         model, inputs, y, h = without_derivatives((self, inputs, y, h))
         t, base, _ = model.base_at(inputs, jnp.zeros_like(h))
         none = jnp.zeros_like(t)
@@ -364,7 +366,7 @@ class GeneralModel(SwitchedModel):
         return _Contact(idle, push, drift, grips, gain, per_gain)
 
     def _held(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> State:
-        """`y`, moved the way friction acts until the relative velocity is zero."""
+        """`y`, moved in the direction in which friction acts until the relative velocity is zero."""
         t, base, _ = self.base_at(inputs, tau)
         for _ in range(_NEWTON_STEPS):
             contact = self._contact(t, base, y)

@@ -3,7 +3,6 @@
 import abc
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from .. import _checks
@@ -12,12 +11,13 @@ from .._excitation.random import RandomPhase
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
-from .._types import AnyArray, Array, Scalar
+from .._fields import Checked
+from .._types import AnyArray, Array, ExplicitSolver, Scalar, Solver
 from .switched_model import SwitchedModel
 
 
 class Coordinate(NamedTuple):
-    """One number of a system's state: what it is, its unit, its symbol in TeX, and after what it repeats itself."""
+    """One number of a system's state: its name, unit, symbol in TeX, and period (None if it has none)."""
 
     name: str
     unit: str
@@ -26,36 +26,36 @@ class Coordinate(NamedTuple):
 
     @classmethod
     def of(cls, name: str) -> "Coordinate":
-        """From ``"position in m"``; without a unit, it has the unit 1."""
+        """The coordinate that ``"position in m"`` names; without a unit, its unit is 1."""
         known, _, unit = name.rpartition(" in ")
         return cls(known, unit) if known else cls(name, "1")
 
     @property
     def meaning(self) -> str:
-        """What it is, with its unit: "position in m"."""
+        """Name and unit: "position in m"."""
         return self.name if self.unit == "1" else f"{self.name} in {self.unit}"
 
     @property
     def label(self) -> str:
-        """For the axis of a figure: "position $x$ (m)"."""
+        """Label of an axis: "position $x$ (m)"."""
         return self.labelled("")
 
     def labelled(self, more: str) -> str:
-        """The label with something `more` said: "position $x$ where the stick begins (m)"."""
+        """Label of an axis with `more` words: "position $x$ where the stick begins (m)"."""
         symbol, unit = f" ${self.symbol}$" if self.symbol else "", f" ({self.unit})" if self.unit != "1" else ""
         return f"{self.name}{symbol}{more}{unit}"
 
 
 class StepCount(NamedTuple):
-    """How many steps to take in a time scale: by default, and at least."""
+    """Number of time steps in one time scale: by default, and at least."""
 
     default: float
     least: float
 
 
-# What is smooth has at most two extrema in a sixth of its period, but the sum of two such motions may have more: six
-# steps missed a stick in 21 of 270,000 random trajectories of 60 s, eight in 4 of 279,000, ten in none of 288,000. A
-# Runge-Kutta step wants more.
+# A harmonic motion has at most one extremum in a sixth of its period, but the sum of two may have more: six steps in
+# the shortest period missed a stick in 21 of 270,000 random trajectories of 60 s, eight in 4 of 279,000, ten in none of
+# 288,000. A Runge-Kutta method needs more.
 PERIOD, SOLVED = StepCount(16.0, 10.0), StepCount(48.0, 12.0)
 
 
@@ -63,59 +63,64 @@ OWN_TIME = "shortest time of the system"
 
 
 class TimeScale(NamedTuple):
-    """A time (s; None where it is not known) that the steps must be short against."""
+    """A time (s; None where it is not known) that time steps must be short against, and how short."""
 
-    time: Any
+    time: Scalar | None
     steps: StepCount
 
 
-class System(eqx.Module):
-    """What moves, with one dry-friction contact. Whatever is particular about a system, it knows itself."""
+class System(Checked):
+    """A mechanical system with one dry-friction contact: all that is particular to it.
+
+    `MassSpring` and `MotorCart` are systems; for one of your own subclass `SwitchedSystem`.
+    """
 
     @property
     @abc.abstractmethod
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The numbers of its state. A figure of the plane of motion draws the second against the first."""
+        """The numbers of its state. Phase portraits show the second against the first."""
 
     @abc.abstractmethod
-    def switched_model(self, smooth: Signal | None, solver: Any) -> SwitchedModel:
-        """The system under a realised smooth drive; slips in closed form where there is one and `solver` is None."""
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> SwitchedModel:
+        """The system under one realisation of the smooth excitation. Slips are in closed form where there is one and
+        `solver` is None.
+        """
 
     @abc.abstractmethod
-    def time_scales(self, excitation: Excitation, solver: Any) -> dict[str, TimeScale]:
-        """Each time scale by name, of the system and of what drives it."""
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+        """The time scales of the system and of its excitation, by name."""
 
     @property
     @abc.abstractmethod
     def contact_scales(self) -> tuple[Any, Any]:
-        """A velocity (m/s) and a deceleration (m/s^2) typical of its sticks and slips; None where not known.
+        """A typical relative velocity (m/s), and the deceleration by the largest friction force alone (m/s^2).
 
-        The deceleration is that by the largest friction alone.
+        Each is None where it is not known.
         """
 
-    def state_scales(self, excitation: Excitation) -> tuple[Any, ...]:
-        """The typical size of each number of the state, by which errors are judged where that is small."""
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
+        """The typical size of each number of the state: the scale of its errors where the number itself is small."""
         return (1.0,) * len(self.coordinates)
 
     @property
     def stick_position(self) -> Coordinate:
-        """What is recorded as the position of a stick: the first number of the state."""
+        """The coordinate recorded as the position of a stick: the first number of the state."""
         first = self.coordinates[0]
         return first._replace(name=f"{first.name} when the stick starts")
 
     @property
     def holds_more(self) -> bool:
-        """Whether a stick can hold more than a slip meets: static friction above kinetic friction."""
+        """Whether static friction exceeds kinetic friction."""
         return False
 
     @property
     def recorded_loads(self) -> tuple[Recorded, ...]:
-        """External forces that come in pieces."""
+        """External forces that are piecewise linear in time."""
         return ()
 
     @property
     def rides_base(self) -> bool:
-        """Whether in a stick the first number of its state moves with the base velocity, and the second is that."""
+        """Whether in a stick the second number of the state is the base velocity, and the rate of the first."""
         return False
 
     @property
@@ -129,10 +134,10 @@ class System(eqx.Module):
         return None
 
     def check_numbers(self) -> None:
-        """Check what could not be checked when it was made. Raises ValueError otherwise."""
+        """Check what the constructor does not check. Raises ValueError for what does not fit."""
 
-    def check_state(self, y0: tuple[Any, ...]) -> None:
-        """Check what it does in the initial state `y0`. Raises ValueError otherwise."""
+    def check_state(self, y0: tuple[Scalar, ...]) -> None:
+        """Check the equations of motion in the initial state `y0`. Raises ValueError for what does not fit."""
 
     def check_excitation(self, excitation: Excitation) -> None:
         """Check that `excitation` can drive it. Raises ValueError otherwise."""
@@ -141,57 +146,63 @@ class System(eqx.Module):
                 f"Argument base of a {type(self).__name__} must be a base motion, but a SourceVoltage was given."
             )
 
-    def check_solver(self, solver: Any) -> None:
-        """Check that slips can be followed by `solver`, or in closed form. Raises ValueError otherwise."""
+    def check_solver(self, solver: Solver | None) -> None:
+        """Check that `solver` can integrate slips, or that the closed form holds if it is None. Raises ValueError
+        otherwise.
+        """
 
     # What figures show.
 
     @property
     def body_name(self) -> str:
-        """What its state is that of: "mass", "motor"."""
+        """The body whose state it is, for legends: "mass", "motor"."""
         return "system"
 
     @property
     def slip_centre(self) -> Scalar | None:
-        """The distance from 0 of the two points about which it slips, on a base without acceleration; None if none."""
+        """Distance from 0 of the two points about which slips oscillate on a base without acceleration; None if there
+        are none.
+        """
         return None
 
     @property
     def band_coordinate(self) -> int:
-        """Which number of the state `stick_band` is about."""
+        """Index of the number of the state that `stick_band` limits."""
         return 0
 
     @property
     def band_symbols(self) -> str:
-        """The band where it does not change in time, in TeX."""
+        """The stick band in TeX, where it does not change in time."""
         return ""
 
     def stick_band(
-        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: Any
+        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
-        """Between which values friction can hold at `times` (s), with the velocity (m/s) of the base, its rate, and the
-        ground's acceleration (m/s^2); NaN where that is not known.
+        """Lower and upper limit between which friction can hold a stick at `times` (s); NaN where not known.
+
+        They limit the number of the state that `band_coordinate` names. `velocity` (m/s), `acceleration` (m/s^2): of
+        the base; `ground`: acceleration of the ground (m/s^2).
         """
         return jnp.full_like(times, jnp.nan), jnp.full_like(times, jnp.nan)
 
     def longest_stick(self, smooth: Signal, position: AnyArray) -> Array | None:
-        """The longest that it can stick in each position under this drive, s; None where no closed form is known."""
+        """Upper bound of the stick duration at each position under this excitation, s; None where none is known."""
         return None
 
 
-def voltage_of(excitation: Excitation) -> Any:
+def voltage_of(excitation: Excitation) -> Signal | None:
     """The smooth part of `excitation` without its random phase."""
     return excitation.smooth.signal if isinstance(excitation.smooth, RandomPhase) else excitation.smooth
 
 
-def shortest_period(excitation: Excitation) -> Any:
+def shortest_period(excitation: Excitation) -> Scalar | None:
     """The shortest period of the smooth part of `excitation`, s; infinity if there is none, None if it is not known."""
     smooth = voltage_of(excitation)
     return float("inf") if smooth is None else smooth.shortest_period
 
 
 def require_system(system: Any) -> System:
-    """`system` itself, checked. Raises ValueError otherwise."""
+    """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
     if not isinstance(system, System):
         raise ValueError(
             "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "

@@ -1,9 +1,9 @@
-"""Section ``[base]`` of a study's file: what drives the system.
+"""Section ``[base]`` of a study's file: the excitation.
 
-One class for each law, told apart by its tag ``law``: to offer another, add its class here and to the union.
+One class for each law, chosen by the key ``law``. The keys are the fields of the law, with their bounds, units and
+defaults. To offer another law, add its class here and to the union.
 """
 
-import abc
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
@@ -16,75 +16,27 @@ from .._excitation.random import RandomPhase
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._excitation.voltage import SourceVoltage
 from ._records_config import GroundAccelerationConfig, RecordedConfig
-from ._sections import Section, default_tag
-
-_VELOCITY = "m/s"
+from ._sections import DescribedSection, Section, default_tag, section_of
 
 
-class PoissonSwitchingConfig(Section):
+class PoissonSwitchingConfig(section_of(PoissonSwitching, "law", {"speed": 1.0, "rate": 1.0})):
     """Section ``[base]`` with the law `PoissonSwitching`."""
 
-    law: Literal["PoissonSwitching"] = "PoissonSwitching"
-    speed: float = Field(default=1.0, gt=0, description=_VELOCITY)
-    rate: float = Field(default=1.0, gt=0, description="mean number of switches per second, 1/s")
-    first_sign: Literal["random", "positive", "negative"] = Field(
-        default="random", description="of the velocity: random, positive or negative"
-    )
 
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it."""
-        return PoissonSwitching(self.speed, self.rate, self.first_sign)
-
-
-class SquareWaveConfig(Section):
+class SquareWaveConfig(section_of(SquareWave, "law")):
     """Section ``[base]`` with the law `SquareWave`."""
 
-    law: Literal["SquareWave"]
-    speed: float = Field(gt=0, description=_VELOCITY)
-    period: float = Field(gt=0, description="s")
 
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it."""
-        return SquareWave(self.speed, self.period)
-
-
-class RandomStepsConfig(Section):
+class RandomStepsConfig(section_of(RandomSteps, "law")):
     """Section ``[base]`` with the law `RandomSteps`."""
 
-    law: Literal["RandomSteps"]
-    speed: float = Field(gt=0, description=_VELOCITY)
-    interval: float = Field(gt=0, description="time between draws of the velocity, s")
-    levels: list[float] = Field(default=[-1.0, 1.0], description="the velocities are speed times these")
-    probabilities: list[float] | None = Field(default=None, description="of the levels; not given: equal odds")
 
-    @model_validator(mode="after")
-    def _levels_fit(self) -> "RandomStepsConfig":
-        self.build()
-        return self
-
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it. Raises ValueError for levels and probabilities that do not fit."""
-        odds = None if self.probabilities is None else tuple(self.probabilities)
-        return RandomSteps(self.speed, self.interval, tuple(self.levels), odds)
-
-
-class ConstantConfig(Section):
+class ConstantConfig(section_of(Constant, "law")):
     """Section ``[base]`` with the law `Constant`."""
 
-    law: Literal["Constant"]
-    speed: float = Field(description="signed, m/s")
 
-    def build(self) -> BangBangLaw:
-        """The law as the simulation takes it."""
-        return Constant(self.speed)
-
-
-class PiecewiseConstantConfig(Section):
+class PiecewiseConstantConfig(section_of(PiecewiseConstant, "law", base=Section)):
     """Section ``[base]`` with the law `PiecewiseConstant`."""
-
-    law: Literal["PiecewiseConstant"]
-    times: list[float] = Field(min_length=1, description="start of each interval, s; the first is 0")
-    velocities: list[float] = Field(min_length=1, description="during each interval, m/s")
 
     @model_validator(mode="after")
     def _times_fit(self) -> "PiecewiseConstantConfig":
@@ -93,14 +45,14 @@ class PiecewiseConstantConfig(Section):
         return self
 
     def build(self) -> BangBangLaw:
-        """The law as the simulation takes it (starts JAX). Raises ValueError if float32 cannot tell times apart."""
+        """The law as the simulation takes it (starts JAX). Raises ValueError for times that are equal in float32."""
         return PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
 
 
 _RANDOM_PHASE = "whether each sample draws its phase; not given: true, unless a phase is given"
 
 
-class _Phased(Section):
+class _Phased(DescribedSection):
     """A law whose phase may be random."""
 
     random_phase: bool = Field(default=True, description=_RANDOM_PHASE)
@@ -117,88 +69,43 @@ class _Phased(Section):
         for key in ("phase", "phases"):
             if self.random_phase and getattr(self, key, None) is not None:
                 raise ValueError(f"{key} must be left out where random_phase is true, because it is drawn.")
-        self.build()
         return self
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return f"{super().title} of random phase" if self.random_phase else super().title
-
-    @abc.abstractmethod
-    def signal(self) -> Signal:
-        """The signal with the phases given."""
 
     def build(self) -> Signal | RandomPhase:
         """The signal as the simulation takes it. Raises ValueError for lists that do not fit."""
-        return RandomPhase(self.signal()) if self.random_phase else self.signal()
+        given = {name: value for name, value in self.numbers.items() if value is not None}
+        signal = self.described_class(**given)
+        return RandomPhase(signal) if self.random_phase else signal
 
 
-class HarmonicConfig(_Phased):
+_PHASE = Field(default=None, description="rad; not given: 0, or drawn")
+
+
+class HarmonicConfig(section_of(Harmonic, "law", signal_unit="m/s", base=_Phased)):
     """Section ``[base]`` with the law `Harmonic`."""
 
-    law: Literal["Harmonic"]
-    amplitude: float = Field(description=_VELOCITY)
-    angular_frequency: float = Field(gt=0, description="rad/s")
-    phase: float | None = Field(default=None, description="rad; not given: 0, or drawn")
-    offset: float = Field(default=0.0, description=_VELOCITY)
-
-    def signal(self) -> Signal:
-        """The signal with the phase given."""
-        return Harmonic(self.amplitude, self.angular_frequency, self.phase or 0.0, self.offset)
+    phase: float | None = _PHASE
 
 
-class SumOfHarmonicsConfig(_Phased):
+class SumOfHarmonicsConfig(section_of(SumOfHarmonics, "law", signal_unit="m/s", base=_Phased)):
     """Section ``[base]`` with the law `SumOfHarmonics`."""
 
-    law: Literal["SumOfHarmonics"]
-    amplitudes: list[float] = Field(min_length=1, description=_VELOCITY)
-    angular_frequencies: list[float] = Field(min_length=1, description="rad/s")
-    phases: list[float] | None = Field(default=None, description="rad; not given: 0, or drawn")
-    offset: float = Field(default=0.0, description=_VELOCITY)
-
-    def signal(self) -> Signal:
-        """The signal with the phases given."""
-        return SumOfHarmonics(self.amplitudes, self.angular_frequencies, self.phases, self.offset)
+    phases: list[float] | None = _PHASE
 
 
-class SourceVoltageConfig(_Phased):
+class SourceVoltageConfig(section_of(SourceVoltage, "law", base=_Phased)):
     """Section ``[base]`` with the law `SourceVoltage`, which drives a `MotorCart`."""
 
-    law: Literal["SourceVoltage"] = "SourceVoltage"
-    mean: float = Field(default=1.0, description="V")
-    amplitude: float = Field(default=0.5, description="V")
-    angular_frequency: float = Field(default=10.0, gt=0, description="rad/s")
-    phase: float | None = Field(default=None, description="rad; not given: 0, or drawn")
-
-    def signal(self) -> Signal:
-        """The signal with the phase given."""
-        return SourceVoltage(self.mean, self.amplitude, self.angular_frequency, self.phase or 0.0)
+    phase: float | None = _PHASE
 
 
-_KANAI_TAJIMI: Any = KanaiTajimi(1.0)
-
-
-class KanaiTajimiConfig(Section):
+class KanaiTajimiConfig(section_of(KanaiTajimi, "law")):
     """Section ``[base]`` with the law `KanaiTajimi`."""
-
-    law: Literal["KanaiTajimi"]
-    rms: float = Field(gt=0, description="standard deviation of the ground's acceleration at its height, m/s^2")
-    ground_frequency: float = Field(default=_KANAI_TAJIMI.ground_frequency, gt=0, description="of the layer, rad/s")
-    ground_damping: float = Field(default=_KANAI_TAJIMI.ground_damping, gt=0, lt=1, description="its damping ratio")
-    rise: float = Field(default=_KANAI_TAJIMI.rise, gt=0, description="of the envelope, s")
-    plateau: float = Field(default=_KANAI_TAJIMI.plateau, ge=0, description="of the envelope, s")
-    decay: float = Field(default=_KANAI_TAJIMI.decay, ge=0, description="of the envelope, 1/s")
-    interval: float = Field(default=_KANAI_TAJIMI.interval, gt=0, description="between samples, s")
-
-    @model_validator(mode="after")
-    def _interval_fits(self) -> "KanaiTajimiConfig":
-        self.build()
-        return self
-
-    def build(self) -> KanaiTajimi:
-        """The law as the simulation takes it. Raises ValueError for an interval too long for the ground's frequency."""
-        return KanaiTajimi(**self.model_dump(exclude={"law"}))
 
 
 _JumpsConfig = Annotated[
@@ -218,7 +125,7 @@ class WithJumpsConfig(Section):
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return f"{self.motion.title} with jumps by {self.jumps.title}"
 
     def build(self) -> WithJumps:

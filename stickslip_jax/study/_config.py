@@ -1,4 +1,4 @@
-"""What a study is made of: the sections of a TOML file, as pydantic models."""
+"""A study: the sections of its TOML file as pydantic models."""
 
 import math
 from typing import Any, ClassVar, Literal
@@ -16,9 +16,9 @@ _OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
 
 
 class RunConfig(Section):
-    """Section ``[run]``: how much is simulated, and how. The systems add where it starts from.
+    """Section ``[run]``: how much is simulated, and how. Each system adds its initial state.
 
-    `maps_first_sticks`: whether the duration of the first sticks is drawn against their position.
+    `maps_first_sticks`: whether a figure shows the duration of the first sticks against their position.
     """
 
     maps_first_sticks: ClassVar[bool] = False
@@ -31,7 +31,7 @@ class RunConfig(Section):
         description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
     )
     orders: int = Field(
-        default=10, ge=1, le=MOST_ORDERS, description="statistics tell of the 1st, 2nd, ... up to this stick"
+        default=10, ge=1, le=MOST_ORDERS, description="statistics of the 1st, 2nd, ... up to this stick"
     )
     count_initial_rest: bool = Field(
         default=False, description="whether a stick that begins at t = 0 counts as the first"
@@ -60,7 +60,7 @@ class RunConfig(Section):
 
     def y0(self) -> tuple[Any, ...]:
         """The initial state as the simulation takes it."""
-        raise NotImplementedError  # not abstract: what all systems share can be read, and written, without one
+        raise NotImplementedError  # not abstract: the keys that all systems share can be read and written without one
 
 
 class MassSpringRunConfig(RunConfig):
@@ -113,7 +113,7 @@ class OutputConfig(Section):
 class StudyConfig(Section):
     """A whole study. The default is the oscillator of Lima and Sampaio's conference paper under Poisson switching.
 
-    What is usual depends on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s.
+    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s.
     """
 
     system: SystemConfig = MassSpringConfig()
@@ -132,7 +132,7 @@ class StudyConfig(Section):
     @field_validator("run", mode="before")
     @classmethod
     def _run_of_the_system(cls, table: Any, info: Any) -> RunConfig:
-        if "system" not in info.data:  # the system's own mistakes are told
+        if "system" not in info.data:  # the mistake in [system] is reported
             return MassSpringRunConfig()
         kind = RUNS[type(info.data["system"])]
         if type(table) is RunConfig:

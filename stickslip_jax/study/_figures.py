@@ -82,6 +82,6 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
 def _time_shown(system: System, law: Any) -> float:
     """The longest time whose oscillations can be distinguished in a figure, s."""
     if system.natural_frequency is None:
-        signal = law.signal if isinstance(law, RandomPhase) else law
+        signal: Any = law.signal if isinstance(law, RandomPhase) else law
         return _VOLTAGE_PERIODS_SHOWN * float(signal.shortest_period)
     return _PERIODS_SHOWN * 2 * math.pi / float(system.natural_frequency)

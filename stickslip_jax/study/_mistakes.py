@@ -1,4 +1,4 @@
-"""Messages about mistakes in a study's file: one sentence that names the section and the key."""
+"""Errors in a study's file, each as one sentence that names section and key."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
@@ -6,18 +6,19 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from .._checks import one_of
 from ._config import RUNS, StudyConfig
-from ._sections import NUMBER, Section, UniformConfig, kinds_in, one_of, tables_of, tag_key, tag_of, toml_value
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, tables_of, tag_key, tag_of, toml_value
 from ._systems_config import MassSpringConfig
 
 Options = Mapping[tuple[str, str], str]
-"""For sections and keys set by options of the command, the name of the option."""
-_KNOWN = None  # the key of `_Place.kinds` where the class of the section is known
+"""The option of the command by which a value was given, by section and key."""
+_CHOSEN = None  # the name under which the chosen kind stands
 
 
 def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Options) -> str:
-    """One sentence about the first problem that pydantic found in `table`."""
-    # A misspelt key is reported as unknown and often, under its right name, as missing: the former says more.
+    """One sentence for the first problem that pydantic found in `table`."""
+    # A misspelt key shows as unknown and, often, also as missing: the first says more.
     problem: Any = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     run = _run_kind(table)
     place = _place_of(problem["loc"], run)
@@ -41,12 +42,7 @@ def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Opti
 
 
 class _Place(NamedTuple):
-    """A place in the file.
-
-    - `section`: "base.jumps", say; "" outside all sections.
-    - `kinds`: the classes that the section may be, by tag; by None if there is only one.
-    - `key`: "" for the section as a whole.
-    """
+    """The section ("base.jumps", or "" outside all), its possible kinds by name, and the key ("" for the section)."""
 
     section: str
     kinds: Mapping[str | None, type[Section]]
@@ -59,20 +55,20 @@ class _Place(NamedTuple):
 
     @property
     def kind(self) -> type[Section]:
-        """The class of the section, where it is known."""
-        return self.kinds[_KNOWN]
+        """The kind of the section."""
+        return self.kinds[_CHOSEN]
 
 
 def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
-    """The place at pydantic's `location`: keys, indices of lists, and the tags of the classes that were chosen."""
-    place = outside = _Place("", {_KNOWN: StudyConfig})
+    """The place that pydantic locates by keys, indices of lists, and the names of the chosen kinds."""
+    place = outside = _Place("", {_CHOSEN: StudyConfig})
     for part in location:
         if isinstance(part, int):
             place = place._replace(key=f"{place.key}[{part}]")
-        elif part == NUMBER:  # a number given where a table was possible, too
+        elif part == NUMBER:  # a number where a table is possible too
             place = outside._replace(key=place.name)
         elif part in place.kinds:
-            place = place._replace(kinds={_KNOWN: place.kinds[part]})
+            place = place._replace(kinds={_CHOSEN: place.kinds[part]})
         else:
             fields = place.kind.model_fields
             kinds = kinds_in(fields[part].annotation) if part in fields else {}
@@ -80,17 +76,17 @@ def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
                 place = place._replace(key=str(part))
                 continue
             inside = f"{place.section}.{part}".removeprefix(".")
-            outside, place = place, _Place(inside, _single({"run": run} if inside == "run" else kinds))
+            outside, place = place, _Place(inside, _kinds_of_place({"run": run} if inside == "run" else kinds))
     return place
 
 
-def _single(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
+def _kinds_of_place(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
     (kind, *others) = kinds.values()
-    return {**kinds} if others or kind is UniformConfig else {_KNOWN: kind}
+    return {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
 
 
 def _run_kind(table: Mapping[str, Any]) -> type[Section]:
-    """The class of the section [run], which depends on the system."""
+    """The kind of the section [run]."""
     system = table.get("system")
     model = system.get("model") if isinstance(system, dict) else None
     return {tag_of(kind): run for kind, run in RUNS.items()}.get(model or "", RUNS[MassSpringConfig])
@@ -99,7 +95,7 @@ def _run_kind(table: Mapping[str, Any]) -> type[Section]:
 def _all_sections(
     kind: type[Section] = StudyConfig, within: str = ""
 ) -> Iterator[tuple[str, dict[str, type[Section]]]]:
-    """The name of every section, with the classes that it may be, by tag."""
+    """The name of every section, and its possible kinds."""
     for key, kinds in tables_of(kind).items():
         name = f"{within}.{key}".removeprefix(".")
         yield name, {tag_of(system): run for system, run in RUNS.items()} if name == "run" else kinds
@@ -163,7 +159,7 @@ def _unknown_section(name: str, value: Any) -> str:
 
 
 def _owner_of(key: str, section: str = "") -> str:
-    """A hint that `key` belongs elsewhere, first of all in another class of the same `section`; "" if nowhere."""
+    """A hint for a `key` that exists elsewhere, the `section` itself (of another kind) first, or ""."""
     for name, kinds in sorted(_all_sections(), key=lambda each: each[0] != section):
         owners = [tag for tag, kind in kinds.items() if key in kind.model_fields]
         if owners and len(owners) == len(kinds):

@@ -1,16 +1,20 @@
-"""What the sections of a study's file have in common: how they are checked, told apart, and written as TOML.
+"""The sections of a study's file in general: how they are checked, distinguished, and written as TOML.
 
 Types are strict: neither the string "1" nor true is a number; nan and infinity are refused.
 """
 
+import dataclasses
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from textwrap import wrap
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, create_model, model_validator
 
+from .._checks import one_of
 from .._excitation.random import Uniform
+from .._excitation.smooth import SIGNAL_UNIT
+from .._fields import Choice, Quantity, described
 
 
 class Section(BaseModel):
@@ -20,24 +24,85 @@ class Section(BaseModel):
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return tag_of(type(self))
 
 
-class UniformConfig(Section):
-    """An initial value drawn anew for every sample: ``{ low = 0.0, high = 1.0 }``."""
+class DescribedSection(Section):
+    """A section whose keys are the fields of the class `described_class` (`section_of`), and are checked by it."""
 
-    low: float = Field(description="the lowest value")
-    high: float = Field(description="the highest value")
+    described_class: ClassVar[Any]
 
     @model_validator(mode="after")
-    def _low_below_high(self) -> "UniformConfig":
+    def _accepted(self) -> "DescribedSection":
         self.build()
         return self
 
-    def build(self) -> Uniform:
-        """The value as the simulation takes it. Raises ValueError unless low is below high."""
-        return Uniform(self.low, self.high)
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The keys that are fields of the class, with their values."""
+        return {name: getattr(self, name) for name in described(self.described_class)}
+
+    def build(self) -> Any:
+        """The system or law as the simulation takes it. Raises ValueError for values that do not fit together."""
+        return self.described_class(**self.numbers)
+
+
+def section_of(
+    described_class: type,
+    tag: str = "",
+    defaults: Mapping[str, Any] | None = None,
+    *,
+    signal_unit: str = "",
+    base: type[Section] = DescribedSection,
+) -> Any:
+    """A section with one key for each field of `described_class` that has a `Quantity` or a `Choice`.
+
+    Bounds, unit, meaning and default of each key are the field's.
+
+    - `tag`: the key that holds the name of the class, "law" or "model"; "" for none.
+    - `defaults`: those that a study has in place of the fields' own.
+    - `signal_unit`: the unit of what is a base velocity or a force, known by the place of the section.
+    - `base`: the class of the section.
+    """
+    keys: dict[str, Any] = {}
+    changed = {name: {"default": value} for name, value in (defaults or {}).items()}
+    if tag:
+        keys[tag] = (Literal[described_class.__name__], described_class.__name__)
+    for name in described(described_class):
+        keys[name] = key_of(described_class, name, signal_unit=signal_unit, **changed.get(name, {}))
+    section: Any = create_model(f"SectionOf{described_class.__name__}", __base__=base, **keys)
+    section.described_class = described_class
+    return section
+
+
+def key_of(described_class: type, name: str, *, signal_unit: str = "", **changed: Any) -> tuple[Any, Any]:
+    """Type and pydantic field of the key for the field `name` of `described_class`.
+
+    `changed`: arguments of pydantic's Field, such as ``default``, in place of what follows from the field.
+    """
+    about = described(described_class)[name]
+    if isinstance(about, Quantity) and about.unit == SIGNAL_UNIT and signal_unit:
+        about = dataclasses.replace(about, unit=signal_unit)
+    default = {field.name: field.default for field in dataclasses.fields(described_class)}[name]
+    options = {} if default is dataclasses.MISSING else {"default": default}
+    options |= {"description": about.description, **changed}
+    if isinstance(options.get("default"), tuple):
+        options["default"] = list(options["default"])
+    kind: Any = float
+    if isinstance(about, Choice):
+        kind = Literal[about.options]
+    elif about.ndim:
+        kind = list[float]
+        options |= {} if "default" in options else {"min_length": 1}
+    else:
+        options |= {"gt": about.above, "ge": about.at_least, "lt": about.below}
+    optional = "default" in options and options["default"] is None
+    return (kind | None if optional else kind), Field(**options)
+
+
+class UniformConfig(section_of(Uniform)):
+    """A random initial value, drawn for every sample: ``{ low = 0.0, high = 1.0 }``."""
 
 
 _KEY_WIDTH, _COMMENT_WIDTH = 32, 84
@@ -55,15 +120,15 @@ def start_value(start: Start) -> float | Uniform:
 
 
 def default_tag(key: str, name: str) -> BeforeValidator:
-    """Let a table without the tag `key` mean the kind called `name`."""
+    """Reads a table without the tag `key` as the kind called `name`."""
     return BeforeValidator(lambda table: {key: name, **table} if isinstance(table, dict) else table)
 
 
-# --- told apart
+# --- kinds
 
 
 def tag_key(kind: type[Section]) -> str | None:
-    """The key whose value tells sections of this `kind` from others: "law", "model", or none."""
+    """The key whose value names the `kind` of section, "law" or "model"; None if there is only one kind."""
     for key in ("law", "model"):
         if key in kind.model_fields and get_origin(kind.model_fields[key].annotation) is Literal:
             return key
@@ -71,20 +136,20 @@ def tag_key(kind: type[Section]) -> str | None:
 
 
 def tag_of(kind: type[Section]) -> str:
-    """The name by which the file calls this `kind`."""
+    """The name of this `kind` in the file."""
     key = tag_key(kind)
     return kind.__name__.removesuffix("Config") if key is None else get_args(kind.model_fields[key].annotation)[0]
 
 
 def kinds_in(annotation: Any) -> dict[str, type[Section]]:
-    """The kinds of section that a key annotated like this may hold, by name."""
+    """The kinds of section that a key with this annotation may hold, by name."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return {tag_of(annotation): annotation}
     return {name: kind for part in get_args(annotation) for name, kind in kinds_in(part).items()}
 
 
 def tables_of(kind: type[Section]) -> dict[str, dict[str, type[Section]]]:
-    """The keys of `kind` that hold tables of their own, and the kinds of each. What is written inline is no table."""
+    """The keys of `kind` that are sections of their own, and the kinds of each; inline tables are none."""
     found = {key: kinds_in(info.annotation) for key, info in kind.model_fields.items()}
     return {key: kinds for key, kinds in found.items() if kinds and UniformConfig not in kinds.values()}
 
@@ -93,7 +158,7 @@ def tables_of(kind: type[Section]) -> dict[str, dict[str, type[Section]]]:
 
 
 def toml_value(value: Any) -> str:
-    """A number, string, truth value, list or table of them as TOML writes it; anything else as Python does."""
+    """A number, string, truth value, list or table of them in TOML; anything else as Python shows it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -108,9 +173,9 @@ def toml_value(value: Any) -> str:
 
 
 def toml_blocks(section: Section, name: str, choices: Iterable[str] = ()) -> Iterator[str]:
-    """The table called `name` and the tables in it, with units as comments; what is not given is a comment.
+    """The section called `name` and the sections in it, with units as comments; keys without a value are comments.
 
-    `choices`: the kinds of section that may stand here, told by the comment of its tag.
+    `choices`: the kinds of section that may stand here, listed in the comment of the tag.
     """
     kind = type(section)
     tables, tag = tables_of(kind), tag_key(kind)
@@ -136,9 +201,3 @@ def _line(key: str, value: Any, comment: str) -> str:
 def _commented(written: str, comment: str) -> str:
     first, *more = wrap(comment, _COMMENT_WIDTH)
     return "\n".join([f"{written:<{_KEY_WIDTH}}  # {first}", *(f"{'':<{_KEY_WIDTH}}  # {line}" for line in more)])
-
-
-def one_of(names: Iterable[str]) -> str:
-    """The names as words: "A, B or C"."""
-    *most, last = names
-    return f"{', '.join(most)} or {last}" if most else last

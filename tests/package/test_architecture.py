@@ -19,6 +19,7 @@ ROWS = (
     "_types",
     "_status",
     "_checks",
+    "_fields",
     "_fast_cpu",
     "_compilation_cache",
     "_numerics",

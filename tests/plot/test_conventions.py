@@ -6,7 +6,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from plot_support import MAP_LABELS, band_of, line, mesh, simulate, steps, texts
+from support.plot import MAP_LABELS, band_of, line, mesh, simulate, steps, texts
 
 import stickslip_jax as ss
 from stickslip_jax import plot

@@ -1,6 +1,7 @@
 """A new system in one file: simulated, in ensembles, differentiated, drawn and stored like those of the package."""
 
 import math
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,8 @@ mpl.use("Agg")
 class DuffingBelt(ss.SwitchedSystem):
     """A mass on a hardening spring, ``mass x'' + stiffness x + cubic x^3 = -friction``, dragged by a belt."""
 
-    mass: float = 1.0  # kg
-    stiffness: float = 1.0  # N/m
+    mass: Annotated[float, ss.Quantity("kg", above=0)] = 1.0
+    stiffness: Annotated[float, ss.Quantity("N/m", above=0)] = 1.0
     cubic: float = 2.0  # N/m^3
     normal_force: float = 1.0  # N
     mu: float = 0.5
@@ -81,6 +82,11 @@ def many():
     return ss.simulate_ensemble(
         SYSTEM, law, t1=20.0, samples=200, key=jax.random.key(0), y0=RANDOM_STARTS, keep="sticks"
     )
+
+
+def test_its_numbers_are_checked():
+    with pytest.raises(ValueError, match=r"Argument mass must be positive \(in kg\), but -1.0 was given\."):
+        DuffingBelt(mass=-1.0)
 
 
 def test_sticks_of_the_limit_cycle(one):

@@ -1,0 +1,114 @@
+"""Unit, bounds and meaning of the fields of systems and laws, stated once, in the annotation of each field.
+
+The constructors check their arguments by them, and a study's file takes its keys from them.
+"""
+
+import dataclasses
+from functools import cache
+from typing import Any, get_type_hints
+
+import equinox as eqx
+
+from . import _checks
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """Unit, bounds and meaning of a field that holds numbers. It is part of the field's annotation::
+
+        class Pendulum(ss.SwitchedSystem):
+            length: Annotated[float, ss.Quantity("m", above=0)]
+
+    ``Pendulum(length=-1.0)`` then raises ValueError: "Argument length must be positive (in m), but -1.0 was given."
+    Numbers that JAX traces pass unchecked. A field whose default is None may be None.
+
+    - `unit`: the SI unit; "" for a number without one.
+    - `meaning`: what the field's name does not say by itself, one line.
+    - `above`, `at_least`, `below`: the bounds; None for no bound.
+    - `ndim`: 0 for a single number, 1 for a sequence of numbers.
+    - `hint`: what to do about a number outside the bounds, the end of the error's message.
+    """
+
+    unit: str = ""
+    meaning: str = ""
+    above: int | float | None = None
+    at_least: int | float | None = None
+    below: int | float | None = None
+    ndim: int = 0
+    hint: str = ""
+
+    def __repr__(self) -> str:
+        """What was given only: signatures show it."""
+        values = [(field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self)]
+        given = [f"{name}={value!r}" for name, value, default in values if value != default]
+        return f"Quantity({', '.join(given)})"
+
+    @property
+    def description(self) -> str:
+        """Meaning and unit: "of the pin on the disk, m". The unit ends the first part of a meaning with semicolons."""
+        first, *more = self.meaning.split("; ", 1)
+        return "; ".join([", ".join(part for part in (first, self.unit) if part), *more])
+
+    def check(self, name: str, value: Any) -> None:
+        """Check `value`, the argument `name`. Raises ValueError for anything but a finite number within the bounds."""
+        _checks.bounded(
+            name, value, self.unit, above=self.above, at_least=self.at_least, below=self.below, ndim=self.ndim,
+            hint=self.hint,
+        )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """The words that a field may hold, and its meaning."""
+
+    options: tuple[str, ...]
+    meaning: str = ""
+
+    @property
+    def description(self) -> str:
+        """The meaning."""
+        return self.meaning
+
+    def check(self, name: str, value: Any) -> None:
+        """Check `value`, the argument `name`. Raises ValueError for anything but one of the options."""
+        if not isinstance(value, str) or value not in self.options:
+            options = _checks.one_of(map(repr, self.options))
+            raise ValueError(f"Argument {name} must be {options}, but {_checks.show(value)} was given.")
+
+
+@cache
+def described(kind: type) -> dict[str, Quantity | Choice]:
+    """The `Quantity` or `Choice` of each field of the dataclass `kind` that has one, by name and in order."""
+    hints = {field.name: field.type for field in dataclasses.fields(kind)}
+    if any(isinstance(hint, str) for hint in hints.values()):  # from __future__ import annotations
+        try:
+            resolved = get_type_hints(kind, include_extras=True)
+        except NameError:  # a name known to the type checker only
+            resolved = {}
+        hints = {name: resolved.get(name, hint) for name, hint in hints.items()}
+    found = {
+        name: [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, (Quantity, Choice))]
+        for name, hint in hints.items()
+    }
+    return {name: parts[0] for name, parts in found.items() if parts}
+
+
+@cache
+def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
+    """Name, `Quantity` or `Choice` of each described field, and whether it may be None."""
+    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
+    return tuple((name, about, defaults[name] is None) for name, about in described(kind).items())
+
+
+class Checked(eqx.Module):
+    """A module whose constructor checks every field against its `Quantity` or `Choice`."""
+
+    def __check_init__(self):
+        for name, about, may_be_none in _to_check(type(self)):
+            value = getattr(self, name)
+            if value is not None or not may_be_none:
+                about.check(name, value)
+        type(self).check_relations(self)  # bound, it would be a module of its own, and cost as much as all checks
+
+    def check_relations(self) -> None:
+        """Check what several fields must satisfy together, and fields of other kinds. Raises ValueError otherwise."""
