@@ -4,6 +4,7 @@ from importlib import import_module
 
 from ._dynamics.method import Exact, Regularized
 from ._ensemble.call import simulate_ensemble
+from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import WithJumps
@@ -18,7 +19,6 @@ from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._sensitivity import (
-    TOTAL_STICK_TIME,
     RealisationMeanDuration,
     Sensitivities,
     Sensitivity,
@@ -37,15 +37,19 @@ from ._statistics.convergence import Convergence, HistogramConvergence, converge
 from ._statistics.distribution import Distribution, Histogram
 from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
 from ._statistics.estimate import Estimate
-from ._statistics.estimates import (
+from ._statistics.first_sticks import FirstSticks, first_stick
+from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
+from ._statistics.registry import (
+    StickQuantity,
+    StickValue,
+    TestedQuantity,
     mean_slip_count,
     mean_slip_duration,
     mean_stick_count,
     mean_stick_duration,
+    mean_total_stick_time,
     stick_fraction,
 )
-from ._statistics.first_sticks import FirstSticks, first_stick
-from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
 from ._status import Ending, Status
 from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from ._systems.mass_spring import MassSpring
@@ -80,7 +84,6 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "TOTAL_STICK_TIME",
     "BangBangLaw",
     "ConditionalMeans",
     "Constant",
@@ -103,6 +106,7 @@ __all__ = [
     "JointDistribution",
     "JointHistogram",
     "KanaiTajimi",
+    "Keep",
     "MassSpring",
     "MotorCart",
     "OrderStatistics",
@@ -123,14 +127,17 @@ __all__ = [
     "Status",
     "StickDuration",
     "StickFunctional",
+    "StickQuantity",
     "StickSequence",
     "StickStart",
     "StickStatistic",
+    "StickValue",
     "Sticks",
     "Stribeck",
     "SumOfHarmonics",
     "SwitchedSystem",
     "System",
+    "TestedQuantity",
     "Uniform",
     "VelocitySteps",
     "VelocityWeakening",
@@ -145,6 +152,7 @@ __all__ = [
     "mean_slip_duration",
     "mean_stick_count",
     "mean_stick_duration",
+    "mean_total_stick_time",
     "read_acceleration_csv",
     "read_at2",
     "read_recorded_csv",

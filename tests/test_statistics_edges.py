@@ -31,7 +31,7 @@ def everything_of(told):
     for number in range(1, told.orders + 1):
         one = told.order(number)
         asked[number] = (one.share, one.start.mean, one.duration.mean, one.duration.median, one.position.mean)
-    for pair in (("duration", "position"), ("start", "position"), ("duration 1", "duration 2")):
+    for pair in (("duration", "position"), ("start", "position"), (("duration", 1), ("duration", 2))):
         joint = told.joint(*pair)
         asked[pair] = (joint.correlation, joint.rank_correlation, joint.mutual_information())
         assert joint.histogram().counts.sum() == joint.number
@@ -81,7 +81,7 @@ def test_orders_beyond_any_count():
     assert last.share.value == 0
     assert last.duration.number == 0
     assert all_nan((last.duration.mean, last.start.median))
-    assert told.joint("duration 59", "duration 60").number == 0
+    assert told.joint(("duration", 59), ("duration", 60)).number == 0
 
 
 def test_all_sticks_cut_by_the_horizon():
@@ -130,8 +130,15 @@ def test_bad_arguments_are_named(annotations_unchecked):
             lambda: told.joint("length", "start"),
             "Argument x must be one of 'start', .* 'slip_before'",
         ),
-        (lambda: told.joint("start", "duration x"), "Argument y must be one of"),
-        (lambda: told.joint("start 1", "duration"), "must both tell the number of the stick"),
+        (
+            lambda: told.joint("start", "duration 1"),
+            r"Argument y must be one of .*, as in \('duration', 1\), but 'duration 1'",
+        ),
+        (lambda: told.joint("start", ("length", 1)), r"Argument y must be one of .* but \('length', 1\) was given"),
+        (lambda: told.joint("start", ("duration", 0)), r"Argument y\[1\] must be a whole number of at least 1, but 0"),
+        (lambda: told.joint("start", ("duration", 1, 2)), r"Argument y must be one of .* but \('duration', 1, 2\) was"),
+        (lambda: told.joint(("start", 1), "duration"), "must both have the number of a stick"),
+        (lambda: told.joint("start", ("duration", 2)), r"or neither, but 'start' and \('duration', 2\) were given"),
         (lambda: told.joint("start", "duration").histogram(200), "Argument bins must be at most 128"),
         (lambda: told.duration.mean.interval(1.0), "Argument level must lie between 0 and 1"),
         (lambda: ss.convergence(SYSTEM, ss.stick_fraction), "Argument ensemble must be the result"),

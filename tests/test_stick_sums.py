@@ -24,7 +24,7 @@ T1 = 100.0
 def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
     """Made-up records of lanes that go from sample to sample and then idle, with NaN wherever there is no stick.
 
-    Returns the three arrays that a gatherer takes, and the sticks of each sample as a plain list.
+    Returns the three arrays that a collector takes, and the sticks of each sample as a plain list.
     """
     stuck = rng.random((slots, lanes)) < share
     gaps = rng.exponential(1.0, (2, slots, lanes)).astype(dtype)
@@ -48,12 +48,12 @@ def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
     return (values, ending, sample), found
 
 
-def gathered(parts, samples, finished=None):
-    gatherer = StickCollector()
-    gatherer.restart(samples)
+def collected(parts, samples, finished=None):
+    collector = StickCollector()
+    collector.restart(samples)
     for part in parts:
-        gatherer.add(*part)
-    return gatherer.sticks if finished is None else gatherer.sticks.only(finished)
+        collector.add(*part)
+    return collector.sticks if finished is None else collector.sticks.only(finished)
 
 
 def joined(lists):
@@ -78,7 +78,7 @@ def test_sticks_come_in_order_of_samples_and_time(seed, dtype, compiled, monkeyp
     finished = np.arange(9) != 3
     for parts in (whole, pieces):
         for chosen in (None, finished):
-            sticks = gathered(parts, 9, chosen).in_order()
+            sticks = collected(parts, 9, chosen).in_order()
             kept = [one if chosen is None or chosen[i] else [] for i, one in enumerate(found)]
             assert sticks.count.tolist() == [len(one) for one in kept]
             assert sticks.start.dtype == dtype
@@ -138,7 +138,7 @@ def slips_by_hand(samples, dtype, any_at_zero):
 @pytest.mark.parametrize("orders", [1, 3, 40])
 def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     (values, ending, sample), found = records(np.random.default_rng(orders), dtype)
-    stream = gathered([(values, ending, sample)], 9)
+    stream = collected([(values, ending, sample)], 9)
     rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, _ in one] for one in found]
     every = joined(rows)
     told = by.sums_of_sticks(stream, T1)
@@ -228,10 +228,10 @@ def test_without_numba_the_loops_are_not_there(monkeypatch):
         loops.compiled.cache_clear()
 
 
-def test_gathering_begins_anew():
+def test_collecting_begins_anew():
     parts, found = records(np.random.default_rng(5), np.float64)
-    gatherer = StickCollector()
+    collector = StickCollector()
     for samples in (9, 4):
-        gatherer.restart(samples)
-        gatherer.add(*parts)
-        assert gatherer.sticks.count.tolist() == [len(one) for one in found[:samples]]
+        collector.restart(samples)
+        collector.add(*parts)
+        assert collector.sticks.count.tolist() == [len(one) for one in found[:samples]]

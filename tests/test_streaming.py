@@ -90,7 +90,7 @@ def test_sums_of_parts_merge_to_those_of_the_whole(parts):
         np.testing.assert_array_equal(one.largest, values.max(axis=0))
 
 
-def assert_same_tally(one, other):
+def assert_same_accumulator(one, other):
     for name, mine, theirs in zip(one._fields, one, other, strict=True):
         for a, b in zip(jax.tree.leaves(mine), jax.tree.leaves(theirs), strict=True):
             # Sums of tens of thousands of numbers of order 100: third moments of 1e10, their round-off times the count.
@@ -106,16 +106,16 @@ def kept():
 def test_streaming_gives_what_keeping_gives(kept, changed):
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", **changed, **RUN)
     assert streamed.flat_sticks is None
-    assert_same_tally(streamed.accumulator, kept.accumulator)
+    assert_same_accumulator(streamed.accumulator, kept.accumulator)
     for mine, theirs in zip(jax.tree.leaves(streamed.retained), jax.tree.leaves(kept.retained), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert "nan" not in repr(streamed.summary())
     assert repr(streamed.summary()) == repr(kept.summary())
 
 
-def test_the_tally_is_that_of_the_kept_sticks(kept):
+def test_the_accumulator_is_that_of_the_kept_sticks(kept):
     told = statistics_of(kept.flat_sticks, t1=40.0, orders=4, rest=False)
-    assert_same_tally(kept.accumulator, told.accumulator)
+    assert_same_accumulator(kept.accumulator, told.accumulator)
     assert kept.statistics.duration.mean.value == pytest.approx(ss.mean_stick_duration(kept).value, rel=1e-12)
     assert kept.statistics.duration.mean.standard_error == pytest.approx(
         ss.mean_stick_duration(kept).standard_error, rel=1e-9
@@ -136,7 +136,7 @@ def test_sticks_from_the_start_are_numbered_on_request(rest):
     )
     second = many.numbered_sticks()
     pair = [second.duration[second.first[second.count > 1] + order] for order in (0, 1)]
-    joint = many.statistics.joint("duration 1", "duration 2")
+    joint = many.statistics.joint(("duration", 1), ("duration", 2))
     assert joint.number == len(pair[0])
     assert joint.correlation.value == pytest.approx(np.corrcoef(*pair)[0, 1], rel=1e-9)
     assert ("not numbered" in repr(many.summary())) == (not rest)
@@ -148,7 +148,7 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
     sticks = streamed.finished_sticks()
     assert len(sticks.start) + len(sticks.count) <= 1500 < len(sticks.start) + len(sticks.count) + 40
     np.testing.assert_array_equal(sticks.start, kept.flat_sticks.start[: len(sticks.start)])
-    assert_same_tally(streamed.accumulator, kept.accumulator)
+    assert_same_accumulator(streamed.accumulator, kept.accumulator)
     exact, scaled = kept.statistics.duration.mean, streamed.statistics.duration.mean
     assert scaled.value == pytest.approx(exact.value)
     # Measured on some 110 of 300 samples: a standard deviation from so many is uncertain by 1 / sqrt(220) = 7 %.
@@ -161,7 +161,7 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
 def test_some_samples_are_retained_however_many_sticks_they_have(monkeypatch):
     monkeypatch.setattr(ensemble_parts, "RETAINED", 10)
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", chunk=37, **RUN)
-    assert len(streamed.retained.features) == len(streamed.finished_sticks().count) == ensemble_parts.FEWEST
+    assert len(streamed.retained.totals) == len(streamed.finished_sticks().count) == ensemble_parts.FEWEST
     assert streamed.statistics.duration.mean.standard_error > 0
 
 
@@ -185,8 +185,8 @@ def test_what_is_not_recorded_is_never_read():
     whole.add(values, ending, sample)
     for at in (0, 24):  # in two calls of a block each, as records come in
         halves.add(values[at : at + 24], ending[at : at + 24], sample[at // 24 : at // 24 + 1])
-    for gatherer in (halves, whole):
-        found = gatherer.sticks.only(finished).in_order()
+    for collector in (halves, whole):
+        found = collector.sticks.only(finished).in_order()
         owner = np.repeat(sample, slots // blocks, axis=0)
         for number in range(4):
             mine = stuck & (owner == number)

@@ -1,4 +1,4 @@
-"""Sticks as tables in files, one row a stick."""
+"""Tables of sticks in files, with one row for each stick."""
 
 import os
 from pathlib import Path
@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._statistics.registry import STICK_QUANTITIES
 from .._status import Ending
 
 _WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
 
-def write_sticks(ensemble: Any, path: Any) -> Path:
-    """Write every stick of `ensemble` to `path`, whose ending tells the format; see `Ensemble.write_sticks`."""
+def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
+    """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
     if not isinstance(path, (str, os.PathLike)):
         raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
     sticks, path = ensemble.require_sticks(), Path(path)
@@ -24,18 +25,17 @@ def write_sticks(ensemble: Any, path: Any) -> Path:
         import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         raise ImportError("Tables of sticks need pandas: pip install 'stickslip_jax[tables]'.") from None
-    unit = ensemble.system.stick_position.unit
-    table = pd.DataFrame(
-        {
-            "sample": sticks.sample,
-            "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
-            "start_s": sticks.start,
-            "end_s": sticks.end,
-            "duration_s": sticks.duration,
-            "position" if unit == "1" else f"position_{unit}": sticks.position,
-            "ending": np.array([ending.name for ending in Ending])[sticks.ending],
-        }
-    )
+    columns = {
+        "sample": sticks.sample,
+        "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
+        "start_s": sticks.start,
+        "end_s": sticks.end,
+    }
+    for quantity in STICK_QUANTITIES:
+        unit = quantity.unit or ensemble.system.stick_position.unit
+        columns[quantity.name if unit == "1" else f"{quantity.name}_{unit}"] = getattr(sticks, quantity.name)
+    columns["ending"] = np.array([ending.name for ending in Ending])[sticks.ending]
+    table = pd.DataFrame(columns)
     try:
         getattr(table, writer)(path, index=False)
     except ImportError:

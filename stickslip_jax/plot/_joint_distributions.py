@@ -45,8 +45,8 @@ def joint_histogram(
             raise ValueError(f"Argument {name} must be True or False, but {_checks.show(value)} was given.")
     drawn = joint.histogram(bins)
     main, above, right = _three_axes(axes)
-    main.set_xlabel(_parts.quantity_label(_name(joint, 0), joint.units[0]))
-    main.set_ylabel(_parts.quantity_label(_name(joint, 1), joint.units[1]))
+    main.set_xlabel(_parts.quantity_label(joint.labels[0], joint.units[0]))
+    main.set_ylabel(_parts.quantity_label(joint.labels[1], joint.units[1]))
     above.set_ylabel(_parts.density_label(joint.units[0]).replace(" density", "\ndensity"))
     right.set_xlabel(_parts.density_label(joint.units[1]).replace(" density", "\ndensity"))
     if drawn.number == 0:
@@ -90,14 +90,6 @@ def _three_axes(axes: Any) -> tuple[Axes, Axes, Axes]:
     return given[0], given[1], given[2]
 
 
-def _name(joint: JointDistribution, axis: int) -> str:
-    """The quantity along an axis: "duration 1" is that of the first stick of each sample."""
-    name, _, number = joint.names[axis].partition(" ")
-    if name == "slip_before":
-        return f"slip before stick {number}" if number else "slip before the stick"
-    return f"{name} of stick {number}" if number else f"stick {name}"
-
-
 def _draw_density(main: Axes, axes: tuple[Axes, ...], drawn: JointHistogram, log: bool) -> None:
     """The density of all cells that hold a pair, and the scale of its colours."""
     norm = LogNorm() if log else Normalize(vmin=0)
@@ -122,7 +114,7 @@ def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> N
     means = joint.conditional_mean(min(bins, _MEANS))
     known = means.counts > 0
     centres = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
-    label = f"mean {_name(joint, 1)} given the {_name(joint, 0)}"
+    label = f"mean {joint.labels[1]} given the {joint.labels[0]}"
     main.errorbar(
         centres, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
         label=label,

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from .. import _checks
 from .._statistics.ensemble_statistics import EnsembleStatistics
 from .._statistics.estimate import check_level
-from .._statistics.stick_sums import QUANTITIES
+from .._statistics.registry import STICK_QUANTITIES
 from . import _parts, _style
 
 _ROOM = 0.3  # of the height of the axes, for the shares
@@ -28,10 +28,10 @@ def means_by_order(
     Returns the axes, with a note in them if there are no sticks. Raises ValueError for arguments of another kind.
     """
     _parts.require("statistics", statistics, EnsembleStatistics, "ensemble.statistics")
-    if not (isinstance(quantity, str) and quantity in QUANTITIES):
+    names = [one.name for one in STICK_QUANTITIES]
+    if not (isinstance(quantity, str) and quantity in names):
         raise ValueError(
-            f"Argument quantity must be one of {', '.join(map(repr, QUANTITIES))}, but {_checks.show(quantity)} was "
-            "given."
+            f"Argument quantity must be one of {', '.join(map(repr, names))}, but {_checks.show(quantity)} was given."
         )
     check_level(level)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
