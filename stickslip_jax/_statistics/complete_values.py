@@ -16,7 +16,7 @@ from .. import _checks
 from .._events.sticks import FlatSticks
 from .._status import Ending
 from .registry import DURATION, SLIP_DURATION, TESTED
-from .source import EnsembleLike
+from .source import StickSource
 
 
 class Sequences(NamedTuple):
@@ -52,7 +52,7 @@ class _Intervals(NamedTuple):
     values: np.ndarray
 
 
-def sequences_of(source: EnsembleLike | FlatSticks, quantity: str, starts_before: float | None) -> Sequences:
+def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:
     """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - longest``, as explained above).
 
     Arguments, and errors raised, as in `identically_distributed`.

@@ -10,11 +10,10 @@ import numpy as np
 from scipy import stats
 
 from .. import _checks
-from .._events.sticks import FlatSticks
 from .anderson_darling import anderson_darling
 from .complete_values import plural, sequences_of
 from .registry import TestedQuantity
-from .source import EnsembleLike
+from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance, holm
 
 FEWEST_VALUES = 5
@@ -22,7 +21,7 @@ FEWEST_VALUES = 5
 
 
 def identically_distributed(
-    source: EnsembleLike | FlatSticks,
+    source: StickSource,
     quantity: TestedQuantity = "duration",
     *,
     orders: int | Iterable[int] = 5,

@@ -8,11 +8,10 @@ import numpy as np
 from scipy import stats
 
 from .. import _checks
-from .._events.sticks import FlatSticks
 from .complete_values import Sequences, plural, sequences_of
 from .identical import identically_distributed
 from .registry import TestedQuantity
-from .source import EnsembleLike
+from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance
 
 FEWEST_PAIRS = 10
@@ -22,7 +21,7 @@ FEWEST_EXPECTED = 5
 
 
 def independent(
-    source: EnsembleLike | FlatSticks,
+    source: StickSource,
     quantity: TestedQuantity = "duration",
     *,
     lag: int = 1,
@@ -71,7 +70,7 @@ def independent(
 
 
 def independent_and_identical(
-    source: EnsembleLike | FlatSticks,
+    source: StickSource,
     quantity: TestedQuantity = "duration",
     *,
     orders: int | Iterable[int] = 5,

@@ -1,6 +1,6 @@
 """What the statistics need of an ensemble, and the check that it is one."""
 
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 from .. import _checks
 from .._events.sticks import FlatSticks
@@ -24,6 +24,17 @@ class EnsembleLike(Protocol):
     def retained(self) -> Any: ...
     def finished_sticks(self) -> FlatSticks: ...
     def require_sticks(self) -> FlatSticks: ...
+
+
+@runtime_checkable
+class WithNumberedSticks(Protocol):
+    """The result of `simulate_ensemble`, as far as the tests of independence use it; see `Ensemble`."""
+
+    def numbered_sticks(self) -> FlatSticks: ...
+
+
+StickSource: TypeAlias = WithNumberedSticks | FlatSticks
+"""An `Ensemble`, or the sticks of many samples themselves."""
 
 
 def require_ensemble(ensemble: Any) -> Any:
