@@ -25,23 +25,23 @@ def test_the_types_of_arguments_name_what_is_registered():
 
 
 def test_every_quantity_has_values_a_distribution_and_labels():
-    told = statistics_of(made_up_sticks(np.random.default_rng(0), 20))
+    statistics = statistics_of(made_up_sticks(np.random.default_rng(0), 20))
     for quantity in registry.DISTRIBUTIONS:
-        assert getattr(told, quantity.name).name == quantity.label
+        assert getattr(statistics, quantity.name).name == quantity.label
     for quantity in registry.STICK_QUANTITIES:
         assert quantity.label.count("stick") == 1
-        assert quantity.name in dir(told)
+        assert quantity.name in dir(statistics)
         assert quantity.name == "duration" or quantity.name in FlatSticks._fields
         assert quantity.name == "duration" or quantity.name in StickStream._fields
-        assert getattr(told.order(2), quantity.name).name == quantity.label_of_order(2)
+        assert getattr(statistics.order(2), quantity.name).name == quantity.label_of_order(2)
     assert [registry.ordinal(number) for number in (1, 2, 3, 4, 11, 12, 13, 21, 102, 113)] == [
         "1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "113th"
     ]  # fmt: skip
 
 
 def test_what_is_no_quantity_is_no_attribute():
-    told = statistics_of(made_up_sticks(np.random.default_rng(0), 5))
-    for of in (told, told.order(1)):
+    statistics = statistics_of(made_up_sticks(np.random.default_rng(0), 5))
+    for of in (statistics, statistics.order(1)):
         with pytest.raises(AttributeError, match=f"'{type(of).__name__}' object has no attribute 'length'"):
             _ = of.length
 

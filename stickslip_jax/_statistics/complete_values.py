@@ -84,7 +84,8 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
 
 def plural(quantity: str) -> str:
     """A tested quantity in sentences: "stick durations"."""
-    return f"{TESTED[quantity].label}s"
+    label = TESTED[quantity].label
+    return f"values of the {label}" if label.endswith("the stick") else f"{label}s"
 
 
 class _Sticks(NamedTuple):

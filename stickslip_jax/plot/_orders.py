@@ -39,7 +39,7 @@ def means_by_order(
     present = [order for order in orders if order.share.value > 0]
     unit = getattr(statistics, quantity).unit
     ax.set_xlabel("order $i$ of the stick in its sample")
-    ax.set_ylabel(_parts.quantity_label(f"mean {quantity} of the $i$-th stick", unit))
+    ax.set_ylabel(_parts.quantity_label(f"mean {quantity.replace('_', ' ')} of the $i$-th stick", unit))
     if not present:
         _parts.note(ax, "no sticks")
         return ax
