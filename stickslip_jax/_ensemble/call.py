@@ -28,7 +28,7 @@ from .._excitation.random import Uniform
 from .._fast_cpu import cores
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
-from .._systems.system import require_system
+from .._systems.system import System, require_system
 from .._types import Array
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .result import Ensemble
@@ -40,7 +40,7 @@ _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: fewer calls,
 
 
 def simulate_ensemble(
-    system: Any,
+    system: System,
     law: Any,
     *,
     t1: float,
