@@ -24,7 +24,7 @@ class Work(NamedTuple):
 Run = Callable[[int], Work]
 
 
-def _ensemble(keep: str, threads: int, sizes: Sizes) -> Run:
+def _ensemble(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
     """The default study from call to result."""
 
     def run(number: int) -> Work:
@@ -121,7 +121,7 @@ def _stepped(name: str, threads: int, sizes: Sizes) -> Run:
     return run
 
 
-def _motor_cart(keep: str, threads: int, sizes: Sizes) -> Run:
+def _motor_cart(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
     """The paper's 20,000 runs: 10,000 at mu = 0.2 and at mu = 0.5, every one followed for 2 s."""
 
     def run(number: int) -> Work:
@@ -202,10 +202,17 @@ for _motion in ("harmonic base of random phase", "damped, Poisson switching"):
     }
 
 
+KEPT: tuple[tuple[ss.Keep, str], ...] = (
+    ("totals", "totals"),
+    ("statistics", "full statistics"),
+    ("sticks", "every stick"),
+)
+
+
 def _all() -> dict[str, Callable[[Sizes], Run]]:
     found: dict[str, Callable[[Sizes], Run]] = {}
     for threads, word in ((1, "1 thread"), (2, "2 threads")):
-        for keep, name in (("totals", "totals"), ("statistics", "full statistics"), ("sticks", "every stick")):
+        for keep, name in KEPT:
             found[f"{name}, {word}"] = partial(_ensemble, keep, threads)
             found[f"motor and cart, {name}, {word}"] = partial(_motor_cart, keep, threads)
         for name in ENSEMBLES:

@@ -19,7 +19,7 @@ def _default_simulation(sizes: Sizes) -> Call:
     return lambda number: ss.simulate(system(), LAW.sample(jax.random.key(number), t1=200.0), t1=200.0).stick_time
 
 
-def _ensemble(moved: Any, law: Any, t1: float, y0: Any, keep: str = "totals") -> Call:
+def _ensemble(moved: Any, law: Any, t1: float, y0: Any, keep: ss.Keep = "totals") -> Call:
     def call(number: int) -> Any:
         key = jax.random.key(number)
         many = ss.simulate_ensemble(moved, law, t1=t1, samples=SAMPLES, key=key, y0=y0, keep=keep, progress=False)
@@ -53,7 +53,7 @@ def _sensitivity(statistic: Any, sizes: Sizes) -> Call:
     return call
 
 
-def _motor_cart(keep: str) -> Callable[[Sizes], Call]:
+def _motor_cart(keep: ss.Keep) -> Callable[[Sizes], Call]:
     cart = ss.papers.motor_cart(0.5)
     return lambda sizes: _ensemble(cart.system, cart.law, cart.t1, cart.y0, keep)
 

@@ -5,6 +5,7 @@
 
 import resource
 import sys
+from typing import Any
 
 import jax
 
@@ -12,7 +13,7 @@ import stickslip_jax as ss
 from stickslip_jax import papers
 
 jax.config.update("jax_enable_x64", True)
-keep = sys.argv[1] if len(sys.argv) > 1 else "statistics"
+keep: Any = sys.argv[1] if len(sys.argv) > 1 else "statistics"
 many = ss.simulate_ensemble(
     papers.belt_oscillator(),
     ss.PoissonSwitching(speed=1.0, rate=1.0),

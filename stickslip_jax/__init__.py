@@ -4,6 +4,7 @@ from importlib import import_module
 
 from ._dynamics.method import Exact, Regularized
 from ._ensemble.call import simulate_ensemble
+from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import WithJumps
@@ -19,7 +20,6 @@ from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
 from ._sensitivity import (
-    TOTAL_STICK_TIME,
     RealisationMeanDuration,
     Sensitivities,
     Sensitivity,
@@ -38,15 +38,19 @@ from ._statistics.convergence import Convergence, HistogramConvergence, converge
 from ._statistics.distribution import Distribution, Histogram
 from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
 from ._statistics.estimate import Estimate
-from ._statistics.estimates import (
+from ._statistics.first_sticks import FirstSticks, first_stick
+from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
+from ._statistics.registry import (
+    StickQuantity,
+    StickValue,
+    TestedQuantity,
     mean_slip_count,
     mean_slip_duration,
     mean_stick_count,
     mean_stick_duration,
+    mean_total_stick_time,
     stick_fraction,
 )
-from ._statistics.first_sticks import FirstSticks, first_stick
-from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
 from ._status import Ending, Status
 from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from ._systems.mass_spring import MassSpring
@@ -81,7 +85,6 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "TOTAL_STICK_TIME",
     "BangBangLaw",
     "ConditionalMeans",
     "Constant",
@@ -104,6 +107,7 @@ __all__ = [
     "JointDistribution",
     "JointHistogram",
     "KanaiTajimi",
+    "Keep",
     "MassSpring",
     "MotorCart",
     "OrderStatistics",
@@ -125,14 +129,17 @@ __all__ = [
     "Status",
     "StickDuration",
     "StickFunctional",
+    "StickQuantity",
     "StickSequence",
     "StickStart",
     "StickStatistic",
+    "StickValue",
     "Sticks",
     "Stribeck",
     "SumOfHarmonics",
     "SwitchedSystem",
     "System",
+    "TestedQuantity",
     "Uniform",
     "VelocitySteps",
     "VelocityWeakening",
@@ -147,6 +154,7 @@ __all__ = [
     "mean_slip_duration",
     "mean_stick_count",
     "mean_stick_duration",
+    "mean_total_stick_time",
     "read_acceleration_csv",
     "read_at2",
     "read_recorded_csv",

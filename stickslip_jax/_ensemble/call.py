@@ -1,4 +1,4 @@
-"""Simulate many samples of a random base motion: keys, chunks, threads, streaming."""
+"""`simulate_ensemble`: many samples of a random base motion, in chunks and threads, with streamed statistics."""
 
 import sys
 import threading
@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -28,9 +28,9 @@ from .._excitation.random import Uniform
 from .._fast_cpu import cores
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
-from .._systems.system import require_system
+from .._systems.system import System, require_system
 from .._types import Array
-from .parts import EnsembleAccumulator, Part, prepare
+from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .result import Ensemble
 
 _MOST_SAMPLES = 2**31  # they are numbered in 32 bits
@@ -40,7 +40,7 @@ _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: fewer calls,
 
 
 def simulate_ensemble(
-    system: Any,
+    system: System,
     law: Any,
     *,
     t1: float,
@@ -48,7 +48,7 @@ def simulate_ensemble(
     key: Array | None = None,
     y0: Any = None,
     method: Exact | Regularized = EXACT,
-    keep: str = "statistics",
+    keep: Keep = "statistics",
     orders: int = 10,
     count_initial_rest: bool = False,
     threads: int | None = None,
@@ -60,20 +60,21 @@ def simulate_ensemble(
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
     the chunk size or the threads; ``many.realisation(i)`` gives its base motion and initial state.
 
-    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
-    - `law`: what drives it: one such as `PoissonSwitching` or `KanaiTajimi`, or anything that `simulate` takes.
+    - `system`: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
+    - `law`: the random excitation, such as `PoissonSwitching` or `KanaiTajimi`, or any excitation that `simulate`
+      takes.
     - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
     - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
-    - `keep`: "statistics" sums all that ``many.statistics`` tells while the sticks stream by (memory does not grow with
-      `samples`); "sticks" keeps every stick besides; "totals" only stick time, sticks and slips, which is the fastest.
-    - `orders`: the statistics tell of the 1st, 2nd, ..., up to so many-th stick (at most the 1000th).
-    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the first of these.
+    - `keep`: "statistics" sums what ``many.statistics`` needs while the sticks stream by (memory does not grow with
+      `samples`); "sticks" keeps every stick as well; "totals" only sums stick time, sticks and slips, the fastest.
+    - `orders`: there are statistics of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the 1st of these.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; default: only on a terminal.
 
-    Trajectories that did not reach ``t1`` are counted in ``many.status_counts`` and enter no statistic. Raises
-    ValueError for arguments outside these bounds.
+    Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic. Raises ValueError for
+    arguments outside these bounds.
     """
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
@@ -100,10 +101,10 @@ def simulate_ensemble(
     )
 
 
-def _compile(simulate: _Simulate, run: "_Run", keep: str) -> None:
-    """So that the threads need not race for it."""
-    with ThreadPoolExecutor(1) as beside:  # one compiler at work beside the other
-        prepared = beside.submit(prepare, run.dtype) if keep != "totals" else None
+def _compile(simulate: _Simulate, run: "_Run", keep: Keep) -> None:
+    """Compile before the threads start, so that they do not all compile the same code."""
+    with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
+        prepared = pool.submit(prepare, run.dtype) if keep != "totals" else None
         simulate(0, 0)
         if prepared is not None:
             prepared.result()
@@ -119,7 +120,7 @@ def _simulate_all(
 
 
 class _Run(NamedTuple):
-    """What is the same for every chunk."""
+    """The checked arguments, the same for every chunk."""
 
     engine: Engine | AdaptiveBatch
     method: Exact | Regularized
@@ -141,8 +142,9 @@ class _Run(NamedTuple):
         check_method(method)
         _checks.positive("t1", t1, "s")
         _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
-        if keep not in ("totals", "statistics", "sticks"):
-            raise ValueError(f"Argument keep must be 'totals', 'statistics' or 'sticks', but {keep!r} was given.")
+        if keep not in get_args(Keep):
+            allowed = ", ".join(map(repr, get_args(Keep)))
+            raise ValueError(f"Argument keep must be one of {allowed}, but {_checks.show(keep)} was given.")
         y0 = state_of(system, y0, may_be_random=True)
         dtype = working_dtype(stacklevel=4)
         engine = lanes_for(system, law, method, t1, y0, dtype)
@@ -156,7 +158,7 @@ class _Run(NamedTuple):
         return cls(engine, method, key_data_for(law, key), y0, random, dtype, float(t1), numbering)
 
     def job(self, first: int, used_rows: int) -> Job:
-        """Samples ``first ..`` in so many rows of lanes."""
+        """The job of simulating samples `first`, ``first + 1``, ... in `used_rows` rows of lanes."""
         assert isinstance(self.engine, Engine)
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows))
 
@@ -167,7 +169,7 @@ def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
 
 
 class _Plan(NamedTuple):
-    """How the samples are cut: tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
+    """How the samples are divided: tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
 
     lanes: int
     rows: int
@@ -176,37 +178,37 @@ class _Plan(NamedTuple):
 
     @classmethod
     def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        # The lanes' arrays should stay in the cache (benchmarks/README.md).
+        # The arrays of so many lanes stay in the cache (benchmarks/README.md).
         lanes, rows = 256, 32
         if chunk is not None:
-            # Room beyond the samples is waste, but a little lets other numbers of samples share a compilation.
+            # Lanes beyond the samples are wasted, but a few let other numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
-        # In a small run most lanes would idle.
+        # In a small run most of the lanes would be idle.
         lanes = min(lanes, max(256, 1 << (-(-samples // threads) - 1).bit_length()))
-        # Small runs are cut finer, so that every thread gets its share.
+        # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)
 
     @classmethod
     def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        """For adaptive steps: a lane each."""
+        """For adaptive steps: every sample of a task has a lane of its own."""
         most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES)
         lanes = min(most, -(-samples // threads) if chunk is None else samples)
         return cls(lanes, 1, lanes, threads)
 
 
 def _simulator(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
-    """A function that simulates samples ``first .. first + number - 1``, for what `accumulator` wants of them."""
+    """A function that simulates samples ``first .. first + number - 1`` and records what `accumulator` keeps."""
     if isinstance(run.engine, AdaptiveBatch):
         return _solver(run, run.engine, plan, accumulator)
     return _streamer(run, plan) if accumulator.keep == "totals" else _recorder(run, plan, accumulator)
 
 
 def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
-    """The same for adaptive steps."""
+    """The same as `_simulator`, for adaptive steps."""
     sizes, dtype = table_sizes(batch.system, batch.excitation, batch.t1), run.dtype
     system, excitation, t1, y0 = as_arrays((batch.system, batch.excitation, batch.t1, batch.y0), dtype)
     arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0)
@@ -227,7 +229,7 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleA
 
 
 def _streamer(run: _Run, plan: _Plan) -> _Simulate:
-    """A function that keeps totals."""
+    """The same as `_simulator`, for totals only."""
     assert isinstance(run.engine, Engine)
     summarise = chunks_of(run.engine).summarise
 
@@ -240,10 +242,10 @@ def _streamer(run: _Run, plan: _Plan) -> _Simulate:
 
 
 def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
-    """A function that tallies every stick."""
+    """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
-    own = threading.local()  # of each thread: fresh memory for every task would take long to be had
+    own = threading.local()  # memory of each thread, used again because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
     lane = np.arange(plan.lanes)
 
@@ -256,12 +258,12 @@ def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simu
         own.sticks.restart(number)
         ended, unfinished = [], True
         while unfinished:
-            now, buffer, told = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
-            told = jax.tree.map(np.asarray, told)
-            sample = told.row * plan.lanes + lane
+            now, buffer, progress = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
+            progress = jax.tree.map(np.asarray, progress)
+            sample = progress.row * plan.lanes + lane
             own.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), sample)
-            ended.append((sample[told.ended], *(column[told.ended] for column in told.results)))
-            unfinished = np.any(told.row[-1] + told.ended[-1] < rows)
+            ended.append((sample[progress.ended], *(column[progress.ended] for column in progress.results)))
+            unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
         return Part.of(
             _of_samples(ended, rows * plan.lanes, number), own.sticks, run.t1, run.numbering, accumulator.wants_sticks
         )
@@ -270,7 +272,10 @@ def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simu
 
 
 def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> LaneResults:
-    """Results of `samples` samples, told in the order in which they ended, in their own order; the first `number`."""
+    """The results of the first `number` of `samples` samples, in order.
+
+    `ended`: numbers of the samples and their results, in the order in which they ended.
+    """
     sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
     ordered = [np.empty(samples, column.dtype) for column in columns]
     for to, column in zip(ordered, columns, strict=True):
@@ -279,12 +284,12 @@ def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) 
 
 
 def _first_samples(results: LaneResults, number: int) -> LaneResults:
-    """Results (rows, lanes) as NumPy arrays in order of the samples, without those that nobody asked for."""
+    """The results (rows, lanes) of the first `number` samples, as NumPy arrays (number,)."""
     return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
 
 
 def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:
-    """Simulate all tasks in threads, a few at a time, and hand the parts back in order of the samples."""
+    """Simulate all tasks in threads, a few at a time, and yield the parts in order of the samples."""
     tasks = deque(
         (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)
     )
@@ -303,7 +308,7 @@ def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[
 
 @contextmanager
 def _progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
-    """A function to call with the number of samples done; shows a bar when asked for, or on a terminal."""
+    """A function to call with each number of samples done; it updates a bar, if `simulate_ensemble` shows one."""
     if progress is False or (progress is None and not sys.stderr.isatty()):
         yield lambda number: None
         return

@@ -1,8 +1,8 @@
-"""Ensembles as labelled arrays."""
+"""The sticks of an ensemble as labelled arrays."""
 
 from typing import TYPE_CHECKING, Any
 
-from .._dynamics.method import Regularized
+from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FURTHER
 from .._status import Ending, Status
 
@@ -11,7 +11,10 @@ if TYPE_CHECKING:
 
 
 def dataset_of(ensemble: Any) -> "xarray.Dataset":
-    """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names."""
+    """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names.
+
+    Raises as `Ensemble.to_xarray`.
+    """
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
@@ -23,31 +26,30 @@ def dataset_of(ensemble: Any) -> "xarray.Dataset":
     def along(dimension, values, long_name, unit="1", **attributes):
         return (dimension, values, {"long_name": long_name, "units": unit, **attributes})
 
+    further = {
+        f"stick_{name}": along("stick", getattr(sticks, name), one.label, one.unit or position.unit)
+        for name, one in FURTHER.items()
+    }
     return xr.Dataset(
         {
             "sample": along("sample", range(len(sticks.count)), "number of the sample"),
             "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
             "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
             "stick_position": along("stick", sticks.position, position.name, position.unit),
-            **{
-                f"stick_{name}": along("stick", getattr(sticks, name), column.label, column.unit or position.unit)
-                for name, column in FURTHER.items()
-            },
+            **further,
             "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
             "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
             "slip_count": along("sample", totals.slips, "number of slips"),
             "stick_time": along("sample", totals.stick_time, "total stick time", "s"),
-            "near_grazing_count": along(
-                "sample", totals.near_grazing_count, "number of events that the last digits decide"
-            ),
+            "near_grazing_count": along("sample", totals.near_grazing_count, "number of events decided by round-off"),
             "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
         },
         attrs={"Conventions": "CF-1.11", **_method(ensemble.method)},
     )
 
 
-def _method(method: Any) -> dict[str, Any]:
-    """How it was simulated, and what counted as a stick; SI units."""
+def _method(method: Exact | Regularized) -> dict[str, Any]:
+    """The method, and what counted as a stick, as attributes; SI units."""
     if not isinstance(method, Regularized):
         return {"method": "exact"}
     numbers = {

@@ -1,7 +1,7 @@
-"""The parts of an ensemble as its threads hand them in, and what they come to."""
+"""Parts of an ensemble, as its threads simulate them, and the accumulator that merges them."""
 
 import os
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -10,19 +10,22 @@ from .._events.stick_stream import StickCollector, StickStream
 from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
-from .._statistics.source import FEATURES
+from .._statistics.registry import TOTALS
 from .._status import Status
 from .result import Retained, SampleTotals
 
+Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
+"""What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or every stick as well."""
+
 RETAINED = 1_000_000
-"""So many sticks at most, those of the first samples, are retained where only statistics are kept: standard errors
-and whatever cannot be summed (ranks, tests) rest on them."""
+"""With ``keep="statistics"``, at most so many sticks, those of the first samples, are retained: standard errors and
+whatever cannot be summed (ranks, tests) are computed from them."""
 FEWEST = 64
-"""So many samples are retained in any case."""
+"""At least so many samples are retained, however many sticks they have."""
 
 
 class Part(NamedTuple):
-    """A simulated piece of the ensemble: results of consecutive samples; their sticks and the tally of these."""
+    """A simulated part of the ensemble: results of consecutive samples, their sticks, and the accumulator of these."""
 
     results: LaneResults
     sticks: FlatSticks | None = None
@@ -32,7 +35,10 @@ class Part(NamedTuple):
     def of(
         cls, results: LaneResults, sticks: StickCollector, t1: float, numbering: Numbering, keep_sticks: bool
     ) -> "Part":
-        """Of the results of consecutive samples and what was gathered of their sticks; these kept if `keep_sticks`."""
+        """The part that holds consecutive samples, simulated up to `t1` (s), from their results and their sticks.
+
+        `keep_sticks`: whether the part holds the sticks themselves, besides their sums.
+        """
         finished = np.equal(results.status, Status.FINISHED)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
         done, found = sticks.sticks, None
@@ -44,7 +50,7 @@ class Part(NamedTuple):
 
 
 def prepare(dtype: Any) -> None:
-    """Compile the loops that find and count sticks, unless that is done; for times of `dtype`."""
+    """Compile the loops that find and count sticks with times of `dtype`, unless they are compiled."""
     sticks = StickCollector()
     sticks.restart(1)
     sticks.add(np.zeros((1, len(NUMBERS), 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
@@ -53,30 +59,30 @@ def prepare(dtype: Any) -> None:
 
 
 class EnsembleAccumulator:
-    """What the parts seen so far, in order of the samples, come to.
+    """Merges the parts of an ensemble, which are added in order of the samples.
 
-    Sums for all; the sticks of the first samples, or if ``keep="sticks"`` of all.
+    It holds the sums over all samples, and the sticks of the first samples (with ``keep="sticks"`` of all).
     """
 
-    def __init__(self, samples: int, keep: str):
+    def __init__(self, samples: int, keep: Keep):
         self.samples, self.keep = samples, keep
-        self.moments = Moments.of(np.zeros((0, len(FEATURES))))
+        self.moments = Moments.of(np.zeros((0, len(TOTALS))))
         self.counts = np.zeros(len(Status), int)
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
-        self._buffer, self._retained_samples = RETAINED, 0
+        self._space, self._retained_samples = RETAINED, 0  # space is left for so many sticks
 
     @property
     def wants_sticks(self) -> bool:
         """Whether the sticks of further parts will be kept."""
-        return self.keep == "sticks" or self._buffer > 0
+        return self.keep == "sticks" or self._space > 0
 
     def add(self, part: Part) -> None:
-        """Take in the next part."""
+        """Add the next part."""
         self.counts += np.bincount(part.results.status, minlength=len(Status))
         self.near_grazing_samples += int(np.count_nonzero(part.results.near_grazing_count))
-        self.moments = self.moments.merge(Moments.of(_features(part.results)))
+        self.moments = self.moments.merge(Moments.of(_totals_of(part.results)))
         if part.accumulator is not None:
             self.accumulator = (
                 part.accumulator if self.accumulator is None else self.accumulator.merge(part.accumulator)
@@ -86,19 +92,19 @@ class EnsembleAccumulator:
         if self.keep == "sticks":
             self._kept.append(part._replace(accumulator=None))
             _check_memory(self._kept, self.samples)
-        elif self._buffer > 0:
-            # A sample without sticks takes room too, so that these cannot fill the memory either.
-            fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._buffer, side="right"))
+        elif self._space > 0:
+            # Every sample counts as one stick more, so that samples without sticks cannot fill the memory either.
+            fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._space, side="right"))
             fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
             self._retained_samples += fits
             results = LaneResults(*(column[:fits].copy() for column in part.results))
             whole = fits == len(part.sticks.count)
             self._kept.append(Part(results, part.sticks if whole else part.sticks.head(fits)))
-            left = self._buffer - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
-            self._buffer = max(left, int(self._retained_samples < FEWEST))
+            left = self._space - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
+            self._space = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> dict[str, Any]:
-        """What an `Ensemble` is told of it."""
+        """The fields of an `Ensemble` that come from the parts, by name."""
         is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
         sticks = FlatSticks.joined(kept) if kept else None
         return {
@@ -112,27 +118,27 @@ class EnsembleAccumulator:
         }
 
     def _totals(self) -> SampleTotals:
-        """Of every kept sample."""
+        """The totals of every kept sample."""
         columns = [np.concatenate(column) for column in zip(*(part.results for part in self._kept), strict=True)]
         by_name = dict(zip(LaneResults._fields, columns, strict=True))
         return SampleTotals(**{name: by_name[name] for name in SampleTotals._fields})
 
     def _retained(self, sticks: FlatSticks) -> Retained:
-        """The kept samples that finished, of all that were kept."""
+        """The sticks and totals of the kept samples that finished."""
         results = [part.results for part in self._kept]
         finished = np.concatenate([np.equal(one.status, Status.FINISHED) for one in results])
-        return Retained(sticks.only(finished), np.concatenate([_features(one) for one in results]))
+        return Retained(sticks.only(finished), np.concatenate([_totals_of(one) for one in results]))
 
 
-def _features(results: LaneResults) -> np.ndarray:
-    """The vectors that `Moments` sums, one row for each finished sample; columns as in `FEATURES`."""
+def _totals_of(results: LaneResults) -> np.ndarray:
+    """The `TOTALS` of each finished sample, (finished samples, 3)."""
     finished = results.status == Status.FINISHED
     columns = (results.stick_time, results.sticks, results.slips)
     return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
 
 
 def _check_memory(kept: list[Part], samples: int) -> None:
-    """Stop before the sticks outgrow the memory: twice their size is needed when they are joined."""
+    """Raise ValueError before the sticks outgrow the memory: joining them takes twice their size."""
     if len(kept) % 64 != 1 or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
         return
     done = sum(len(part.results.status) for part in kept)

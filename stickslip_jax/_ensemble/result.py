@@ -1,9 +1,10 @@
-"""What an ensemble hands back: sums for the statistics and, if kept, every stick of every sample."""
+"""The result of an ensemble: sums for the statistics and, if kept, every stick of every sample."""
 
 import dataclasses
+import os
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,19 +12,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Sticks
 from .._excitation.excitation import is_random
 from .._excitation.random import realised_state
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
-from .._statistics.source import FEATURES
+from .._statistics.registry import TOTALS
 from .._statistics.summary import Summary, summary_of
 from .._status import Status
+from .._systems.system import System
+
+if TYPE_CHECKING:
+    import xarray
 
 
 class SampleTotals(NamedTuple):
-    """Totals of each sample; arrays (samples,). Times in s."""
+    """Totals of each sample, arrays (samples,): numbers of sticks and slips, total stick time (s), `Status` code, and
+    number of near-grazing instants (see `Simulation`).
+    """
 
     sticks: np.ndarray
     slips: np.ndarray
@@ -33,33 +41,35 @@ class SampleTotals(NamedTuple):
 
 
 class Retained(NamedTuple):
-    """The sticks of finished samples, the first ones, and `FEATURES` of each, (samples, 3)."""
+    """The sticks of the first samples that finished, and the `TOTALS` of each, (samples, 3)."""
 
     sticks: FlatSticks
-    features: np.ndarray
+    totals: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class Ensemble:
-    """Many simulated samples of one law.
+    """The result of `simulate_ensemble`: many simulated samples.
 
-    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`: what was simulated.
-    - `method`: how; a `Regularized` method has its options filled in. `numbering`: which stick is the 1st, 2nd, ...
-    - `moments`: number, mean and covariance of each finished sample's `FEATURES`, for the statistics.
-    - `near_grazing_samples`: how many samples had an instant at which the last digits decide whether there was an event
-      (see `Simulation`); they are counted like the others.
-    - `status_counts`: how many samples ended with each `Status`; all that are not FINISHED enter no statistic.
+    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: what was simulated.
+    - `method`: how it was simulated; a `Regularized` method has its options filled in.
+    - `numbering`: which stick of a sample is the 1st, 2nd, ...
+    - `moments`: number of finished samples, mean and covariance of their `TOTALS` (stick time in s, number of sticks,
+      number of slips).
+    - `near_grazing_samples`: number of samples in which round-off decided whether there was an event (see
+      `Simulation`); they count like the others.
+    - `status_counts`: number of samples that ended with each `Status`; only those FINISHED count in the statistics.
     - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
-    - `flat_sticks`: the same sticks one after the other, without padding.
+    - `flat_sticks`: the same sticks one after the other, without padding; None unless ``keep="sticks"``.
     - `accumulator`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first
-      samples that finished (of all, if kept); the standard errors rest on them. Both None if ``keep="totals"``.
-    - `compile_seconds`, `run_seconds`: where the time went.
+      samples that finished (of all, if kept), from which standard errors are computed. Both None if ``keep="totals"``.
+    - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
 
-    system: Any
+    system: System
     law: Any
     t1: float
-    method: Any
+    method: Exact | Regularized
     numbering: Numbering
     y0: tuple[Any, ...]
     samples: int
@@ -91,7 +101,7 @@ class Ensemble:
         return self.require_sticks().padded()
 
     def finished_sticks(self) -> FlatSticks:
-        """The sticks of the samples that reached ``t1``: of all, or where only statistics are kept of the first.
+        """The sticks of the samples that reached ``t1``: of all, or with ``keep="statistics"`` of the first ones.
 
         Raises ValueError if ``keep="totals"``.
         """
@@ -102,12 +112,12 @@ class Ensemble:
         return self.retained.sticks
 
     def numbered_sticks(self) -> FlatSticks:
-        """The same without those that begin at t = 0, if these are not counted among the 1st, 2nd, ... stick."""
+        """`finished_sticks` without those that begin at t = 0, unless `numbering` counts these as the first."""
         sticks = self.finished_sticks()
         return sticks if self.numbering.count_initial_rest else sticks.without_initial_rest()
 
     def require_sticks(self) -> FlatSticks:
-        """`flat_sticks`, or a ValueError that says how to keep them."""
+        """`flat_sticks`. Raises ValueError unless ``keep="sticks"``."""
         if self.flat_sticks is None:
             raise ValueError('This ensemble did not keep its sticks; call simulate_ensemble(..., keep="sticks").')
         return self.flat_sticks
@@ -118,7 +128,7 @@ class Ensemble:
         return self.status_counts[Status.FINISHED]
 
     def realisation(self, number: int) -> tuple[Any, tuple[float, ...]]:
-        """The base motion and the initial state of sample `number`: what `simulate` needs to follow it again.
+        """The base motion and the initial state of sample `number`, with which `simulate` repeats it.
 
         Raises ValueError unless ``0 <= number < samples``.
         """
@@ -131,30 +141,30 @@ class Ensemble:
         y0 = realised_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
         return base, tuple(float(value) for value in y0)
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> "xarray.Dataset":
         """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.
 
-        Sticks come as CF contiguous ragged arrays along ``stick``; ``stick_count`` tells how many belong to each
-        sample. Needs ``keep="sticks"`` (else ValueError) and the extra ``study`` (else ImportError).
+        Sticks are CF contiguous ragged arrays along ``stick``; ``stick_count`` is the number that belongs to each
+        sample. Raises ValueError unless ``keep="sticks"``, ImportError without the extra ``study``.
         """
         from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
 
         return dataset_of(self)
 
-    def write_sticks(self, path: Any) -> Path:
+    def write_sticks(self, path: str | os.PathLike[str]) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
 
-        - `path`: a file that ends in .csv or .parquet; units stand in the names of the columns.
+        - `path`: a file that ends in .csv or .parquet. The names of the columns hold the units.
 
-        Returns the path. Needs ``keep="sticks"`` and a path of those endings (else ValueError), and the extra `tables`
-        (else ImportError).
+        Returns the path. Raises ValueError unless ``keep="sticks"`` and for other paths, ImportError without the extra
+        ``tables``.
         """
         from .tables import write_sticks  # noqa: PLC0415 - needs an extra
 
         return write_sticks(self, path)
 
     def __repr__(self) -> str:
-        sticks = self.moments.mean[FEATURES.index("stick_count")] * self.moments.number
+        sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number
         lines = [
             f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
             f"  system    {_brief(self.system)}",
@@ -165,7 +175,7 @@ class Ensemble:
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         lines += (
-            [f"  in doubt  {self.near_grazing_samples} samples, by the last digits"]
+            [f"  near-grazing: {self.near_grazing_samples} samples, in which round-off decided about an event"]
             if self.near_grazing_samples
             else []
         )

@@ -1,4 +1,4 @@
-"""Sticks as tables in files, one row a stick."""
+"""Tables of sticks in files, with one row for each stick."""
 
 import os
 from pathlib import Path
@@ -8,13 +8,14 @@ import numpy as np
 
 from .. import _checks
 from .._events.sticks import FURTHER
+from .._statistics.registry import STICK_QUANTITIES
 from .._status import Ending
 
 _WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
 
-def write_sticks(ensemble: Any, path: Any) -> Path:
-    """Write every stick of `ensemble` to `path`, whose ending tells the format; see `Ensemble.write_sticks`."""
+def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
+    """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
     if not isinstance(path, (str, os.PathLike)):
         raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
     sticks, path = ensemble.require_sticks(), Path(path)
@@ -25,23 +26,19 @@ def write_sticks(ensemble: Any, path: Any) -> Path:
         import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         raise ImportError("Tables of sticks need pandas: pip install 'stickslip_jax[tables]'.") from None
-    unit = ensemble.system.stick_position.unit
-
-    def named(name: str, unit: str) -> str:
-        return name if unit == "1" else f"{name}_{unit}"
-
-    table = pd.DataFrame(
-        {
-            "sample": sticks.sample,
-            "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
-            "start_s": sticks.start,
-            "end_s": sticks.end,
-            "duration_s": sticks.duration,
-            named("position", unit): sticks.position,
-            **{named(name, column.unit or unit): getattr(sticks, name) for name, column in FURTHER.items()},
-            "ending": np.array([ending.name for ending in Ending])[sticks.ending],
-        }
-    )
+    position = ensemble.system.stick_position.unit
+    units = {one.name: one.unit for one in STICK_QUANTITIES} | {name: one.unit for name, one in FURTHER.items()}
+    columns = {
+        "sample": sticks.sample,
+        "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
+        "start_s": sticks.start,
+        "end_s": sticks.end,
+    }
+    for name, own in units.items():
+        unit = own or position
+        columns[name if unit == "1" else f"{name}_{unit}"] = getattr(sticks, name)
+    columns["ending"] = np.array([ending.name for ending in Ending])[sticks.ending]
+    table = pd.DataFrame(columns)
     try:
         getattr(table, writer)(path, index=False)
     except ImportError:

@@ -4,7 +4,6 @@ from .call import sensitivity
 from .differentiable import differentiable
 from .estimate import Sensitivities, Sensitivity
 from .statistic import (
-    TOTAL_STICK_TIME,
     RealisationMeanDuration,
     StickDuration,
     StickFunctional,
@@ -14,7 +13,6 @@ from .statistic import (
 )
 
 __all__ = [
-    "TOTAL_STICK_TIME",
     "RealisationMeanDuration",
     "Sensitivities",
     "Sensitivity",

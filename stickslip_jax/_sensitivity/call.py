@@ -49,8 +49,8 @@ def sensitivity(
 
     Sticks are born and lost as parameters change, so differentiating the simulated mean is wrong.
 
-    - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration` (pooled), or a `StickStatistic`:
-      `TOTAL_STICK_TIME`, `RealisationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
+    - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
+      `StickStatistic`: `RealisationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
       "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
       ambiguous. All are found in one pass.

@@ -8,6 +8,7 @@ from .. import _checks
 from .._dynamics.method import EXACT, Exact
 from .._dynamics.validation import state_of
 from .._ensemble.call import simulate_ensemble
+from .._ensemble.parts import Keep
 from .._excitation.excitation import is_random, key_data_for
 from .._excitation.random import Uniform
 from .._fast_cpu import cores
@@ -45,7 +46,7 @@ def problem_of(
         raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
     require_system(system)
     y0 = _checked_start(system, law, y0)
-    keep = "totals" if statistic.is_of_totals else "sticks"
+    keep: Keep = "totals" if statistic.is_of_totals else "sticks"
     pilot = _pilot(system, law, t1, y0, samples, key, method, keep, threads)
     parameters = parameters_of({"system": system, "law": law, "y0": y0}, wrt)
     key_data, dtype = key_data_for(law, key), jnp.result_type(float)
@@ -82,7 +83,7 @@ def _pilot(
     samples: int,
     key: Any,
     method: Exact,
-    keep: str,
+    keep: Keep,
     threads: int,
 ) -> Pilot:
     """A first look, which also checks the arguments."""

@@ -1,21 +1,22 @@
-"""What sensitivities can be asked of: statistics that are the ratio of two means over realisations."""
+"""The statistics that `sensitivity` differentiates: ratios of two means over realisations."""
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._statistics.estimates import mean_stick_count, mean_stick_duration, stick_fraction
-from .._types import Array
+from .._statistics.registry import DIFFERENTIABLE, Linear, StatisticOfTotals
+from .._types import Array, Scalar
 
 
 class StickSequence(NamedTuple):
-    """The sticks of one realisation in order of time; arrays (slots,), of which `mask` marks the filled ones.
+    """The sticks of one realisation in order of time; arrays (slots,), in which `mask` marks the filled slots.
 
-    `start`, `duration`: s; 0 in spare slots, which come last.
+    `start`, `duration`: s; 0 in empty slots, which come last.
     """
 
     start: Array
@@ -24,10 +25,10 @@ class StickSequence(NamedTuple):
 
 
 class StickStatistic(abc.ABC):
-    """A statistic of the stick sequence: the mean of one number of a realisation by that of another.
+    """A statistic of the stick sequence: the mean over realisations of one number, divided by the mean of another.
 
-    `name`, `unit`: for tables and figures. `is_of_totals`: whether it depends on nothing but each realisation's number
-    of sticks and total stick time.
+    `name`, `unit`: for tables and figures. `is_of_totals`: whether it depends only on the number of sticks and the
+    total stick time of each realisation.
     """
 
     name: str
@@ -35,53 +36,56 @@ class StickStatistic(abc.ABC):
     is_of_totals = False
 
     @abc.abstractmethod
-    def parts(self, sticks: StickSequence, t1: Any) -> tuple[Any, Any]:
-        """The two numbers of one realisation on [0, t1]; smooth in starts and durations."""
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
+        """The two numbers for one realisation on [0, t1] (s); smooth in starts and durations."""
 
 
 @dataclasses.dataclass(frozen=True)
 class OfTotals(StickStatistic):
-    """A ratio of linear functions of the total stick time and the number of sticks.
+    """A statistic of the total stick time and the number of sticks, as the registry of statistics defines it."""
 
-    `above`, `below`: their coefficients, of time (1/s), number and 1. `per_horizon`: whether to divide by ``t1``.
-    """
-
-    name: str
-    unit: str
-    above: tuple[int, int, int]
-    below: tuple[int, int, int]
-    per_horizon: bool = False
+    definition: StatisticOfTotals
     is_of_totals = True
 
     @property
+    def name(self) -> str:
+        return self.definition.label
+
+    @property
+    def unit(self) -> str:
+        return self.definition.unit
+
+    @property
     def is_blind_to_events(self) -> bool:
-        """Whether sticks of no length do not show: then there is no event part."""
-        return self.above[1] == self.below[1] == 0
+        """Whether sticks of zero length do not change it: then its derivative has no event part."""
+        return self.definition.numerator.stick_count == self.definition.denominator.stick_count == 0
 
     def weights(self, t1: float) -> np.ndarray:
-        """The coefficients of numerator and denominator, (2, 3)."""
-        return np.array([self.above, self.below]) / np.array([[t1 if self.per_horizon else 1.0], [1.0]])
+        """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, (2, 3).
 
-    def parts(self, sticks: StickSequence, t1: Any) -> tuple[Any, Any]:
+        - `t1`: s.
+        """
+        return self.definition.weights(t1)[:, [0, 1, 3]]
+
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         totals = jnp.stack([jnp.sum(sticks.duration), jnp.sum(sticks.mask), jnp.ones_like(sticks.start[0])])
-        above = jnp.asarray(self.above, totals.dtype) @ totals
-        return above / t1 if self.per_horizon else above, jnp.asarray(self.below, totals.dtype) @ totals
 
+        def value_of(one: Linear) -> Array:
+            value = jnp.asarray((one.stick_time, one.stick_count, one.constant), totals.dtype) @ totals
+            return value + one.t1 * t1 if one.t1 else value
 
-STICK_FRACTION = OfTotals("stick fraction", "1", (1, 0, 0), (0, 0, 1), per_horizon=True)
-TOTAL_STICK_TIME = OfTotals("mean total stick time", "s", (1, 0, 0), (0, 0, 1))
-STICK_COUNT = OfTotals("mean number of sticks", "1", (0, 1, 0), (0, 0, 1))
-POOLED_DURATION = OfTotals("mean stick duration (pooled)", "s", (1, 0, 0), (0, 1, 0))
+        above, below = value_of(self.definition.numerator), value_of(self.definition.denominator)
+        return (above / below, jnp.ones_like(above)) if self.definition.denominator.is_constant else (above, below)
 
 
 @dataclasses.dataclass(frozen=True)
 class RealisationMeanDuration(StickStatistic):
-    """The mean over realisations of each one's own mean stick duration, s; those without a stick do not count."""
+    """The mean over realisations of the mean stick duration of each, s; those without a stick do not count."""
 
     name = "mean stick duration (of realisation means)"
     unit = "s"
 
-    def parts(self, sticks: StickSequence, t1: Any) -> tuple[Any, Any]:
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         count = jnp.sum(sticks.mask)
         some = count > 0
         mean = jnp.sum(sticks.duration) / jnp.where(some, count, 1)
@@ -93,13 +97,13 @@ class _OfNumber(StickStatistic):
     """A mean over the i-th sticks of all realisations that have one.
 
     - `number`: i = 1, 2, ...
-    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass was put down at rest, counts. By
-      default it does not, and the next one is the first.
+    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass starts at rest, counts. By default it
+      does not, and the next one is the first.
 
-    Raises ValueError for another number.
+    Raises ValueError unless `number` is a whole number of at least 1.
     """
 
-    number: Any
+    number: int
     count_initial_rest: bool = False
 
     def __post_init__(self):
@@ -107,9 +111,9 @@ class _OfNumber(StickStatistic):
 
     @abc.abstractmethod
     def value_of(self, sticks: StickSequence) -> Array:
-        """What to average, of every stick."""
+        """The quantity to average, for every stick, (slots,)."""
 
-    def parts(self, sticks: StickSequence, t1: Any) -> tuple[Any, Any]:
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         counted = sticks.mask if self.count_initial_rest else sticks.mask & (sticks.start > 0)
         chosen = counted & (jnp.cumsum(counted) == self.number)
         value = jnp.sum(jnp.where(chosen, self.value_of(sticks), 0))
@@ -146,12 +150,15 @@ class StickDuration(_OfNumber):
 class StickFunctional(StickStatistic):
     """The mean of a function of the user's.
 
-    - `function`: takes a `StickSequence` and gives one number that JAX can trace; smooth in starts and durations as
-      long as no stick comes or goes, and blind to spare slots (their starts and durations are 0).
+    - `function`: takes a `StickSequence` and returns one number, traceable by JAX. It must be smooth in starts and
+      durations as long as the number of sticks does not change, and must not depend on empty slots (where starts and
+      durations are 0).
     - `name`, `unit`: for tables and figures.
+
+    Raises ValueError unless `function` can be called.
     """
 
-    function: Any
+    function: Callable[[StickSequence], Any]
     name: str = "user's functional"
     unit: str = "1"
 
@@ -161,22 +168,18 @@ class StickFunctional(StickStatistic):
                 f"Argument function must be a function of a StickSequence, but {_checks.show(self.function)} was given."
             )
 
-    def parts(self, sticks: StickSequence, t1: Any) -> tuple[Any, Any]:
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         value = jnp.asarray(self.function(sticks), sticks.start.dtype)
         return value, jnp.ones_like(value)
 
 
-_PUBLIC = {stick_fraction: STICK_FRACTION, mean_stick_count: STICK_COUNT, mean_stick_duration: POOLED_DURATION}
-
-
-def statistic_of(statistic: Any) -> StickStatistic:
-    """The `StickStatistic` that the caller means. Raises ValueError for anything that has none."""
+def statistic_of(statistic: StickStatistic | StatisticOfTotals) -> StickStatistic:
+    """`statistic` as a `StickStatistic`. Raises ValueError for anything else."""
     if isinstance(statistic, StickStatistic):
         return statistic
-    try:
-        return _PUBLIC[statistic]
-    except (KeyError, TypeError):
-        raise ValueError(
-            "Argument statistic must be stick_fraction, mean_stick_count, mean_stick_duration, or a StickStatistic "
-            f"such as StickDuration(1), but {_checks.show(statistic)} was given."
-        ) from None
+    if statistic in DIFFERENTIABLE:
+        return OfTotals(statistic)
+    raise ValueError(
+        f"Argument statistic must be {', '.join(map(repr, DIFFERENTIABLE))}, or a StickStatistic such as "
+        f"StickDuration(1), but {_checks.show(statistic)} was given."
+    )

@@ -1,7 +1,7 @@
 """The Anderson-Darling test of k samples, with p-values of any size.
 
 Scholz and Stephens 1987, Journal of the American Statistical Association 82, 918. Tables of critical values, as in
-scipy, end at 0.25 and 0.001; here the p-value is computed from the limiting law itself.
+scipy, end at 0.25 and 0.001; here the p-value is computed from the limiting distribution itself.
 """
 
 import math
@@ -15,7 +15,7 @@ def anderson_darling(groups: list[np.ndarray]) -> tuple[float, float]:
     """Normalised statistic and p-value for two or more groups of values, arrays (n_i,) of at least 5 each.
 
     Ties count by midranks. The statistic is standardised by its exact mean and variance for these group sizes, then
-    compared with the limiting law, standardised likewise. If all values are equal the result is (0, 1).
+    compared with the limiting distribution, standardised likewise. If all values are equal the result is (0, 1).
     """
     pooled, ties = np.unique(np.concatenate(groups), return_counts=True)
     if len(pooled) < 2:
@@ -60,7 +60,7 @@ def limit_tail(x: float, degrees: int) -> float:
     if x <= 0.05 * degrees:  # P(Q <= x) is below 1e-8 there, and the integrand falls off slowly
         return 1.0
 
-    def slope(c):  # of the logarithm of the integrand on the real axis
+    def slope(c):  # derivative of the logarithm of the integrand on the real axis
         q = math.sqrt(1 + 8 * c)
         return degrees / 2 * (1 / c + 2 * math.pi * math.tan(math.pi * q / 2) / q) - x - 1 / c
 

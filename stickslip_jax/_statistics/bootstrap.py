@@ -1,4 +1,4 @@
-"""Confidence intervals by resampling realisations, where Student's t may be too crude."""
+"""Confidence intervals by resampling whole samples, for skewed statistics where Student's t is too crude."""
 
 import dataclasses
 import math
@@ -10,13 +10,13 @@ import numpy as np
 from .. import _checks
 from .._numerics.moments import Moments
 from .estimate import Estimate, check_level
-from .source import require_ensemble, require_statistic
+from .source import EnsembleLike, require_ensemble, require_statistic
 
 _AT_ONCE = 2**22  # random weights: 32 MB
 
 
 def bootstrap_interval(
-    ensemble: Any,
+    ensemble: EnsembleLike,
     statistic: Callable[[Any], Estimate],
     *,
     level: float = 0.9,
@@ -25,36 +25,38 @@ def bootstrap_interval(
 ) -> tuple[float, float]:
     """The bootstrap-t confidence interval of a statistic at `level` (Efron and Tibshirani 1993, section 12.5).
 
-    Whole realisations are drawn with replacement, never single sticks: those of one realisation are dependent. Each
-    resample is judged by its own standard error, so that skewness is allowed for.
+    Whole samples are drawn with replacement, never single sticks, because the sticks of one sample are dependent. The
+    deviation of each resample is divided by the resample's own standard error, which accounts for skewness.
 
-    - `ensemble`: with ``keep="statistics"`` or ``"sticks"``; its retained samples are drawn from, and the interval is
-      that of all its samples.
+    - `ensemble`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``. The draws are from its retained samples; the
+      interval is for all its samples.
     - `statistic`: a function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
-    - `resamples`: how many. `seed`: of the draws.
+    - `resamples`: their number. `seed`: of the draws.
 
-    Returns NaN, NaN where the statistic or its error is not defined. Raises ValueError for other arguments.
+    Returns the two ends, in the unit of the statistic; NaN, NaN where the statistic or its error is not defined. Raises
+    ValueError for other arguments.
     """
     check_level(level)
     _checks.whole_number("resamples", resamples, minimum=100)
-    require_ensemble(ensemble).finished_sticks()  # refuses an ensemble that has none
+    ensemble = require_ensemble(ensemble)
+    ensemble.finished_sticks()  # refuses an ensemble that has none
     require_statistic(statistic)
-    features, whole = ensemble.retained.features, statistic(ensemble)
+    totals, whole = ensemble.retained.totals, statistic(ensemble)
     if not isinstance(whole, Estimate):
         raise ValueError(
             "Argument statistic must be a function that returns an Estimate, such as stick_fraction or "
             f"mean_stick_duration, but it returned {_checks.show(whole)}."
         )
-    number = len(features)
+    number = len(totals)
     if number < 2 or not whole.standard_error > 0:
         return math.nan, math.nan
-    centre = statistic(dataclasses.replace(ensemble, moments=Moments.of(features))).value
+    centre = statistic(dataclasses.replace(ensemble, moments=Moments.of(totals))).value
     rng = np.random.default_rng(_checks.whole_number("seed", seed, minimum=0))
     at_once = max(1, _AT_ONCE // number)
     scores = np.empty(resamples)
     for first in range(0, resamples, at_once):
         weights = rng.multinomial(number, np.full(number, 1 / number), size=min(at_once, resamples - first))
-        for index, moments in enumerate(_weighted_moments(features, weights), first):
+        for index, moments in enumerate(_weighted_moments(totals, weights), first):
             one = statistic(dataclasses.replace(ensemble, moments=moments))
             scores[index] = (one.value - centre) / one.standard_error if one.standard_error > 0 else math.nan
     if not np.any(np.isfinite(scores)):  # all samples are the same
@@ -63,10 +65,13 @@ def bootstrap_interval(
     return whole.value - float(low) * whole.standard_error, whole.value - float(high) * whole.standard_error
 
 
-def _weighted_moments(features: np.ndarray, weights: np.ndarray) -> list[Moments]:
-    """`Moments` of the rows of `features` taken so many times, one for each row of `weights`."""
-    number, centre = len(features), features.mean(axis=0)
-    rows = features - centre
+def _weighted_moments(totals: np.ndarray, weights: np.ndarray) -> list[Moments]:
+    """`Moments` of resamples of the rows of `totals` (samples, d).
+
+    `weights` (resamples, samples): how often each resample holds each row.
+    """
+    number, centre = len(totals), totals.mean(axis=0)
+    rows = totals - centre
     products = (rows[:, :, None] * rows[:, None, :]).reshape(number, -1)
     means, squares = weights @ rows / number, weights @ products
     return [

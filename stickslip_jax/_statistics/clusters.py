@@ -1,8 +1,8 @@
 """Standard errors of statistics of pooled sticks: realisations are independent, the sticks of one are not.
 
-A statistic is a function of averages over all sticks; to first order its error is the average of an influence value
-per stick. The influence values of one realisation are summed, and the spread of these sums over realisations is the
-error (the linearised, "sandwich" error of a ratio of totals; Cochran, Sampling Techniques, 1977, chapter 6).
+A statistic is a function of averages over all sticks; to first order its error is the average of one influence value
+for each stick. The influence values of one realisation are summed, and the spread of these sums over realisations is
+the error (the linearised, "sandwich" error of a ratio of totals; Cochran, Sampling Techniques, 1977, chapter 6).
 """
 
 import math
@@ -12,11 +12,11 @@ import numpy as np
 
 
 class Clusters:
-    """Values that belong to realisations, those retained of an ensemble.
+    """Values of the retained realisations of an ensemble.
 
-    - `values`: (number,). `owner`: the realisation of each. `realisations`: how many were retained, those without any
-      value included.
-    - `of_all`: how many realisations the statistic rests on. The error is measured on those retained and scaled.
+    - `values`: (number,). `owner`: the realisation of each value, (number,).
+    - `realisations`: number of retained ones, those without any value included.
+    - `of_all`: number of realisations that the statistic is from. Errors are measured on the retained ones and scaled.
     """
 
     def __init__(self, values: np.ndarray, owner: np.ndarray, realisations: int, of_all: int):
@@ -25,22 +25,25 @@ class Clusters:
 
     @property
     def scale(self) -> float:
-        """What a standard deviation of sums over realisations is multiplied by; NaN for fewer than two of either."""
+        """Factor from the standard deviation of sums over realisations to a standard error.
+
+        NaN for fewer than two realisations or values.
+        """
         if self.realisations < 2 or len(self.values) < 2:
             return math.nan
         return self.realisations / len(self.values) / math.sqrt(self.of_all)
 
     def error(self, influence: np.ndarray) -> float:
-        """The standard error of a statistic whose influence values are (number,)."""
+        """The standard error of a statistic with these influence values, (number,)."""
         if math.isnan(self.scale):
             return math.nan
         sums = np.bincount(self.owner, weights=influence, minlength=self.realisations)
         return float(sums.std(ddof=1)) * self.scale
 
     def errors_of_shares(self, bins: np.ndarray, number: int) -> np.ndarray:
-        """The standard errors of the shares of values in each of so many bins; `bins`: of each value, (number,).
+        """The standard errors of the shares of values in bins 0, 1, ..., `number` - 1, (number,).
 
-        Values with a bin below 0 are in none.
+        `bins`: the bin of each value; below 0 for none.
         """
         if math.isnan(self.scale):
             return np.full(number, math.nan)

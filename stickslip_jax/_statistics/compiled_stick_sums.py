@@ -1,4 +1,4 @@
-"""Sums and histograms of sticks by compiled loops: counts are those of `stick_sums.py` to the last bit."""
+"""Sums and histograms of sticks by compiled loops; the counts equal those of `stick_sums.py` to the last bit."""
 
 import math
 from collections.abc import Sequence
@@ -10,14 +10,17 @@ from .._numerics import numba_loops
 from .._numerics.dyadic import Axis, DyadicCounts
 from .._numerics.power_sums import PowerSums
 from . import stick_sums
-from .stick_sums import BINS, BINS_BY_ORDER, BINS_OF_PAIRS, PAIRS, QUANTITIES, OrderSums, StickSums
+from .registry import STREAMED_PAIRS
+from .stick_sums import BINS, BINS_BY_ORDER, BINS_OF_PAIRS, OrderSums, StickSums
 
+QUANTITIES = ("start", "duration", "position")
+"""The quantities of a stick that the loops sum, in the order of their columns."""
 _SLIP = len(QUANTITIES)  # the column of slips, after those of the sticks
-_X, _Y = ([QUANTITIES.index(pair[axis]) for pair in PAIRS] for axis in (0, 1))
+_X, _Y = ([QUANTITIES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
 
 
 def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
-    """Of the sticks of finished samples, simulated up to `t1`, s."""
+    """Sums and histograms of the sticks of finished samples, simulated up to `t1`, s."""
     d = _SLIP + 1
     # A sample that begins with a stick has no slip there.
     all_slips = not np.any(sticks.begins_at_zero)
@@ -65,8 +68,11 @@ def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
 
 
 def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> OrderSums:
-    """Of the first `orders` numbered sticks; `skipped`: how many of each sample are not, (samples,)."""
-    # No more than there are, but the first two.
+    """Sums and histograms of the 1st to the `orders`-th numbered stick.
+
+    `skipped`: how many sticks of each sample come before its first numbered one, (samples,).
+    """
+    # No more orders than there are sticks, but the first two in any case.
     most = max(2, min(orders, int(sticks.count.max(initial=0))))
     columns, number = np.empty((len(QUANTITIES), most, len(sticks.count))), np.zeros(most, np.int64)
     earlier, first_two = np.empty(len(sticks.count)), np.empty((2, len(sticks.count)))
@@ -76,7 +82,11 @@ def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> Ord
 
 
 def _by_order(columns: np.ndarray, found: np.ndarray, orders: int) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
-    """Sums and histograms of the first `orders`, of what `numbered` found."""
+    """Sums and histograms of each order.
+
+    `columns` (quantities, orders, sticks) and how many sticks of each order were `found`, (orders,), as
+    `numba_loops.numbered` gives them.
+    """
     d, present = len(columns), found[:orders]
     if not np.any(present):
         no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
@@ -103,17 +113,17 @@ _NOTHING = np.zeros(0)
 
 
 def _axis(low: float, high: float, bins: int) -> Axis:
-    """Of numbers between these; any axis if there are none."""
+    """The axis for numbers from `low` to `high`; any axis if there are none (then ``low > high``)."""
     ends = (float(low), float(high)) if low <= high else (0.0, 0.0)
     return Axis.within(_NOTHING, *ends, bins)
 
 
 def _scales(axes: Sequence[Axis]) -> np.ndarray:
-    """Bins a unit."""
+    """Bins per unit of each quantity, (axes,)."""
     return np.array([math.ldexp(1.0, -axis.exponent) for axis in axes])
 
 
 def _buffer(shapes: Sequence[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of several histograms, all 0, in one array, and where each begins, and the last ends."""
+    """One array of zeros for the counts of several histograms, and where each of them begins and the last one ends."""
     begin = np.cumsum([0, *(math.prod(shape) for shape in shapes)])
     return np.zeros(begin[-1], np.int64), begin

@@ -1,4 +1,4 @@
-"""How an estimate settles with the number of samples, and how many samples a wanted accuracy takes."""
+"""How an estimate converges with the number of samples, and how many samples a given accuracy needs."""
 
 import dataclasses
 import math
@@ -10,15 +10,17 @@ import numpy as np
 from .. import _checks
 from .._numerics.moments import Moments
 from .estimate import Estimate, check_level
-from .source import require_ensemble, require_statistic
+from .registry import StickValue
+from .source import EnsembleLike, require_ensemble, require_statistic
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Convergence:
-    """An estimate from the first ``numbers`` samples, for growing numbers.
+    """An estimate from the first ``numbers[i]`` samples, for i = 0, 1, ...
 
-    - `numbers`: of samples, (points,). `values`, `errors`: estimate and standard error from so many, in `unit`; NaN
-      where they are not defined.
+    - `name`, `unit`: of the estimate. `numbers`: of samples, increasing, (points,).
+    - `values`, `errors`: estimate and standard error from that many samples, in `unit`; NaN where not defined;
+      (points,).
     - `final`: the estimate from all samples.
     """
 
@@ -37,14 +39,14 @@ class Convergence:
         check_level(level)
         from scipy import special  # noqa: PLC0415 - adds a filter of warnings
 
-        reach = special.stdtrit(np.maximum(self.numbers - 1, 1), (1 + level) / 2) * self.errors
-        return self.values - reach, self.values + reach
+        half_width = special.stdtrit(np.maximum(self.numbers - 1, 1), (1 + level) / 2) * self.errors
+        return self.values - half_width, self.values + half_width
 
     def samples_for(self, relative_error: float) -> int | None:
-        """How many samples bring the standard error down to so small a share of the value.
+        """Number of samples at which the standard error is `relative_error` times the value.
 
-        From the spread over all samples, as errors fall with the root of the number. None where the value is 0 or
-        the spread is not known. Raises ValueError unless `relative_error` is positive.
+        From the spread over all samples, since errors fall with the square root of the number. None where the value is
+        0 or the spread is not known. Raises ValueError unless `relative_error` is positive.
         """
         _checks.positive("relative_error", relative_error)
         spread = self.final.standard_error * math.sqrt(self.final.samples)
@@ -56,25 +58,28 @@ class Convergence:
         return f"Convergence of the {self.final}, over {self.numbers[0]} to {self.numbers[-1]} samples"
 
 
-def convergence(ensemble: Any, statistic: Callable[[Any], Estimate], points: int = 40) -> Convergence:
-    """How `statistic` settles as the number of samples grows.
+def convergence(ensemble: EnsembleLike, statistic: Callable[[Any], Estimate], points: int = 40) -> Convergence:
+    """How the estimate of `statistic` converges as the number of samples grows.
 
-    - `ensemble`: with ``keep="statistics"`` or ``"sticks"``; the growing numbers are those of its retained samples.
+    - `ensemble`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``; the estimates use its first retained
+      samples.
     - `statistic`: a function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
-    - `points`: numbers of samples at most, evenly spread on a logarithmic scale from 2 on.
+    - `points`: the largest number of estimates; their numbers of samples are spread evenly on a logarithmic scale, from
+      2 to all retained samples.
 
     Raises ValueError for other arguments and for an ensemble of fewer than 2 retained samples.
     """
-    require_ensemble(ensemble).finished_sticks()  # refuses an ensemble that has none
+    ensemble = require_ensemble(ensemble)
+    ensemble.finished_sticks()  # refuses an ensemble that has none
     require_statistic(statistic)
-    features = ensemble.retained.features
-    if len(features) < 2:
-        raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(features)}.")
+    totals = ensemble.retained.totals
+    if len(totals) < 2:
+        raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(totals)}.")
     _checks.whole_number("points", points, minimum=2)
-    numbers = np.unique(np.geomspace(2, len(features), points).round().astype(int))
-    estimates, moments, done = [], Moments.of(features[:0]), 0
+    numbers = np.unique(np.geomspace(2, len(totals), points).round().astype(int))
+    estimates, moments, done = [], Moments.of(totals[:0]), 0
     for number in numbers:
-        moments, done = moments.merge(Moments.of(features[done:number])), number
+        moments, done = moments.merge(Moments.of(totals[done:number])), number
         estimates.append(statistic(dataclasses.replace(ensemble, moments=moments)))
     values, errors = (np.array([getattr(one, what) for one in estimates]) for what in ("value", "standard_error"))
     final = statistic(ensemble)
@@ -83,12 +88,13 @@ def convergence(ensemble: Any, statistic: Callable[[Any], Estimate], points: int
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HistogramConvergence:
-    """How far the joint histogram of the first ``numbers`` samples is from that of as many others.
+    """Distance of the joint histogram of ``numbers[i]`` samples from that of as many others, for i = 0, 1, ...
 
-    - `distances`: half the sum of the absolute differences of the shares of all cells (total variation: 0 equal, 1
-      without overlap), (points,).
-    - `cells`: how many cells hold a pair.
-    - `slope`: of the logarithm of the distance against that of the number; -1/2 once every cell is filled often.
+    - `numbers`: of samples, increasing, (points,).
+    - `distances`: total variation, half the sum over cells of the absolute differences of shares (0: equal, 1: without
+      overlap), (points,). NaN where one of the histograms is empty.
+    - `cells`: number of cells that hold a pair.
+    - `slope`: of the logarithm of the distance against that of the number; -1/2 once every cell holds many pairs.
     """
 
     numbers: np.ndarray
@@ -97,9 +103,9 @@ class HistogramConvergence:
     slope: float
 
     def samples_for(self, distance: float) -> int | None:
-        """How many samples bring the distance down to `distance`, if it goes on falling with the root of the number.
+        """Number of samples at which the distance is `distance`, if it goes on falling with the square root of it.
 
-        None where no distance could be told. Raises ValueError unless `distance` is positive.
+        None where the last distance is not known. Raises ValueError unless `distance` is positive.
         """
         _checks.positive("distance", distance)
         if len(self.distances) == 0 or not math.isfinite(self.distances[-1]):
@@ -108,14 +114,16 @@ class HistogramConvergence:
 
 
 def histogram_convergence(
-    ensemble: Any, x: str = "duration", y: str = "position", bins: int = 20, points: int = 12
+    ensemble: EnsembleLike, x: StickValue = "duration", y: StickValue = "position", bins: int = 20, points: int = 12
 ) -> HistogramConvergence:
-    """How the joint histogram of two quantities settles as the number of samples grows.
+    """How the joint histogram of two quantities converges as the number of samples grows.
 
-    The retained samples are split in halves; the histogram of the first n of one half is compared with that of the
-    first n of the other, so that the two are independent.
+    The retained samples are split into two halves. The histogram of the first n samples of one half is compared with
+    that of the first n of the other, so the two are independent.
 
-    - `x`, `y`: as in ``ensemble.statistics.joint``. `bins`: along each axis. `points`: numbers of samples.
+    - `ensemble`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``. `x`, `y`: as in
+      ``ensemble.statistics.joint``.
+    - `bins`: largest number along each axis. `points`: largest number of distances.
 
     Raises ValueError for arguments that these refuse, and for an ensemble of fewer than 4 retained samples.
     """
@@ -132,7 +140,6 @@ def histogram_convergence(
         one, other = (np.bincount(cell[(owner % 2 == side) & (owner < 2 * half)], minlength=number) for side in (0, 1))
         if one.sum() and other.sum():
             distances[index] = np.abs(one / one.sum() - other / other.sum()).sum() / 2
-    told = np.isfinite(distances) & (distances > 0)
-    late = told & (numbers >= numbers[-1] / 30)
+    late = np.isfinite(distances) & (distances > 0) & (numbers >= numbers[-1] / 30)
     slope = float(np.polyfit(np.log(numbers[late]), np.log(distances[late]), 1)[0]) if late.sum() > 1 else math.nan
     return HistogramConvergence(numbers, distances, int(np.count_nonzero(np.bincount(cell, minlength=1))), slope)

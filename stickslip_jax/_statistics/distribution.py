@@ -1,4 +1,4 @@
-"""How one quantity is distributed: moments, quantiles, histogram, entropy, each with its standard error."""
+"""The distribution of one quantity: moments, quantiles, histogram, entropy, each with its standard error."""
 
 import dataclasses
 import math
@@ -13,17 +13,20 @@ from .clusters import Clusters
 from .estimate import Estimate
 
 DEFAULT_BINS = 50
-_REPEATS = 10  # neighbours at the same place that make an atom: chance does not bring so many together
-_WIDER, _DENSER = 32, 10  # nor so many more than around; where a density grows like the root's inverse it is 7 times
+# Values that repeat (`Distribution.repeated_share`) have more than _REPEATS others within round-off, and are either
+# _DENSER times as dense as an interval around them that is _WIDER times as wide (where the density is singular like the
+# inverse of a square root, the ratio is only 7), or _FAR_DENSER times as dense as values spread evenly over the range.
+_REPEATS = 10
+_WIDER, _DENSER = 32, 10
 _FAR_DENSER = 1000
 _MOST_SPACINGS = 100_000  # values that the entropy without bins is estimated from: its error is small by then
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Histogram:
-    """How many of `number` values fell between consecutive `edges`, (bins + 1,), and the density that this tells.
+    """Counts of `number` values between consecutive `edges` (bins + 1,), and the probability density they estimate.
 
-    - `counts`, `density` (1/unit), `error`: its standard error; (bins,). The density times the bin width sums to 1.
+    `counts`, `density` (1/unit) and its standard `error`, (bins,). The density times the bin width sums to 1.
     """
 
     edges: np.ndarray
@@ -41,11 +44,16 @@ class Histogram:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Distribution:
-    """How a quantity is distributed over `number` values of `samples` finished samples.
+    """The distribution of a quantity, from `number` values of `samples` finished samples.
 
     Sums and histograms are those of all values, merged exactly while they streamed by. Standard errors treat samples as
-    independent, not the values of one sample; they are measured on the samples retained. Where there is no value, or
-    (for errors) only one sample, a number is NaN.
+    independent, not the values of one sample; they are measured on the retained samples. Numbers are NaN where there
+    is no value, and errors where there is only one sample.
+
+    - `name`, `unit`: of the quantity. `smallest`, `largest`: of all values.
+    - `sums`, `bins`: power sums (of vectors of length 1) and finest histogram of all values. `clusters`: the retained
+      values.
+    - `round_off`: values closer than this may be equal. `is_whole`: whether the values are whole numbers.
     """
 
     name: str
@@ -54,11 +62,11 @@ class Distribution:
     samples: int
     smallest: float
     largest: float
-    sums: PowerSums  # of this quantity alone: mean (1,)
+    sums: PowerSums
     bins: DyadicCounts
     clusters: Clusters
-    round_off: float = 0.0  # values closer than this may be equal
-    is_whole: bool = False  # whether the values are whole numbers
+    round_off: float = 0.0
+    is_whole: bool = False
 
     @property
     def mean(self) -> Estimate:
@@ -79,7 +87,7 @@ class Distribution:
 
     @property
     def standard_deviation(self) -> Estimate:
-        """The root of the variance."""
+        """The square root of the variance."""
         variance = self.variance
         value = math.sqrt(variance.value) if variance.value >= 0 else math.nan
         error = variance.standard_error / (2 * value) if value > 0 else math.nan
@@ -97,10 +105,11 @@ class Distribution:
         return self._estimate("skewness", value, self.clusters.error(influence), "1")
 
     def quantile(self, share: float) -> Estimate:
-        """The value that a `share` of all values does not exceed.
+        """The `share`-quantile: the value that a `share` of all values does not exceed.
 
-        Read off a histogram of up to 8192 bins (1024 of a single order), linearly within a bin, so it is accurate to
-        `resolution`; of whole numbers it is exact. Its error comes from that of the share (Woodruff 1952).
+        Read off a histogram of up to 8192 bins (1024 for a single order), linearly within a bin, so it is accurate to
+        `resolution`; for whole numbers it is exact. Its error is that of the share of values below it, converted by
+        the distribution function (Woodruff 1952).
 
         Raises ValueError unless ``0 <= share <= 1``.
         """
@@ -111,27 +120,27 @@ class Distribution:
         if self.number == 0:
             return self._estimate(name, math.nan, math.nan)
         value = self._value_at(share)
-        reach = self.clusters.error((self.clusters.values <= value) - share)
-        if math.isnan(reach):
-            return self._estimate(name, value, reach)
-        high, low = self._value_at(min(share + reach, 1.0)), self._value_at(max(share - reach, 0.0))
+        error = self.clusters.error((self.clusters.values <= value) - share)  # of the share
+        if math.isnan(error):
+            return self._estimate(name, value, error)
+        high, low = self._value_at(min(share + error, 1.0)), self._value_at(max(share - error, 0.0))
         return self._estimate(name, value, (high - low) / 2)
 
     @property
     def median(self) -> Estimate:
-        """The value that half of all values do not exceed; see `quantile`."""
+        """The 0.5-quantile; see `quantile`."""
         return self.quantile(0.5)
 
     @property
     def resolution(self) -> float:
-        """The width of the finest bins, unit; NaN without values."""
+        """Width of the finest bins, in `unit`; NaN without values."""
         return math.ldexp(1.0, self.bins.exponent[0]) if self.number else math.nan
 
     def histogram(self, bins: int = DEFAULT_BINS) -> Histogram:
-        """The histogram in at most so many bins of equal width, which hold all values.
+        """The histogram of all values, in at most `bins` bins of equal width.
 
-        The edges are chosen so that nothing is lost: each bin joins whole ones of the finest histogram. Raises
-        ValueError unless `bins` is a whole number of at least 1.
+        Each bin is a union of bins of the finest histogram, so that the counts are exact. Raises ValueError unless
+        `bins` is a whole number of at least 1.
         """
         edges, counts = self._joined(_checks.whole_number("bins", bins))
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
@@ -153,10 +162,10 @@ class Distribution:
 
     @cached_property
     def repeated_share(self) -> Estimate:
-        """Share of values that repeat others to the last digits: atoms of the distribution.
+        """Share of the retained values that equal others up to round-off: the weight of the atoms of the distribution.
 
-        There are some: a mass released at the edge of the stick band and turned round in time comes back to the same
-        point, whatever happened before. Of the retained values.
+        Atoms occur because a mass that is released at the edge of the stick band, and reverses before the next switch,
+        comes back to the same point whatever happened before.
         """
         if len(self.clusters.values) == 0:
             return self._estimate("share of repeated values", math.nan, math.nan, "1")
@@ -166,11 +175,11 @@ class Distribution:
 
     @cached_property
     def differential_entropy(self) -> Estimate:
-        """Entropy of the density, ``-integral f log f``, nats (of values in `unit`), estimated without bins.
+        """Differential entropy of the density f, ``-integral f log f``, nats (values in `unit`); without bins.
 
         From the spacings of the first 100,000 retained values (Vasicek 1976; `scipy.stats.differential_entropy`).
-        Values that repeat (`repeated_share`) have no density and are left out. NaN for whole numbers, and for fewer
-        than 10 values.
+        Values that repeat (`repeated_share`) have no density and are left out. NaN for whole numbers and for fewer than
+        10 values.
         """
         from scipy import stats  # noqa: PLC0415 - slow to load
 
@@ -187,32 +196,32 @@ class Distribution:
 
     @cached_property
     def _repeated(self) -> np.ndarray:
-        """Which of the retained values lie with `_REPEATS` others within the round-off of one point, (number,).
+        """Which of the retained values have more than `_REPEATS` others within round-off, (retained,).
 
-        And with many more than the density around would bring there: in float32 millions of values are close anyway.
-        Or with so many that no density does: motion that settles leaves atoms side by side.
+        They must also be far denser than their surroundings, because in float32 millions of values are close by chance;
+        or so dense that no smooth density explains it, because motion that becomes periodic leaves atoms side by side.
         """
         values = self.clusters.values
         within, ranked = max(self.round_off, 1e-9 * (self.largest - self.smallest)), np.sort(values)
 
-        def close(reach: float) -> np.ndarray:
-            below = np.searchsorted(ranked, values - reach, side="left")
-            return np.searchsorted(ranked, values + reach, side="right") - below
+        def number_within(distance: float) -> np.ndarray:
+            below = np.searchsorted(ranked, values - distance, side="left")
+            return np.searchsorted(ranked, values + distance, side="right") - below
 
-        near = close(within)
-        around = (close(_WIDER * within) - near) / (_WIDER - 1)
+        near = number_within(within)
+        around = (number_within(_WIDER * within) - near) / (_WIDER - 1)
         usual = len(values) * 2 * within / max(self.largest - self.smallest, within)  # if all were spread evenly
         return (near > _REPEATS) & ((near > _DENSER * around) | (near > _FAR_DENSER * usual))
 
     def _surprise(self, edges: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
-        """Minus the logarithm of the share of each retained value's bin, and the mean of that over all values."""
+        """Minus the logarithm of the share of each retained value's bin, (retained,), and its mean over all values."""
         share = counts / self.number
         each = -np.log(np.where(counts > 0, share, 1.0))
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
         return each[place], float(share @ each)
 
     def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray]:
-        """Edges and counts of at most so many bins of equal width, joined from the finest."""
+        """Edges and counts of at most `bins` bins of equal width, joined from the finest ones."""
         if self.number == 0:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
         fine = self.bins.counts

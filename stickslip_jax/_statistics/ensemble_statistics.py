@@ -1,8 +1,9 @@
 """The statistics of the sticks and slips of an ensemble, by quantity and by order."""
 
 import dataclasses
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,25 +13,31 @@ from .._events.sticks import FlatSticks
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .._status import Ending
-from .accumulator import SAMPLE_QUANTITIES, Numbering, StickAccumulator
+from .accumulator import Numbering, StickAccumulator
 from .clusters import Clusters
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labelled import dataset_of_statistics
-from .source import FEATURES, require_ensemble
-from .stick_sums import PAIRS, QUANTITIES
+from .registry import (
+    BY_NAME,
+    FIRST_TWO,
+    OWN_MEAN_DURATION,
+    SAMPLE_QUANTITIES,
+    SLIP_DURATION,
+    STICK_QUANTITIES,
+    STREAMED_PAIRS,
+    TOTALS,
+    Quantity,
+    StickValue,
+    ordinal,
+)
+from .source import require_ensemble
 
-_NAMES = {
-    "start": ("stick start", "s"),
-    "duration": ("stick duration", "s"),
-    "position": ("stick position", "m"),
-    "slip_before": ("duration of the slip before the stick", "s"),
-    "stick_count": ("number of sticks", "1"),
-    "slip_count": ("number of slips", "1"),
-    "stick_fraction": ("stick fraction", "1"),
-}
-_OF_A_STICK = (*QUANTITIES, "slip_before")
+if TYPE_CHECKING:
+    import xarray
+
+_NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
 def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
@@ -42,21 +49,42 @@ def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
     position = ensemble.system.stick_position.unit
     return EnsembleStatistics(
-        ensemble.accumulator, sticks, ensemble.retained.features, ensemble.t1, position, ensemble.numbering
+        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering
     )
 
 
+class _ByQuantity:
+    """Gives the distribution of each of the `STICK_QUANTITIES` as an attribute of its name."""
+
+    distributions: Mapping[str, Distribution]
+
+    def __getattr__(self, name: str) -> Distribution:
+        if name not in _NAMES:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+        return self.distributions[name]
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *_NAMES})
+
+
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class EnsembleStatistics:
+class EnsembleStatistics(_ByQuantity):
     """Statistics of the sticks and slips of the samples that finished.
 
-    Sticks cut by the horizon count with the part seen (`endings` tells how many they are), and so do slips. A sample
-    without sticks enters what is told of samples, and no distribution of sticks.
+    Sticks cut by the horizon count with the part before it (`endings` gives their share), and so do slips. A sample
+    without sticks counts in the distributions over samples, and in no distribution over sticks.
+
+    - `start`, `duration` (s), `position` (of the mass when the stick starts, m; of a motor its angle, rad): each the
+      `Distribution` over all sticks.
+    - `accumulator`: sums and histograms of all finished samples. `numbering`: which stick is the 1st, 2nd, ...
+    - `sticks`: those of the retained samples; `totals`: the `TOTALS` of each retained sample, (samples, 3). Standard
+      errors, ranks and all joint distributions that were not summed rest on these.
+    - `t1`: s. `position_unit`: the unit of `position`.
     """
 
     accumulator: StickAccumulator
     sticks: FlatSticks
-    features: np.ndarray
+    totals: np.ndarray
     t1: float
     position_unit: str
     numbering: Numbering
@@ -68,23 +96,27 @@ class EnsembleStatistics:
 
     @property
     def orders(self) -> int:
-        """The statistics tell of the 1st, 2nd, ..., up to so many-th stick."""
+        """The largest number that `order` takes."""
         return self.numbering.orders
 
-    @cached_property
-    def start(self) -> Distribution:
-        """Start instants of all sticks, s."""
-        return self._of_sticks("start")
+    def unit_of(self, quantity: Quantity) -> str:
+        """The unit of a quantity for this system."""
+        return self.position_unit if quantity.unit is None else quantity.unit
 
     @cached_property
-    def duration(self) -> Distribution:
-        """Durations of all sticks, s."""
-        return self._of_sticks("duration")
-
-    @cached_property
-    def position(self) -> Distribution:
-        """Positions at the start of all sticks, m (of a motor its angle, rad)."""
-        return self._of_sticks("position")
+    def distributions(self) -> dict[str, Distribution]:
+        """The distribution over all sticks of each of the `STICK_QUANTITIES`, by name."""
+        sums, bins = self.accumulator.sticks, self.accumulator.stick_bins
+        return {
+            quantity.name: self._distribution(
+                quantity,
+                sums,
+                bins[index],
+                self._clusters(self._column(quantity.name), self.sticks.sample),
+                index=index,
+            )
+            for index, quantity in enumerate(STICK_QUANTITIES)
+        }
 
     @cached_property
     def slip_duration(self) -> Distribution:
@@ -95,7 +127,7 @@ class EnsembleStatistics:
         values = np.concatenate([before, after])
         slips = values > 0
         clusters = self._clusters(values[slips], owner[slips])
-        return self._distribution("slip duration", "s", self.accumulator.slips, 0, self.accumulator.slip_bins, clusters)
+        return self._distribution(SLIP_DURATION, self.accumulator.slips, self.accumulator.slip_bins, clusters)
 
     @cached_property
     def stick_count(self) -> Distribution:
@@ -115,11 +147,11 @@ class EnsembleStatistics:
     @cached_property
     def own_mean_duration(self) -> Distribution:
         """The mean stick duration of each sample that has sticks, s. Its mean is the mean of realisation means."""
-        time, count = (self.features[:, FEATURES.index(name)] for name in ("stick_time", "stick_count"))
+        time, count = (self.totals[:, TOTALS.index(name)] for name in ("stick_time", "stick_count"))
         has = count > 0
         clusters = self._clusters(time[has] / count[has], np.flatnonzero(has))
-        name = "mean stick duration of a sample"
-        return self._distribution(name, "s", self.accumulator.own_mean, 0, self.accumulator.own_mean_bins, clusters)
+        accumulator = self.accumulator
+        return self._distribution(OWN_MEAN_DURATION, accumulator.own_mean, accumulator.own_mean_bins, clusters)
 
     @property
     def endings(self) -> dict[Ending, Estimate]:
@@ -151,88 +183,86 @@ class EnsembleStatistics:
         skipped = self.numbering.skipped(self.sticks)
         has = self.sticks.count - skipped >= number
         at = (self.sticks.first + skipped + number - 1)[has]
-        sums = self.accumulator.by_order.one(number - 1)
-
-        def distribution(name: str) -> Distribution:
-            index = QUANTITIES.index(name)
-            clusters = self._clusters(self._column(name)[at], np.flatnonzero(has))
-            bins = _one_of(self.accumulator.order_bins[index], number - 1)
-            label = f"{_ordinal(number)} {_NAMES[name][0]}"
-            return self._distribution(label, self._unit(name), sums, index, bins, clusters)
-
+        sums, label = self.accumulator.by_order.one(number - 1), f"share of samples that have a {ordinal(number)} stick"
+        distributions = {}
+        for index, quantity in enumerate(STICK_QUANTITIES):
+            bins = self.accumulator.order_bins[index]
+            bins = bins._replace(counts=bins.counts[number - 1])
+            clusters = self._clusters(self._column(quantity.name)[at], np.flatnonzero(has))
+            distributions[quantity.name] = self._distribution(
+                quantity, sums, bins, clusters, index=index, label=quantity.label_of_order(number)
+            )
         share = int(sums.number) / self.samples if self.samples else np.nan
         error = np.sqrt(share * (1 - share) / (self.samples - 1)) if self.samples > 1 else np.nan
-        label = f"share of samples that have a {_ordinal(number)} stick"
-        return OrderStatistics(
-            number, Estimate(label, share, float(error), "1", self.samples), *map(distribution, QUANTITIES)
-        )
+        return OrderStatistics(number, Estimate(label, share, float(error), "1", self.samples), distributions)
 
-    def joint(self, x: str, y: str) -> JointDistribution:
-        """The joint distribution of two quantities of a stick.
+    def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
+        """The joint distribution of two quantities of a stick, or of two sticks of one sample.
 
-        - `x`, `y`: "start", "duration", "position" or "slip_before" (duration of the slip before it) of the same stick;
-          or, of two sticks of one sample, with their numbers: "duration 1" and "duration 2" are the durations of the
-          first and of the second.
+        - `x`, `y`: "start", "duration", "position" or "slip_before" (duration of the slip before the stick), both of
+          the same stick; or each with the number of the stick: ``joint(("duration", 1), ("duration", 2))`` is the joint
+          distribution of the durations of the first and the second stick.
 
-        ("duration", "position"), ("start", "duration") and ("duration 1", "duration 2") were summed over all samples;
-        any other pair rests on the samples retained. Raises ValueError for other names.
+        These two durations, ("duration", "position") and ("start", "duration") were summed over all samples; any other
+        pair rests on the retained samples. Raises ValueError for other arguments.
         """
-        (name_x, order_x), (name_y, order_y) = _parsed("x", x), _parsed("y", y)
-        if (order_x is None) != (order_y is None):
+        (of_x, number_x), (of_y, number_y) = _stick_value("x", x), _stick_value("y", y)
+        if (number_x is None) != (number_y is None):
             raise ValueError(
-                "Arguments x and y must both tell the number of the stick, such as 'duration 1', or none of them, but "
+                "Arguments x and y must both have the number of a stick, such as ('duration', 1), or neither, but "
                 f"{x!r} and {y!r} were given."
             )
-        if order_x is None or order_y is None:
-            values, owner = (self._column(name_x), self._column(name_y)), self.sticks.sample
+        if number_x is None or number_y is None:
+            values, owner = (self._column(of_x.name), self._column(of_y.name)), self.sticks.sample
         else:
             skipped = self.numbering.skipped(self.sticks)
-            has = self.sticks.count - skipped >= max(order_x, order_y)
+            has = self.sticks.count - skipped >= max(number_x, number_y)
             first, owner = (self.sticks.first + skipped)[has] - 1, np.flatnonzero(has)
-            values = (self._column(name_x)[first + order_x], self._column(name_y)[first + order_y])
+            values = (self._column(of_x.name)[first + number_x], self._column(of_y.name)[first + number_y])
         bins, correlation, of_all = self._streamed(x, y)
         columns = [self._clusters(column, owner, of_all=of_all) for column in values]
-        units = (self._unit(name_x), self._unit(name_y))
-        return JointDistribution((x, y), units, columns[0], columns[1], bins, correlation)
+        return JointDistribution(
+            names=(_name(of_x, number_x), _name(of_y, number_y)),
+            labels=(of_x.axis_label(number_x), of_y.axis_label(number_y)),
+            units=(self.unit_of(of_x), self.unit_of(of_y)),
+            x=columns[0],
+            y=columns[1],
+            bins=bins,
+            streamed_correlation=correlation,
+        )
 
-    def to_xarray(self, bins: int = DEFAULT_BINS) -> Any:
+    def to_xarray(self, bins: int = DEFAULT_BINS) -> "xarray.Dataset":
         """Moments, quantiles, histograms, joint histograms and means by order as an ``xarray.Dataset`` with units.
 
         - `bins`: at most, of each histogram. Needs the extra ``study`` (else ImportError).
         """
         return dataset_of_statistics(self, bins)
 
-    def _streamed(self, x: str, y: str) -> tuple[DyadicCounts | None, float | None, bool]:
-        """Histogram and correlation of a pair, if they were summed over all samples."""
-        if (x, y) == ("duration 1", "duration 2"):
+    def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:
+        """Histogram and correlation of a pair and whether they were summed over all samples."""
+        if (x, y) == FIRST_TWO:
             return self.accumulator.first_two_bins, pearson_of(self.accumulator.first_two, 0, 1), True
-        if (x, y) in PAIRS:
-            places = (QUANTITIES.index(x), QUANTITIES.index(y))
-            return self.accumulator.pair_bins[PAIRS.index((x, y))], pearson_of(self.accumulator.sticks, *places), True
+        if (x, y) in STREAMED_PAIRS:
+            columns = (_NAMES.index(x), _NAMES.index(y))
+            bins = self.accumulator.pair_bins[STREAMED_PAIRS.index((x, y))]
+            return bins, pearson_of(self.accumulator.sticks, *columns), True
         return None, None, False
 
-    def _of_sticks(self, name: str) -> Distribution:
-        index = QUANTITIES.index(name)
-        clusters = self._clusters(self._column(name), self.sticks.sample)
-        label = _NAMES[name][0]
-        bins = self.accumulator.stick_bins[index]
-        return self._distribution(label, self._unit(name), self.accumulator.sticks, index, bins, clusters)
-
     def _of_samples(self, name: str) -> Distribution:
-        index = SAMPLE_QUANTITIES.index(name)
+        index = [quantity.name for quantity in SAMPLE_QUANTITIES].index(name)
         if name == "stick_fraction":
-            values = self.features[:, FEATURES.index("stick_time")] / self.t1
+            values = self.totals[:, TOTALS.index("stick_time")] / self.t1
         else:
-            values = self.features[:, FEATURES.index(name)]
+            values = self.totals[:, TOTALS.index(name)]
         clusters = self._clusters(values, np.arange(len(values)))
-        label, unit = _NAMES[name]
-        bins, whole = self.accumulator.sample_bins[index], name != "stick_fraction"
-        return self._distribution(label, unit, self.accumulator.samples, index, bins, clusters, whole)
+        bins = self.accumulator.sample_bins[index]
+        return self._distribution(SAMPLE_QUANTITIES[index], self.accumulator.samples, bins, clusters, index=index)
 
     def _distribution(
-        self, name: str, unit: str, sums: PowerSums, index: int, bins: DyadicCounts, clusters: Clusters,
-        is_whole: bool = False,
+        self, quantity: Quantity, sums: PowerSums, bins: DyadicCounts, clusters: Clusters, *, index: int = 0,
+        label: str = "",
     ) -> Distribution:  # fmt: skip
+        """The distribution of a quantity whose sums are those of column `index`, under another `label` if given."""
         one = slice(index, index + 1)
         own = PowerSums(
             sums.number, sums.mean[one], sums.scatter[one, one], sums.third[one], sums.smallest[one], sums.largest[one]
@@ -241,47 +271,45 @@ class EnsembleStatistics:
         ends = (float(own.smallest[0]), float(own.largest[0])) if number else (np.nan, np.nan)
         largest = max(self.t1, np.abs(ends).max()) if number else self.t1
         round_off = 4 * float(np.finfo(self.sticks.start.dtype).eps) * float(largest)
-        return Distribution(name, unit, number, self.samples, *ends, own, bins, clusters, round_off, is_whole)
+        label, unit = label or quantity.label, self.unit_of(quantity)
+        return Distribution(label, unit, number, self.samples, *ends, own, bins, clusters, round_off, quantity.is_whole)
 
     def _clusters(self, values: np.ndarray, owner: np.ndarray, of_all: bool = True) -> Clusters:
-        retained = len(self.features)
+        retained = len(self.totals)
         return Clusters(values, owner, retained, self.samples if of_all else retained)
 
     def _column(self, name: str) -> np.ndarray:
+        """A quantity of each retained stick."""
         if name == "slip_before":
             return np.asarray(StickStream.of(self.sticks).slip, np.float64)
         return np.asarray(getattr(self.sticks, name), np.float64)
 
-    def _unit(self, name: str) -> str:
-        return self.position_unit if name == "position" else _NAMES[name][1]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class OrderStatistics:
-    """Statistics of the `number`-th stick, over the samples that have it; `share`: how many these are."""
+class OrderStatistics(_ByQuantity):
+    """Statistics of the `number`-th stick, over the samples that have it.
+
+    - `share`: the share of samples that have it.
+    - `start`, `duration` (s), `position` (m; of a motor rad): each a `Distribution`; `distributions`: these by name.
+    """
 
     number: int
     share: Estimate
-    start: Distribution
-    duration: Distribution
-    position: Distribution
+    distributions: Mapping[str, Distribution]
 
 
-def _one_of(bins: DyadicCounts, index: int) -> DyadicCounts:
-    return bins._replace(counts=bins.counts[index])
-
-
-def _ordinal(number: int) -> str:
-    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
-    return f"{number}{ending}"
-
-
-def _parsed(argument: str, text: Any) -> tuple[str, int | None]:
+def _stick_value(argument: str, value: Any) -> tuple[Quantity, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
-    name, _, number = text.partition(" ") if isinstance(text, str) else ("", "", "")
-    if name not in _OF_A_STICK or (number and not (number.isdecimal() and int(number) > 0)):
+    name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
+    if not (isinstance(name, str) and name in BY_NAME):
         raise ValueError(
-            f"Argument {argument} must be one of {', '.join(map(repr, _OF_A_STICK))}, or of these with the number of "
-            f"the stick such as 'duration 1', but {_checks.show(text)} was given."
+            f"Argument {argument} must be one of {', '.join(map(repr, BY_NAME))}, or such a name with the number of "
+            f"the stick, as in ('duration', 1), but {_checks.show(value)} was given."
         )
-    return name, int(number) if number else None
+    if isinstance(value, tuple):
+        number = _checks.whole_number(f"{argument}[1]", number)
+    return BY_NAME[name], number
+
+
+def _name(quantity: Quantity, number: int | None) -> str:
+    return quantity.short_label if number is None else quantity.axis_label(number)

@@ -8,9 +8,9 @@ from .. import _checks
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """An estimated number, its standard error (one standard deviation), both in `unit`, and what it rests on.
+    """An estimate: its value and standard error (one standard deviation), both in `unit`.
 
-    `samples`: the independent samples. NaN stands for what these do not tell.
+    `samples`: the number of independent samples it is from. A value or error that these do not determine is NaN.
     """
 
     name: str
@@ -20,7 +20,7 @@ class Estimate:
     samples: int
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
-        """The confidence interval at `level` by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
+        """Confidence interval at `level`, by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
 
         Raises ValueError unless ``0 < level < 1``.
         """
@@ -29,8 +29,8 @@ class Estimate:
             return math.nan, math.nan
         from scipy import special  # noqa: PLC0415 - adds a filter of warnings
 
-        reach = float(special.stdtrit(self.samples - 1, (1 + level) / 2)) * self.standard_error
-        return self.value - reach, self.value + reach
+        half_width = float(special.stdtrit(self.samples - 1, (1 + level) / 2)) * self.standard_error
+        return self.value - half_width, self.value + half_width
 
     def __str__(self) -> str:
         if math.isnan(self.value):

@@ -1,12 +1,11 @@
 """The first stick of every sample."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 
 from .. import _checks
-from .source import require_ensemble
+from .source import EnsembleLike, require_ensemble
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -15,7 +14,7 @@ class FirstSticks:
 
     - `start`, `duration`: s. `position`: of the mass, m; of a motor its angle, rad.
     - `ending`: an `Ending` code. HORIZON marks a duration cut short by the end of the simulation.
-    - `mask`: whether there is one.
+    - `mask`: whether the sample has a stick.
     """
 
     start: np.ndarray
@@ -26,18 +25,19 @@ class FirstSticks:
 
     @property
     def count(self) -> int:
-        """How many samples have a first stick."""
+        """Number of samples that have a first stick."""
         return int(self.mask.sum())
 
     def __repr__(self) -> str:
         return f"FirstSticks({self.count} in {len(self.mask)} samples)"
 
 
-def first_stick(ensemble: Any, *, count_initial_rest: bool = False) -> FirstSticks:
-    """The first stick of every sample that reached ``t1``, of an ensemble with ``keep="sticks"``.
+def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> FirstSticks:
+    """The first stick of every sample.
 
-    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass was put down at rest, counts as the
-      first. By default it does not, and the next one is the first (the studied quantity of Lima and Sampaio 2022).
+    - `ensemble`: an `Ensemble` with ``keep="sticks"``.
+    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
+      By default it does not, and the next one is the first (the quantity studied by Lima and Sampaio 2022).
 
     Raises ValueError for an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
     """

@@ -1,8 +1,9 @@
-"""Do the first, the second, the third ... stick of a motion follow one law?"""
+"""Test whether the values of the first, second, third, ... stick of a motion are identically distributed."""
 
 import itertools
 import math
 import warnings
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,40 +11,49 @@ from scipy import stats
 
 from .. import _checks
 from .anderson_darling import anderson_darling
-from .complete_values import QUANTITIES, sequences_of
+from .complete_values import plural, sequences_of
+from .registry import TestedQuantity
+from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance, holm
 
 FEWEST_VALUES = 5
-"""Smaller groups are left out: the limiting law of the Anderson-Darling statistic is not near yet."""
+"""Smaller groups are left out: their Anderson-Darling statistic is still far from its limiting distribution."""
 
 
 def identically_distributed(
-    source: Any, quantity: str = "duration", *, orders: Any = 5, significance: float = 0.05, starts_before: Any = None
+    source: StickSource,
+    quantity: TestedQuantity = "duration",
+    *,
+    orders: int | Iterable[int] = 5,
+    significance: float = 0.05,
+    starts_before: float | None = None,
 ) -> Verdict:
-    """Whether the values of each order (first, second, ... in a sample) follow one law.
+    """Test whether the values of all orders (first, second, ... in a sample) have the same distribution.
 
-    Sample i gives its value of one order only, that with the index i modulo the number of orders. So all values that
-    are compared come from different samples and are independent, however the values of one sample hang together.
+    Sample i gives its value of one order only, the one with index i modulo the number of orders. So all values that are
+    compared come from different samples and are independent, whatever the dependence within a sample.
 
-    - `source`: an ensemble with ``keep="sticks"``, or its ``flat_sticks``.
-    - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), or "slip_duration", of the
-      slip after each stick (s). A stick that begins at t = 0 because the mass was put down at rest is the first one.
-    - `orders`: how many, from the first on, or which ones (at least two different whole numbers).
-    - `significance`: largest chance, in (0, 1), of rejecting what is true.
-    - `starts_before`: only values that begin before this instant (s; of a position, the slip before it must) are used.
-      By default the end of the simulation less the longest value, so that it cuts none of them. With ``math.inf`` all
-      complete ones are used; those are shorter than all would be, the later in order the more, and the tests find
-      this if many are cut. Where the motion comes to rest for good the default leaves nothing, and one must choose.
+    - `source`: an `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
+      Which stick of an ensemble is the first is set by its ``count_initial_rest``; of ``flat_sticks`` all are numbered.
+    - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), or "slip_duration", that of
+      the slip after each stick (s).
+    - `orders`: their number, from the first on, or a sequence of at least two different ones.
+    - `significance`: largest probability, in (0, 1), of rejecting what is true.
+    - `starts_before`: only values that begin before this instant (s) are used; a position begins with the slip before
+      it. By default the end of the simulation minus the longest value, so that none is cut. With ``math.inf`` all
+      complete values are used; these are too short on average, more so for later orders, and the tests detect it
+      if many are cut. Where the motion comes to rest for good the default leaves no value, and an instant must be
+      given.
 
-    The tests: first that of Anderson and Darling on all orders at once (statistic: normalised; effect: the largest
-    difference of two orders' means, in standard deviations within an order); then that of Kolmogorov and Smirnov on
-    every pair of orders by Holm's rule (effect: the largest distance of two distribution functions; `parts` tells all).
-    Orders of which fewer than 5 samples give a value are left out; the answer is None if fewer than two remain.
-    Values that are all equal, as in steady motion, are identically distributed; differences of a few hundred rounding
-    errors are none.
+    The tests: that of Anderson and Darling on all orders at once (statistic: normalised; effect: the largest difference
+    between the means of two orders, in standard deviations within an order); then that of Kolmogorov and Smirnov on
+    every pair of orders, by Holm's method (effect: the largest distance between two distribution functions; `parts`
+    holds the test of each pair). Orders for which fewer than 5 samples give a value are left out; the answer is None if
+    fewer than two remain. Values that are all equal, as in periodic motion, are identically distributed; differences of
+    a few hundred rounding errors are ignored.
 
-    Question: Lima and Sampaio 2017, introduction. Raises ValueError for a source that is neither, one that kept no
-    sticks, and arguments outside what is said here.
+    Question: Lima and Sampaio 2017, introduction. Raises ValueError for another source, an ensemble that kept only
+    totals, and arguments outside these bounds.
     """
     check_significance(significance)
     wanted = _orders(orders)
@@ -64,7 +74,7 @@ def identically_distributed(
         reason = f"fewer than two orders have {FEWEST_VALUES} values"
         names = ("Anderson-Darling", "Kolmogorov-Smirnov")
         tests = tuple(HypothesisTest(name, reason=reason) for name in names)
-    question = f"Are the {QUANTITIES[quantity]} of all orders identically distributed?"
+    question = f"Are the {plural(quantity)} of all orders identically distributed?"
     return Verdict(question, significance, tests, samples, len(sequences.values), reason, tuple(remarks))
 
 
@@ -113,10 +123,10 @@ def _by_pairs(groups: dict[int, np.ndarray]) -> HypothesisTest:
 
 
 def _pair(a: int, b: int, first: np.ndarray, second: np.ndarray) -> HypothesisTest:
-    # The exact law costs as much as the product of the sizes, and the limiting law is close beyond a hundred each.
+    # The cost of the exact distribution is the product of the sizes; the limiting one is close beyond a hundred each.
     method = "exact" if len(first) * len(second) <= 10_000 else "asymp"
     with warnings.catch_warnings():
-        # Where round-off takes an exact p-value above 1, scipy warns and takes that of the limiting law, also about 1.
+        # Where round-off takes an exact p-value above 1, scipy warns and takes the limiting one, also about 1.
         warnings.simplefilter("ignore", RuntimeWarning)
         found: Any = stats.ks_2samp(first, second, method=method)
     distance, sizes = float(found.statistic), (len(first), len(second))

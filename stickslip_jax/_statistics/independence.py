@@ -1,53 +1,58 @@
-"""Are consecutive values independent, and are they independent and identically distributed?"""
+"""Tests whether consecutive values are independent, and whether they are independent and identically distributed."""
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from .. import _checks
-from .complete_values import QUANTITIES, Sequences, sequences_of
+from .complete_values import Sequences, plural, sequences_of
 from .identical import identically_distributed
+from .registry import TestedQuantity
+from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance
 
 FEWEST_PAIRS = 10
-"""With fewer pairs, or samples that have pairs, a test of independence is not made."""
+"""The least number of pairs, or of samples that have pairs, for a test of independence."""
 FEWEST_EXPECTED = 5
 """Smallest expected count in a cell of the chi-square test (Cochran's rule)."""
 
 
 def independent(
-    source: Any,
-    quantity: str = "duration",
+    source: StickSource,
+    quantity: TestedQuantity = "duration",
     *,
     lag: int = 1,
     first: int = 1,
     bins: int = 5,
     significance: float = 0.05,
-    starts_before: Any = None,
+    starts_before: float | None = None,
 ) -> Verdict:
-    """Whether values of one sample that are `lag` apart in order are independent.
+    """Test whether values of one sample that are `lag` apart in order are independent.
 
-    - `source`, `quantity`, `significance`, `starts_before`: see `identically_distributed`. Pairs are used only if the
-      later value begins before ``starts_before``. That depends on the earlier one, but leaves them independent if they
-      were; without it (``math.inf``) a long value leaves the next less room before the simulation ends.
-    - `lag`: difference of the orders. `first`: order of the first value of the pairs that one sample each gives.
-    - `bins`: quantiles for the chi-square test, at least 2.
+    - `source`, `quantity`, `significance`, `starts_before`: as in `identically_distributed`. A pair is used only if its
+      later value begins before ``starts_before``. This depends on the earlier value, but does not make independent
+      values dependent. Without it (``math.inf``) a long value leaves less time for the next before the simulation ends.
+    - `lag`: difference of the orders. `first`: order of the earlier value of the pair that each sample gives to the
+      first two tests.
+    - `bins`: number of quantile bins of each value in the chi-square test, at least 2.
 
-    The tests, none of which takes a drift of the law with the order for dependence:
+    The tests; none of them takes a drift of the distribution with the order for dependence:
 
-    1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair of each sample that has
-       both. Pairs are independent, so the p-value (Student's t) holds whatever else happens within a sample.
+    1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair from each sample that
+       has both. The pairs are independent, so the p-value (Student's t) holds whatever the dependence within a sample.
     2. Chi-square of the same pairs in a table of `bins` x `bins` pooled quantiles; effect: Cramer's V. With few pairs
-       there are fewer bins, and neighbours are joined until each cell expects at least 5. Finds dependence without
-       correlation.
+       there are fewer bins, and neighbouring bins are joined until the expected count of each cell is at least 5. Finds
+       dependence without correlation.
     3. Serial rank correlation: all pairs of all samples, ranked among the pairs of the same orders. Pairs of one sample
-       may hang together, so the variance is that of sums over samples (statistic: Student's t of as many degrees as
-       samples with pairs, less one). Finds a factor that all values of a sample share, too.
+       may be dependent, so the variance is that of sums over samples (statistic: Student's t with one degree of freedom
+       fewer than there are samples with pairs). Also finds a factor that all values of a sample share.
 
     A test needs 10 pairs (the third: 10 samples with pairs) and values that are not all equal; the answer is None if
-    none could be made. Question: Lima and Sampaio 2017, introduction. Raises ValueError as `identically_distributed`.
+    no test could be made. Question: Lima and Sampaio 2017, introduction. Raises ValueError as
+    `identically_distributed`.
     """
     check_significance(significance)
     lag, first = _checks.whole_number("lag", lag), _checks.whole_number("first", first)
@@ -60,25 +65,26 @@ def independent(
     apart = "consecutive" if lag == 1 else f"{lag} apart"
     given = len(sequences.count)
     remarks = (sequences.remark, f"{len(early)} of {given} samples have values of orders {first} and {first + lag}.")
-    question = f"Are the {QUANTITIES[quantity]}, {apart}, independent?"
+    question = f"Are the {plural(quantity)}, {apart}, independent?"
     return Verdict(question, significance, tests, given, len(sequences.values), reason, remarks)
 
 
 def independent_and_identical(
-    source: Any,
-    quantity: str = "duration",
+    source: StickSource,
+    quantity: TestedQuantity = "duration",
     *,
-    orders: Any = 5,
+    orders: int | Iterable[int] = 5,
     lag: int = 1,
     first: int = 1,
     significance: float = 0.05,
-    starts_before: Any = None,
+    starts_before: float | None = None,
 ) -> Verdict:
-    """Whether the values are independent and identically distributed, by all tests of both questions together.
+    """Test whether the values are independent and identically distributed, by all tests of both properties.
 
-    Arguments as for `identically_distributed` and `independent`. The five tests, in that order, share one chance of a
-    false alarm, at most `significance`, by Holm's rule. The answer is None if nothing is rejected and one of the two
-    questions can't be decided. Question: Lima and Sampaio 2017, introduction. Raises ValueError as they do.
+    Arguments as for `identically_distributed` and `independent`. The probability that any of the five tests (in that
+    order) rejects what is true is at most `significance`, by Holm's method. The answer is None if nothing is rejected
+    and one of the two questions cannot be decided. Question: Lima and Sampaio 2017, introduction. Raises ValueError as
+    they do.
     """
     options = {"significance": significance, "starts_before": starts_before}
     parts = (
@@ -88,7 +94,7 @@ def independent_and_identical(
     tests = tuple(test for part in parts for test in part.tests)
     remarks = tuple(dict.fromkeys(remark for part in parts for remark in part.remarks))
     reason = "; ".join(dict.fromkeys(part.reason for part in parts if part.reason))
-    question = f"Are the {QUANTITIES[quantity]} independent and identically distributed?"
+    question = f"Are the {plural(quantity)} independent and identically distributed?"
     return Verdict(question, significance, tests, parts[0].samples, parts[0].values, reason, remarks)
 
 
@@ -122,9 +128,9 @@ def _chi_square(early: np.ndarray, late: np.ndarray, bins: int) -> HypothesisTes
 
 
 def _table(early: np.ndarray, late: np.ndarray, bins: int) -> np.ndarray:
-    """Counts of pairs in pooled quantile bins, joined until each cell expects enough.
+    """Counts of pairs in pooled quantile bins, joined until the expected count of each cell is large enough.
 
-    Which are joined depends on the sums over rows and columns only, which tell nothing of dependence.
+    Which bins are joined depends only on the sums over rows and columns, which carry no information on dependence.
     """
     bins = max(2, min(bins, math.isqrt(len(early) // FEWEST_EXPECTED)))
     edges = np.unique(np.quantile(np.concatenate([early, late]), np.arange(1, bins) / bins))
@@ -145,7 +151,7 @@ def _table(early: np.ndarray, late: np.ndarray, bins: int) -> np.ndarray:
 
 
 def _serial(sequences: Sequences, lag: int) -> HypothesisTest:
-    """Spearman's correlation of all pairs, stratum by stratum of their orders; errors by sums over samples."""
+    """Rank correlation of all pairs, ranked separately for each order; its error from sums over samples."""
     counts = np.maximum(sequences.count - lag, 0)
     having = counts > 0
     pairs, samples = int(counts.sum()), int(having.sum())

@@ -1,4 +1,4 @@
-"""How two quantities are distributed together: histogram, correlations, mutual information, conditional means."""
+"""The joint distribution of two quantities: histogram, correlations, mutual information, conditional means."""
 
 import dataclasses
 import math
@@ -17,9 +17,10 @@ _MOST_BINS = 128
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class JointHistogram:
-    """How many of `number` pairs fell into each cell; `density` per unit of x and of y.
+    """Counts of `number` pairs in cells, and the probability density per unit of x and of y.
 
     `x_edges` (x bins + 1,), `y_edges` (y bins + 1,); `counts`, `density` and its standard `error` (x bins, y bins).
+    `names`, `units`: of x and y.
     """
 
     x_edges: np.ndarray
@@ -34,11 +35,11 @@ class JointHistogram:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConditionalMeans:
-    """The mean of y where x is in each bin, with its standard `error`; `counts` of pairs; (bins,).
+    """The mean of y given that x lies in a bin, for every bin of x.
 
-    NaN in empty bins; an error needs two pairs.
-
-    `edges`: of the bins of x, (bins + 1,).
+    - `edges`: of the bins of x, (bins + 1,).
+    - `mean`: NaN in empty bins. `error`: its standard error, NaN below two pairs. `counts`: of pairs. (bins,)
+    - `names`, `units`: of x and y.
     """
 
     edges: np.ndarray
@@ -51,14 +52,19 @@ class ConditionalMeans:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class JointDistribution:
-    """The joint distribution of two quantities x and y, `names`, in `units`.
+    """The joint distribution of two quantities x and y.
 
     Histogram, Pearson's correlation and mutual information come from all pairs where these were summed while they
-    streamed by, else from those retained; ranks and conditional means from those retained. NaN stands for what the
-    pairs do not tell. Errors treat samples as independent, not the pairs of one sample.
+    streamed by, else from the retained ones; rank correlation and conditional means from the retained ones. What the
+    pairs do not determine is NaN. Standard errors treat samples as independent, not the pairs of one sample.
+
+    - `names`: of x and y, in text. `labels`: on axes of figures. `units`: of x and y.
+    - `x`, `y`: the retained pairs. `bins`: counts of all pairs and `streamed_correlation`: Pearson's, of all pairs;
+      None where the pairs were not summed.
     """
 
     names: tuple[str, str]
+    labels: tuple[str, str]
     units: tuple[str, str]
     x: Clusters
     y: Clusters
@@ -67,12 +73,12 @@ class JointDistribution:
 
     @property
     def number(self) -> int:
-        """How many pairs the histogram holds."""
+        """Number of pairs in the histogram."""
         return int(self._fine.counts.sum())
 
     @property
     def retained(self) -> int:
-        """How many pairs are retained."""
+        """Number of retained pairs."""
         return len(self.x.values)
 
     @cached_property
@@ -84,9 +90,9 @@ class JointDistribution:
         return DyadicCounts.of_columns((self.x.values, self.y.values), _MOST_BINS)
 
     def histogram(self, bins: int = 40) -> JointHistogram:
-        """The histogram in at most so many bins of equal width along each axis, which hold all pairs.
+        """The histogram of all pairs, in at most `bins` bins of equal width along each axis.
 
-        At most 128. Raises ValueError unless `bins` is a whole number from 1 to 128.
+        Raises ValueError unless `bins` is a whole number from 1 to 128.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         cell, _ = self._cells(x_edges, y_edges)
@@ -110,7 +116,7 @@ class JointDistribution:
 
     @property
     def rank_correlation(self) -> Estimate:
-        """Spearman's rank correlation coefficient of the pairs retained."""
+        """Spearman's rank correlation coefficient of the retained pairs."""
         from scipy import stats  # noqa: PLC0415 - slow to load
 
         name = "Spearman rank correlation"
@@ -120,15 +126,15 @@ class JointDistribution:
         number = len(x)
         ranks = [(stats.rankdata(column) - 0.5) / number for column in (x, y)]
         value = float(np.corrcoef(*ranks)[0, 1])
-        # The influence of a pair is its own product of ranks, and its part in the ranks of all others.
+        # The influence of a pair: the product of its own ranks, plus its effect on the ranks of all other pairs.
         influence = ranks[0] * ranks[1] + _mean_above(x, ranks[1]) + _mean_above(y, ranks[0])
         return self._estimate(name, value, 12 * self.x.error(influence - influence.mean()))
 
     def mutual_information(self, bins: int = 20) -> Estimate:
         """Mutual information of the histogram in at most `bins` x `bins` cells, nats.
 
-        Never negative; of independent quantities the estimate is about (x bins - 1)(y bins - 1) / (2 number), not 0.
-        Raises ValueError as `histogram`.
+        ``sum p_ij log(p_ij / (p_i p_j))`` over the cells. Never negative: for independent quantities the estimate is
+        about ``(x bins - 1) (y bins - 1) / (2 number)``, not 0. Raises ValueError as `histogram`.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         name = f"mutual information in {counts.shape[0]} x {counts.shape[1]} bins"
@@ -142,7 +148,7 @@ class JointDistribution:
         return self._estimate(name, value, self.x.error(np.where(inside, gain.reshape(-1)[cell] - value, 0)), "nat")
 
     def conditional_mean(self, bins: int = 20) -> ConditionalMeans:
-        """The mean of y for x in each of so many bins of equal width, of the pairs retained.
+        """The mean of y given x, for x in `bins` bins of equal width, over the retained pairs.
 
         Raises ValueError unless `bins` is a whole number of at least 1.
         """
@@ -158,12 +164,12 @@ class JointDistribution:
         error = np.full(bins, np.nan)
         for index in np.flatnonzero(counts > 1):
             here = place == index
-            # A mean over the pairs of one bin: the influence, relative to the share of pairs in the bin.
+            # The influence of a pair on the mean over one bin, divided by the share of pairs in that bin.
             error[index] = self.x.error(np.where(here, y - mean[index], 0) * (len(x) / counts[index]))
         return ConditionalMeans(edges, mean, error, counts, self.names, self.units)
 
     def cells_of_retained(self, bins: int) -> tuple[np.ndarray, int]:
-        """The cell of each retained pair in a histogram of at most `bins` x `bins` cells, and how many cells there are.
+        """The cell of each retained pair in a histogram of at most `bins` x `bins` cells, and the number of cells.
 
         Raises ValueError as `histogram`.
         """
@@ -176,7 +182,7 @@ class JointDistribution:
         return bins
 
     def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Edges along x and y, and counts, of at most so many bins along each axis, joined from the finest."""
+        """Edges along x and y, and counts, of at most `bins` bins along each axis, joined from the finest ones."""
         counts, edges = self._fine.counts, []
         if counts.size == 0:
             return np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((1, 1), np.int64)
@@ -189,7 +195,7 @@ class JointDistribution:
         return *edges, counts
 
     def _cells(self, x_edges: np.ndarray, y_edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The cell of each retained pair as one number, and whether it lies in one."""
+        """The index of each retained pair's cell, 0 if it lies in none, and whether it lies in one."""
         x = np.searchsorted(x_edges, self.x.values, side="right") - 1
         y = np.searchsorted(y_edges, self.y.values, side="right") - 1
         inside = (x >= 0) & (x < len(x_edges) - 1) & (y >= 0) & (y < len(y_edges) - 1)
@@ -208,7 +214,7 @@ class JointDistribution:
 
 
 def pearson_of(sums: PowerSums, x: int, y: int) -> float:
-    """Pearson's correlation of two components; NaN where one does not vary."""
+    """Pearson's correlation of the components `x` and `y` of vectors; NaN where one does not vary."""
     return float(sums.correlation[x, y])
 
 
@@ -222,7 +228,7 @@ def _standardised(values: np.ndarray) -> np.ndarray:
 
 
 def _mean_above(values: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """For each value, the sum of `others` over all pairs whose value is no less, over the number of pairs."""
+    """For each value, the sum of `others` over the pairs with a value at least as large, divided by all pairs."""
     order = np.argsort(values, kind="stable")
     ranked = values[order]
     tail = np.concatenate([np.cumsum(others[order][::-1])[::-1], [0.0]])

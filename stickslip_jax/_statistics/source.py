@@ -1,11 +1,40 @@
-"""What the statistics need of an ensemble, and a clear refusal of anything else."""
+"""What the statistics need of an ensemble, and the check that it is one."""
 
-from typing import Any
+from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 from .. import _checks
+from .._events.sticks import FlatSticks
+from .._numerics.moments import Moments
+from .._status import Status
 
-FEATURES = ("stick_time", "stick_count", "slip_count")
-"""What an ensemble's `moments` hold of each finished sample."""
+
+@runtime_checkable
+class EnsembleLike(Protocol):
+    """The result of `simulate_ensemble`, as far as the statistics of totals use it; see `Ensemble`."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def t1(self) -> float: ...
+    @property
+    def moments(self) -> Moments: ...
+    @property
+    def status_counts(self) -> dict[Status, int]: ...
+    @property
+    def retained(self) -> Any: ...
+    def finished_sticks(self) -> FlatSticks: ...
+    def require_sticks(self) -> FlatSticks: ...
+
+
+@runtime_checkable
+class WithNumberedSticks(Protocol):
+    """The result of `simulate_ensemble`, as far as the tests of independence use it; see `Ensemble`."""
+
+    def numbered_sticks(self) -> FlatSticks: ...
+
+
+StickSource: TypeAlias = WithNumberedSticks | FlatSticks
+"""An `Ensemble`, or the sticks of many samples themselves."""
 
 
 def require_ensemble(ensemble: Any) -> Any:

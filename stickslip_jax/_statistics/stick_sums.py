@@ -1,4 +1,4 @@
-"""Sums and histograms of sticks by NumPy: what `compiled_stick_sums.py` does in fewer passes, where Numba is there."""
+"""Sums and histograms of sticks by NumPy, where there is no Numba for `compiled_stick_sums.py`."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,20 @@ import numpy as np
 from .._events.stick_stream import StickStream
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
+from .registry import STICK_QUANTITIES, STREAMED_PAIRS
 
 BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
 BINS_BY_ORDER = 1024
 BINS_OF_PAIRS = 128  # at most, along each axis
 
-QUANTITIES = ("start", "duration", "position")
-"""What is told of each stick."""
-PAIRS = (("duration", "position"), ("start", "duration"))
-"""Whose joint histograms are streamed; and that of the durations of the first two sticks."""
+_NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
 
 
 class StickSums(NamedTuple):
-    """Of all sticks, by `QUANTITIES`, and by `PAIRS`; and of the durations of all slips, s."""
+    """Sums and histograms of all sticks, and of the durations of all slips, s.
+
+    `sticks`, `stick_bins`: by `STICK_QUANTITIES`. `pair_bins`: by `STREAMED_PAIRS`.
+    """
 
     sticks: PowerSums
     stick_bins: tuple[DyadicCounts, ...]
@@ -29,8 +30,9 @@ class StickSums(NamedTuple):
 
 
 class OrderSums(NamedTuple):
-    """Of the 1st, 2nd, ... stick of each sample that has it, one entry an order; and of the durations of the first and
-    the second stick.
+    """Sums and histograms of the 1st, 2nd, ... stick of each sample that has it, with one entry for each order.
+
+    `first_two`, `first_two_bins`: of the durations of the first and of the second stick, s.
     """
 
     by_order: PowerSums
@@ -40,7 +42,7 @@ class OrderSums(NamedTuple):
 
 
 def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
-    """Of the sticks of finished samples, simulated up to `t1`, s."""
+    """Sums and histograms of the sticks of finished samples, simulated up to `t1`, s."""
     columns = _columns(sticks)
     stick_bins, pair_bins = _stick_bins(columns)
     slip = _slip_durations(sticks, t1)
@@ -48,7 +50,10 @@ def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
 
 
 def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> OrderSums:
-    """Of the first `orders` numbered sticks; `skipped`: how many of each sample are not, (samples,)."""
+    """Sums and histograms of the 1st to the `orders`-th numbered stick.
+
+    `skipped`: how many sticks of each sample come before its first numbered one, (samples,).
+    """
     columns = _columns(sticks)
     which = sticks.order - skipped[sticks.owner]
     at = [np.flatnonzero(which == order) for order in range(max(orders, 2))]
@@ -59,12 +64,12 @@ def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> Ord
 
 
 def sums_of_first_two(first: np.ndarray, second: np.ndarray) -> tuple[PowerSums, DyadicCounts]:
-    """Of the durations of the first and the second stick of each sample that has both."""
+    """Sums and joint histogram of the durations (s) of the first and the second stick of each sample that has both."""
     return PowerSums.of(first, second), DyadicCounts.of_columns((first, second), BINS_OF_PAIRS)
 
 
 def _slip_durations(sticks: StickStream, t1: float) -> np.ndarray:
-    """How long each slip lasts, s, in any order."""
+    """Duration of each slip, s, in any order."""
     before, after = (np.asarray(durations, np.float64) for durations in (sticks.slip, sticks.slip_after(t1)))
     if np.any(sticks.begins_at_zero):
         before = before[before > 0]
@@ -72,21 +77,21 @@ def _slip_durations(sticks: StickStream, t1: float) -> np.ndarray:
 
 
 def _columns(sticks: StickStream) -> tuple[np.ndarray, ...]:
-    """Start, duration and position of every stick, as `QUANTITIES`."""
-    start, end = (np.asarray(column, np.float64) for column in (sticks.start, sticks.end))
-    return start, end - start, np.asarray(sticks.position, np.float64)
+    """The `STICK_QUANTITIES` of every stick."""
+    duration = np.asarray(sticks.end, np.float64) - np.asarray(sticks.start, np.float64)
+    return tuple(duration if name == "duration" else np.asarray(getattr(sticks, name), np.float64) for name in _NAMES)
 
 
 def _stick_bins(columns: tuple[np.ndarray, ...]) -> tuple[tuple[DyadicCounts, ...], tuple[DyadicCounts, ...]]:
     """The histograms of each quantity and of the pairs."""
     if len(columns[0]) == 0:
         one, two = DyadicCounts.none(1, BINS), DyadicCounts.none(2, BINS_OF_PAIRS)
-        return (one,) * len(columns), (two,) * len(PAIRS)
-    return DyadicCounts.of_pairs(dict(zip(QUANTITIES, columns, strict=True)), PAIRS, BINS, BINS_OF_PAIRS)
+        return (one,) * len(columns), (two,) * len(STREAMED_PAIRS)
+    return DyadicCounts.of_pairs(dict(zip(_NAMES, columns, strict=True)), STREAMED_PAIRS, BINS, BINS_OF_PAIRS)
 
 
 def _of_orders(columns: tuple[np.ndarray, ...], at: list[np.ndarray]) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
-    """Sums and histograms of the 1st, 2nd, ... stick of each sample; `at`: where those of each order stand."""
+    """Sums and histograms of the 1st, 2nd, ... stick of each sample; `at`: the indices of the sticks of each order."""
     orders = len(at)
     sums = PowerSums.stacked([PowerSums.of(*(column[found] for column in columns)) for found in at])
     group, every = np.repeat(np.arange(orders), [len(found) for found in at]), np.concatenate(at)

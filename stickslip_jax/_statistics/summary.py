@@ -1,4 +1,4 @@
-"""The statistics of an ensemble as a table for people, in text and in HTML."""
+"""The statistics of an ensemble as tables to read, in text and in HTML."""
 
 import dataclasses
 import html
@@ -6,8 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from .distribution import Distribution
 from .ensemble_statistics import EnsembleStatistics
 from .estimate import Estimate, format_with_error
+from .registry import DISTRIBUTIONS, STICK_QUANTITIES
 from .source import require_ensemble
 
 _Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
@@ -16,7 +18,10 @@ _HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Summary:
-    """Tables, each with a caption, a head and rows of text; and notes below them."""
+    """The statistics of an ensemble in tables: print it, or show it in a notebook.
+
+    `tables`: each a caption, the heads of the columns, and rows of text. `notes`: sentences below the tables.
+    """
 
     title: str
     tables: tuple[_Table, ...]
@@ -42,51 +47,46 @@ class Summary:
 def summary_of(ensemble: Any) -> Summary:
     """The summary of an ensemble simulated with ``keep="statistics"`` or ``"sticks"``. Raises ValueError for others."""
     ensemble = require_ensemble(ensemble)
-    told: EnsembleStatistics = ensemble.statistics
-    every = (
-        told.stick_count, told.slip_count, told.stick_fraction, told.duration, told.own_mean_duration,
-        told.slip_duration, told.start, told.position,
-    )  # fmt: skip
-    tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, every)))]
-    orders = [told.order(number) for number in range(1, told.orders + 1)]
-    seen = [one for one in orders if one.duration.number > 0]
-    if seen:
-        head = ("stick", "samples that have it", "start (s)", "duration (s)", f"position ({told.position_unit})")
+    statistics: EnsembleStatistics = ensemble.statistics
+    distributions = [getattr(statistics, quantity.name) for quantity in DISTRIBUTIONS]
+    tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, distributions)))]
+    orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
+    present = [one for one in orders if one.duration.number > 0]
+    if present:
+        quantities = [f"{one.short_label} ({statistics.unit_of(one)})" for one in STICK_QUANTITIES]
         rows = tuple(
-            (
-                str(one.number),
-                _shown(one.share),
-                *(_shown(of.mean) for of in (one.start, one.duration, one.position)),
-            )
-            for one in seen
+            (str(one.number), _shown(one.share), *(_shown(of.mean) for of in one.distributions.values()))
+            for one in present
         )
-        tables.append(("By order (mean +- standard error)", head, rows))
-    title = f"{told.samples:,} samples on [0, {ensemble.t1:g}] s"
-    return Summary(title, tuple(tables), tuple(_notes(ensemble, told)))
+        tables.append(("By order (mean +- standard error)", ("stick", "samples that have it", *quantities), rows))
+    title = f"{statistics.samples:,} samples on [0, {ensemble.t1:g}] s"
+    return Summary(title, tuple(tables), tuple(_notes(ensemble, statistics)))
 
 
-def _notes(ensemble: Any, told: EnsembleStatistics) -> list[str]:
+def _notes(ensemble: Any, statistics: EnsembleStatistics) -> list[str]:
     notes = []
-    if told.duration.number:
-        shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in told.endings.items())
+    if statistics.duration.number:
+        shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in statistics.endings.items())
         notes.append(f"Share of sticks by ending: {shares}.")
     else:
         notes.append("There is no stick.")
-    notes.append("Sticks and slips cut by the horizon count with the part seen. Entropies: of histograms in 50 bins.")
-    if not told.numbering.count_initial_rest and told.sticks.begins_at_zero.any():
+    notes.append(
+        "Sticks and slips cut by the horizon count with the part before it. Entropies: of histograms in 50 bins."
+    )
+    if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
         notes.append("Sticks that begin at t = 0 are not numbered: the 1st is the next (count_initial_rest).")
-    retained = len(told.features)
-    if retained < told.samples:
+    retained = len(statistics.totals)
+    if retained < statistics.samples:
         notes.append(f"Standard errors were measured on the first {retained:,} samples.")
     for status, count in ensemble.status_counts.items():
         if status and count:
             notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
     if ensemble.near_grazing_samples:
-        notes.append(f"In doubt by the last digits, counted above: {ensemble.near_grazing_samples:,} samples.")
+        notes.append(f"Decided by round-off (near-grazing), counted above: {ensemble.near_grazing_samples:,} samples.")
     return notes
 
 
-def _row(of: Any) -> tuple[str, ...]:
+def _row(of: Distribution) -> tuple[str, ...]:
     unit = "" if of.unit == "1" else f" ({of.unit})"
     numbers = (
         of.mean,

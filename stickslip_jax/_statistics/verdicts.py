@@ -1,7 +1,8 @@
-"""Hypothesis tests gathered into one plain answer, with the chance of a false alarm kept over all of them."""
+"""Several hypothesis tests combined into one answer, with a bound on the probability of any false rejection."""
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,14 @@ from .. import _checks
 class HypothesisTest:
     """One test of one hypothesis.
 
-    - `name`: of the test and what it looked at. `statistic`: its value; what it is stands with the function that tests.
-    - `p_value`: chance of a statistic at least as extreme if the hypothesis holds. NaN if the test could not be made.
-    - `effect`: how far from the hypothesis, whatever the number of samples; `effect_name` says in which measure.
-    - `effect_error`: the effect's standard error, NaN where none is given.
-    - `sizes`: how many values, or pairs of values, each group has.
+    - `name`: of the test, with the orders or bins it used. `statistic`: its value; the function that made the test says
+      which statistic.
+    - `p_value`: probability of a statistic at least as extreme if the hypothesis holds; NaN if there was no test.
+    - `effect`: size of the deviation from the hypothesis, in the measure `effect_name`; unlike the p-value it does not
+      shrink with the number of samples. `effect_error`: its standard error, NaN where none is given.
+    - `sizes`: number of values, or pairs of values, in each group.
     - `reason`: why the test could not be made, else empty.
-    - `parts`: the tests of which this one is made (its p-value is then the smallest of theirs after Holm's rule).
+    - `parts`: the tests that this one combines; its p-value is then the smallest of theirs, adjusted by Holm's method.
     """
 
     name: str
@@ -38,7 +40,7 @@ class HypothesisTest:
         return not math.isnan(self.p_value)
 
     def line(self, adjusted: float | None = None) -> str:
-        """The test on one line; `adjusted` is its p-value with regard to all tests made along with it."""
+        """The test on one line; `adjusted` is its p-value adjusted for all tests made with it."""
         if not self.made:
             return f"{self.name}: not made, {self.reason}"
         together = "" if adjusted is None else f" (with regard to all tests {_shown(adjusted)})"
@@ -53,11 +55,11 @@ class HypothesisTest:
 class Verdict:
     """The answer to one question, by one or several tests.
 
-    - `question`: in words. `significance`: the largest chance of rejecting what is true, over all tests together.
-    - `tests`: those tried, in the order in which the function that asks the question names them.
-    - `samples`: how many samples were given. `values`: how many values of the quantity were used.
+    - `question`: in words. `significance`: largest probability that any of the tests rejects what is true.
+    - `tests`: in the order in which the docstring of the function names them.
+    - `samples`: number of samples given. `values`: number of values of the quantity used.
     - `reason`: why nothing can be decided, else empty.
-    - `remarks`: sentences on what was used and what was left out.
+    - `remarks`: sentences on which values were used and which were left out.
     """
 
     question: str
@@ -70,7 +72,7 @@ class Verdict:
 
     @property
     def adjusted_p_values(self) -> tuple[float, ...]:
-        """The p-value of each test by Holm's rule (see `holm`); NaN for those not made."""
+        """The p-value of each test, adjusted by Holm's method (see `holm`); NaN for tests that could not be made."""
         return holm([test.p_value for test in self.tests])
 
     @property
@@ -80,7 +82,7 @@ class Verdict:
 
     @property
     def rejected(self) -> bool | None:
-        """True: no, at this significance. False: no evidence against it. None: not decided, for `reason`."""
+        """True: rejected at this significance. False: no evidence against it. None: not decided, for `reason`."""
         if self.p_value <= self.significance:
             return True
         return None if self.reason else False
@@ -101,11 +103,13 @@ def _shown(p_value: float) -> str:
     return "p < 1e-300" if p_value < 1e-300 else f"p = {p_value:.2g}"
 
 
-def holm(p_values: Any) -> tuple[float, ...]:
-    """Adjusted p-values of several tests: rejecting those at most ``a`` has a total false-alarm rate of at most ``a``.
+def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
+    """P-values adjusted for several tests: rejecting those up to ``a`` rejects what is true with probability <= ``a``.
 
-    `p_values` is a sequence of numbers in [0, 1], of which NaN (no test) stay NaN. Holm 1979, Scandinavian Journal of
-    Statistics 6, 65: the i-th smallest of n is multiplied by n - i + 1, and none is smaller than one before it.
+    Holm's method (1979, Scandinavian Journal of Statistics 6, 65): the i-th smallest of n p-values is multiplied by
+    n - i + 1, and is at least as large as the adjusted one before it.
+
+    - `p_values`: numbers in [0, 1]; NaN (no test) stays NaN.
     """
     given = np.array(p_values, float)
     adjusted = np.full(given.shape, np.nan)

@@ -124,8 +124,8 @@ def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
 
 def _finish_pairs(main: Axes, joint: JointDistribution, cells: Cells) -> None:
     """The names of the axes and their limits; with a note where there are no pairs."""
-    main.set_xlabel(_parts.quantity_label(_name(joint, 0), joint.units[0]))
-    main.set_ylabel(_parts.quantity_label(_name(joint, 1), joint.units[1]))
+    main.set_xlabel(_parts.quantity_label(joint.labels[0], joint.units[0]))
+    main.set_ylabel(_parts.quantity_label(joint.labels[1], joint.units[1]))
     if cells.empty:
         _parts.note(main, cells.label)
     else:
@@ -146,20 +146,12 @@ def _finish(panels: tuple[Axes, ...], cells: Cells) -> None:
         _style.legend_above(*others[:1], main, columns=1)
 
 
-def _name(joint: JointDistribution, axis: int) -> str:
-    """The quantity along an axis: "duration 1" is that of the first stick of each sample."""
-    name, _, number = joint.names[axis].partition(" ")
-    if name == "slip_before":
-        return f"slip before stick {number}" if number else "slip before the stick"
-    return f"{name} of stick {number}" if number else f"stick {name}"
-
-
 def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> None:
     """The mean of the ordinate in each bin of the abscissa that holds a pair."""
     means = joint.conditional_mean(bins)
     known = means.counts > 0
     centres = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
-    label = f"mean {_name(joint, 1)} given the {_name(joint, 0)}"
+    label = f"mean {joint.labels[1]} given the {joint.labels[0]}"
     main.errorbar(
         centres, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
         label=label,

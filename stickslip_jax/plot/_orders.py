@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from .. import _checks
 from .._ensemble.result import Ensemble
 from .._statistics.estimate import check_level
-from .._statistics.stick_sums import QUANTITIES
+from .._statistics.registry import STICK_QUANTITIES
 from . import _parts, _style
 
 _BOTTOM = 0.3  # of the height of the axes, for the shares
@@ -28,10 +28,10 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     ``keep="totals"``, and for arguments of another kind.
     """
     _parts.require("result", result, Ensemble, "the result of simulate_ensemble")
-    if not (isinstance(quantity, str) and quantity in QUANTITIES):
+    names = [one.name for one in STICK_QUANTITIES]
+    if not (isinstance(quantity, str) and quantity in names):
         raise ValueError(
-            f"Argument quantity must be one of {', '.join(map(repr, QUANTITIES))}, but {_checks.show(quantity)} was "
-            "given."
+            f"Argument quantity must be one of {', '.join(map(repr, names))}, but {_checks.show(quantity)} was given."
         )
     check_level(level)
     statistics = result.statistics
@@ -40,7 +40,7 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     present = [order for order in orders if order.share.value > 0]
     unit = getattr(statistics, quantity).unit
     ax.set_xlabel("order $i$ of the stick in its sample")
-    ax.set_ylabel(_parts.quantity_label(f"mean {quantity} of the $i$-th stick", unit))
+    ax.set_ylabel(_parts.quantity_label(f"mean {quantity.replace('_', ' ')} of the $i$-th stick", unit))
     if not present:
         _parts.note(ax, "no sticks")
         return ax

@@ -13,28 +13,13 @@ import jax.numpy as jnp
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.result import Ensemble
 from .._statistics.estimate import Estimate
-from .._statistics.estimates import (
-    mean_slip_count,
-    mean_slip_duration,
-    mean_stick_count,
-    mean_stick_duration,
-    stick_fraction,
-)
 from .._statistics.first_sticks import FirstSticks, first_stick
+from .._statistics.registry import STATISTICS
 from ._config import RunConfig, StudyConfig
 from ._errors import StudyError
 from ._figures import draw_figures
 from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
 from ._store import write_netcdf
-
-STATISTICS = {
-    "stick_fraction": stick_fraction,
-    "mean_stick_count": mean_stick_count,
-    "mean_slip_count": mean_slip_count,
-    "mean_stick_duration": mean_stick_duration,
-    "mean_slip_duration": mean_slip_duration,
-}
-"""The statistics of a study, by the names of their variables in its NetCDF file."""
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._dynamics import lanes
 from stickslip_jax._dynamics.interval.lanes import IntervalEngine
-from stickslip_jax._ensemble.result import FEATURES
 from stickslip_jax._events.sticks import NUMBERS, slips_between
 from stickslip_jax._numerics.moments import Moments
+from stickslip_jax._statistics.registry import TOTALS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -113,7 +113,7 @@ def test_samples_that_end_early_are_counted_apart_and_enter_nothing(keep):
         assert unfinished.sum() == short
         assert np.all(many.flat_sticks.count[unfinished] == 0)
         rows = many.totals.stick_time[~unfinished]
-        assert many.moments.mean[FEATURES.index("stick_time")] == pytest.approx(rows.mean(), rel=1e-12)
+        assert many.moments.mean[TOTALS.index("stick_time")] == pytest.approx(rows.mean(), rel=1e-12)
 
 
 def test_a_state_that_overflows_is_reported_not_counted():

@@ -111,7 +111,9 @@ def test_joint_histogram_and_its_sides(many, log):
 
 def test_joint_histogram_with_the_conditional_mean(many):
     sticks = many.numbered_sticks()
-    main, above, _ = plot.joint_histogram(many.statistics.joint("duration 1", "duration 2"), conditional_mean=True)
+    main, above, _ = plot.joint_histogram(
+        many.statistics.joint(("duration", 1), ("duration", 2)), conditional_mean=True
+    )
     assert main.get_xlabel() == "duration of stick 1 (s)"
     assert main.get_ylabel() == "duration of stick 2 (s)"
     first = sticks.first[sticks.count > 1]
@@ -123,7 +125,7 @@ def test_joint_histogram_with_the_conditional_mean(many):
     drawn = np.array(container.lines[0].get_data())
     assert drawn[0] == pytest.approx(((edges[1:] + edges[:-1]) / 2)[filled])
     assert drawn[1] == pytest.approx([y[place == index].mean() for index in filled])
-    means = many.statistics.joint("duration 1", "duration 2").conditional_mean(20)
+    means = many.statistics.joint(("duration", 1), ("duration", 2)).conditional_mean(20)
     _, low, high = error_bars(main)
     assert (high - low) / 2 == pytest.approx(np.nan_to_num(means.error[filled]))  # of a single pair no bar
     assert "mean duration of stick 2 given the duration of stick 1" in texts(above)
@@ -185,7 +187,7 @@ def test_raster_in_a_window_and_of_all_samples(many):
 
 def test_maps_and_durations_of_the_sticks_retained(many):
     sticks = many.finished_sticks()
-    few = dataclasses.replace(many, retained=Retained(sticks.head(60), many.retained.features[:60]))
+    few = dataclasses.replace(many, retained=Retained(sticks.head(60), many.retained.totals[:60]))
     for ensemble, samples in ((many, 200), (few, 60)):
         used = sticks.sample < samples
         complete = used & (sticks.ending != ss.Ending.HORIZON)

@@ -67,12 +67,14 @@ def test_bad_input(name):
         ss.sensitivity(given.pop("statistic"), given.pop("system"), given.pop("law"), **given)
 
 
+@pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize("build", [lambda: ss.StickDuration(0), lambda: ss.StickStart(1.5)])
 def test_bad_stick_number(build):
     with pytest.raises(ValueError, match="Argument number must be a whole number of at least 1"):
         build()
 
 
+@pytest.mark.usefixtures("annotations_unchecked")
 def test_bad_functional():
     with pytest.raises(ValueError, match="Argument function must be a function of a StickSequence"):
         ss.StickFunctional(3)

@@ -291,7 +291,7 @@ def test_stick_time_has_no_event_part():
     system, law = case.pop("system"), case.pop("law")
     options = {"wrt": "mu", "samples": 16_384, "key": jax.random.key(3), **case}
     fraction = ss.sensitivity(ss.stick_fraction, system, law, **options)
-    total = ss.sensitivity(ss.TOTAL_STICK_TIME, system, law, **options)
+    total = ss.sensitivity(ss.mean_total_stick_time, system, law, **options)
     relative = ss.sensitivity(ss.stick_fraction, system, law, elasticity=True, **options)
     assert fraction.event == 0
     assert total.derivative == pytest.approx(50 * fraction.derivative, rel=1e-12)

@@ -27,13 +27,13 @@ def many():
 
 def small_studies(many, number):
     """Ensembles of `SIZE` samples each."""
-    features, at = many.retained.features, np.concatenate([[0], np.cumsum(many.finished_sticks().count)])
+    totals, at = many.retained.totals, np.concatenate([[0], np.cumsum(many.finished_sticks().count)])
     sticks = many.finished_sticks()
     for first in range(0, number * SIZE, SIZE):
-        rows, own = features[first : first + SIZE], slice(at[first], at[first + SIZE])
+        rows, own = totals[first : first + SIZE], slice(at[first], at[first + SIZE])
         some = type(sticks)(sticks.count[first : first + SIZE], *(column[own] for column in sticks[1:]))
         yield dataclasses.replace(
-            many, moments=Moments.of(rows), retained=many.retained._replace(sticks=some, features=rows)
+            many, moments=Moments.of(rows), retained=many.retained._replace(sticks=some, totals=rows)
         )
 
 
@@ -111,21 +111,21 @@ def test_sticks_ended_by_a_switch_number_rate_times_stick_time(mu, speed, rate):
 def test_convergence_predicts_the_samples_that_an_error_takes(many, statistic):
     found = ss.convergence(many, statistic)
     assert found.numbers[0] == 2
-    assert found.numbers[-1] == len(many.retained.features)
+    assert found.numbers[-1] == len(many.retained.totals)
     assert found.values[-1] == pytest.approx(statistic(many).value)
     low, high = found.band(0.9)
     assert np.all((high - low)[5:] > 0)
     # The standard error from so many samples is the wanted share of the value, to what 1000 samples tell of a spread.
     number = found.samples_for(0.01)
-    features = many.retained.features[:number]
-    reached = statistic(dataclasses.replace(many, moments=Moments.of(features)))
+    totals = many.retained.totals[:number]
+    reached = statistic(dataclasses.replace(many, moments=Moments.of(totals)))
     assert reached.standard_error / reached.value == pytest.approx(0.01, rel=4 / math.sqrt(2 * number) + 0.02)
 
 
 def test_running_values_are_those_of_the_first_samples(many):
     found = ss.convergence(many, ss.mean_stick_duration, points=5)
     for number, value, error in zip(found.numbers, found.values, found.errors, strict=True):
-        part = dataclasses.replace(many, moments=Moments.of(many.retained.features[:number]))
+        part = dataclasses.replace(many, moments=Moments.of(many.retained.totals[:number]))
         one = ss.mean_stick_duration(part)
         assert (value, error) == (pytest.approx(one.value, rel=1e-9), pytest.approx(one.standard_error, rel=1e-6))
 

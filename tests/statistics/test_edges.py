@@ -1,4 +1,4 @@
-"""Nothing to tell, one sample, more orders than sticks, all cut: defined results, and no warning (they are errors)."""
+"""No sticks, one sample, more orders than sticks, all cut: defined results, and no warning (they are errors)."""
 
 import math
 
@@ -15,11 +15,11 @@ DISTRIBUTIONS = ("start", "duration", "position", "slip_duration", "stick_count"
 CUT = int(ss.Ending.HORIZON)
 
 
-def everything_of(told):
-    """All that can be asked, by name."""
+def everything_of(statistics):
+    """All estimates, by name."""
     asked = {}
     for name in DISTRIBUTIONS:
-        of = getattr(told, name)
+        of = getattr(statistics, name)
         moments = (of.mean, of.variance, of.standard_deviation, of.skewness, of.median, of.quantile(0.9))
         estimates = (*moments, of.entropy(), of.differential_entropy, of.repeated_share)
         asked[name] = estimates
@@ -28,17 +28,17 @@ def everything_of(told):
         assert histogram.counts.sum() == of.number
         assert repr(of)
         assert all(str(one) for one in estimates)
-    for number in range(1, told.orders + 1):
-        one = told.order(number)
+    for number in range(1, statistics.orders + 1):
+        one = statistics.order(number)
         asked[number] = (one.share, one.start.mean, one.duration.mean, one.duration.median, one.position.mean)
-    for pair in (("duration", "position"), ("start", "position"), ("duration 1", "duration 2")):
-        joint = told.joint(*pair)
+    for pair in (("duration", "position"), ("start", "position"), (("duration", 1), ("duration", 2))):
+        joint = statistics.joint(*pair)
         asked[pair] = (joint.correlation, joint.rank_correlation, joint.mutual_information())
         assert joint.histogram().counts.sum() == joint.number
         assert joint.conditional_mean().counts.sum() == joint.retained
         assert repr(joint)
-    asked["endings"] = tuple(told.endings.values())
-    assert told.to_xarray().sizes["order"] == told.orders
+    asked["endings"] = tuple(statistics.endings.values())
+    assert statistics.to_xarray().sizes["order"] == statistics.orders
     return asked
 
 
@@ -48,58 +48,58 @@ def all_nan(estimates):
 
 @pytest.mark.parametrize("samples", [0, 1, 5])
 def test_no_sticks_at_all(samples):
-    told = statistics_of(sticks_from([[]] * samples))
-    asked = everything_of(told)
-    assert told.duration.number == 0
+    statistics = statistics_of(sticks_from([[]] * samples))
+    asked = everything_of(statistics)
+    assert statistics.duration.number == 0
     for name in ("start", "duration", "position", "own_mean_duration", ("duration", "position"), "endings"):
         assert all_nan(asked[name])
-    assert all(one.duration.number == 0 for one in map(told.order, (1, 2, 3)))
+    assert all(one.duration.number == 0 for one in map(statistics.order, (1, 2, 3)))
     if samples:
         assert asked["stick_count"][0].value == 0
         assert asked[1][0].value == 0
-        assert told.slip_duration.mean.value == 100.0
-        assert told.stick_fraction.mean.value == 0
+        assert statistics.slip_duration.mean.value == 100.0
+        assert statistics.stick_fraction.mean.value == 0
     else:
         assert all_nan(asked["stick_count"])
 
 
 def test_one_realisation_has_values_and_no_errors():
-    told = statistics_of(sticks_from([[(1.0, 2.0, 0.5, 0), (3.0, 6.0, -0.5, 1), (99.0, 100.0, 0.1, CUT)]]))
-    asked = everything_of(told)
-    assert told.duration.mean.value == pytest.approx(5 / 3)
-    assert told.slip_duration.number == 3
-    assert told.endings[ss.Ending.HORIZON].value == pytest.approx(1 / 3)
+    statistics = statistics_of(sticks_from([[(1.0, 2.0, 0.5, 0), (3.0, 6.0, -0.5, 1), (99.0, 100.0, 0.1, CUT)]]))
+    asked = everything_of(statistics)
+    assert statistics.duration.mean.value == pytest.approx(5 / 3)
+    assert statistics.slip_duration.number == 3
+    assert statistics.endings[ss.Ending.HORIZON].value == pytest.approx(1 / 3)
     assert all(math.isnan(one.standard_error) for estimates in asked.values() for one in estimates)
-    assert told.duration.mean.interval() == pytest.approx((math.nan, math.nan), nan_ok=True)
-    assert "(no error from one sample)" in str(told.duration.mean)
+    assert statistics.duration.mean.interval() == pytest.approx((math.nan, math.nan), nan_ok=True)
+    assert "(no error from one sample)" in str(statistics.duration.mean)
 
 
 def test_orders_beyond_any_count():
-    told = statistics_of(made_up_sticks(np.random.default_rng(0), 20), orders=60)
-    everything_of(told)
-    last = told.order(60)
+    statistics = statistics_of(made_up_sticks(np.random.default_rng(0), 20), orders=60)
+    everything_of(statistics)
+    last = statistics.order(60)
     assert last.share.value == 0
     assert last.duration.number == 0
     assert all_nan((last.duration.mean, last.start.median))
-    assert told.joint("duration 59", "duration 60").number == 0
+    assert statistics.joint(("duration", 59), ("duration", 60)).number == 0
 
 
 def test_all_sticks_cut_by_the_horizon():
     rng = np.random.default_rng(1)
-    told = statistics_of(sticks_from([[(start, 100.0, 0.0, CUT)] for start in 100 - rng.random(30)]))
-    everything_of(told)
-    assert told.endings[ss.Ending.HORIZON].value == 1
-    assert told.endings[ss.Ending.HORIZON].standard_error == 0
-    assert 0 < told.duration.mean.value < 1
-    assert told.slip_duration.number == 30
+    statistics = statistics_of(sticks_from([[(start, 100.0, 0.0, CUT)] for start in 100 - rng.random(30)]))
+    everything_of(statistics)
+    assert statistics.endings[ss.Ending.HORIZON].value == 1
+    assert statistics.endings[ss.Ending.HORIZON].standard_error == 0
+    assert 0 < statistics.duration.mean.value < 1
+    assert statistics.slip_duration.number == 30
 
 
 def test_sticks_from_the_start_to_the_end_leave_no_slip():
-    told = statistics_of(sticks_from([[(0.0, 100.0, 0.0, CUT)]] * 4))
-    everything_of(told)
-    assert told.slip_duration.number == 0
-    assert told.stick_fraction.mean.value == 1
-    assert told.duration.repeated_share.value == 0  # four values are too few to tell
+    statistics = statistics_of(sticks_from([[(0.0, 100.0, 0.0, CUT)]] * 4))
+    everything_of(statistics)
+    assert statistics.slip_duration.number == 0
+    assert statistics.stick_fraction.mean.value == 1
+    assert statistics.duration.repeated_share.value == 0  # four values are too few to decide
 
 
 @pytest.mark.parametrize(("law", "y0", "t1"), [
@@ -118,22 +118,29 @@ def test_ensembles_without_much_to_tell(law, y0, t1, samples):
 
 
 def test_bad_arguments_are_named(annotations_unchecked):
-    told = statistics_of(made_up_sticks(np.random.default_rng(0), 5))
+    made = statistics_of(made_up_sticks(np.random.default_rng(0), 5))
     for ask, message in (
-        (lambda: told.duration.quantile(1.5), "Argument share must lie between 0 and 1"),
-        (lambda: told.duration.quantile("half"), "Argument share must be a single real number"),
-        (lambda: told.duration.histogram(0), "Argument bins must be a whole number of at least 1"),
-        (lambda: told.duration.entropy(2.5), "Argument bins must be a whole number"),
-        (lambda: told.order(4), r"Argument number must be at most 3, but 4 was given; call .*orders=4"),
-        (lambda: told.order(0), "Argument number must be a whole number of at least 1"),
+        (lambda: made.duration.quantile(1.5), "Argument share must lie between 0 and 1"),
+        (lambda: made.duration.quantile("half"), "Argument share must be a single real number"),
+        (lambda: made.duration.histogram(0), "Argument bins must be a whole number of at least 1"),
+        (lambda: made.duration.entropy(2.5), "Argument bins must be a whole number"),
+        (lambda: made.order(4), r"Argument number must be at most 3, but 4 was given; call .*orders=4"),
+        (lambda: made.order(0), "Argument number must be a whole number of at least 1"),
         (
-            lambda: told.joint("length", "start"),
+            lambda: made.joint("length", "start"),
             "Argument x must be one of 'start', .* 'slip_before'",
         ),
-        (lambda: told.joint("start", "duration x"), "Argument y must be one of"),
-        (lambda: told.joint("start 1", "duration"), "must both tell the number of the stick"),
-        (lambda: told.joint("start", "duration").histogram(200), "Argument bins must be at most 128"),
-        (lambda: told.duration.mean.interval(1.0), "Argument level must lie between 0 and 1"),
+        (
+            lambda: made.joint("start", "duration 1"),
+            r"Argument y must be one of .*, as in \('duration', 1\), but 'duration 1'",
+        ),
+        (lambda: made.joint("start", ("length", 1)), r"Argument y must be one of .* but \('length', 1\) was given"),
+        (lambda: made.joint("start", ("duration", 0)), r"Argument y\[1\] must be a whole number of at least 1, but 0"),
+        (lambda: made.joint("start", ("duration", 1, 2)), r"Argument y must be one of .* but \('duration', 1, 2\) was"),
+        (lambda: made.joint(("start", 1), "duration"), "must both have the number of a stick"),
+        (lambda: made.joint("start", ("duration", 2)), r"or neither, but 'start' and \('duration', 2\) were given"),
+        (lambda: made.joint("start", "duration").histogram(200), "Argument bins must be at most 128"),
+        (lambda: made.duration.mean.interval(1.0), "Argument level must lie between 0 and 1"),
         (lambda: ss.convergence(SYSTEM, ss.stick_fraction), "Argument ensemble must be the result"),
     ):
         with pytest.raises(ValueError, match=message):

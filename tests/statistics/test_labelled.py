@@ -20,24 +20,24 @@ def many():
 
 
 def test_statistics_as_labelled_arrays(many, tmp_path):
-    told, file = many.statistics, tmp_path / "statistics.nc"
-    told.to_xarray(bins=20).to_netcdf(file, engine="h5netcdf")
+    statistics, file = many.statistics, tmp_path / "statistics.nc"
+    statistics.to_xarray(bins=20).to_netcdf(file, engine="h5netcdf")
     with xr.open_dataset(file, engine="h5netcdf") as data:
         for name, variable in data.variables.items():
             assert name in ("ending",) or name.endswith("_bounds") or {"units", "long_name"} <= variable.attrs.keys()
-        assert float(data.duration_mean) == told.duration.mean.value
-        assert data.duration_mean.attrs["standard_error"] == told.duration.mean.standard_error
-        assert float(data.slip_duration_quantile.sel(quantile=0.5)) == told.slip_duration.median.value
-        histogram = told.position.histogram(20)
+        assert float(data.duration_mean) == statistics.duration.mean.value
+        assert data.duration_mean.attrs["standard_error"] == statistics.duration.mean.standard_error
+        assert float(data.slip_duration_quantile.sel(quantile=0.5)) == statistics.slip_duration.median.value
+        histogram = statistics.position.histogram(20)
         np.testing.assert_array_equal(data.position_density, histogram.density)
         np.testing.assert_array_equal(data[data.position_bin.attrs["bounds"]][:, 0], histogram.edges[:-1])
         assert data.position_bin.attrs["units"] == "m"
         assert data.duration_density.attrs["units"] == "s-1"
-        joint = told.joint("start", "duration").histogram(20)
+        joint = statistics.joint("start", "duration").histogram(20)
         np.testing.assert_array_equal(data.start_and_duration_count_in_bin, joint.counts)
         assert data.duration_by_order.dims == ("order",)
-        assert float(data.duration_by_order.sel(order=3)) == told.order(3).duration.mean.value
-        assert float(data.ending_share.sel(ending="RELEASED")) == told.endings[ss.Ending.RELEASED].value
+        assert float(data.duration_by_order.sel(order=3)) == statistics.order(3).duration.mean.value
+        assert float(data.ending_share.sel(ending="RELEASED")) == statistics.endings[ss.Ending.RELEASED].value
 
 
 @pytest.mark.parametrize(("ending", "read"), [(".csv", pd.read_csv), (".parquet", pd.read_parquet)])
@@ -59,9 +59,9 @@ def test_tables_of_other_formats_are_refused(many, tmp_path, annotations_uncheck
 
 
 def test_summary_says_what_the_statistics_say(many):
-    text, told = repr(many.summary()), many.statistics
+    text, statistics = repr(many.summary()), many.statistics
     rows = {line.split("  ")[0]: line for line in text.splitlines() if "  " in line}
-    for name, of in (("stick duration (s)", told.duration), ("number of slips", told.slip_count)):
+    for name, of in (("stick duration (s)", statistics.duration), ("number of slips", statistics.slip_count)):
         mean, error = re.search(r"(\d+\.\d+) \+- (\d+\.\d+)", rows[name]).groups()
         assert float(mean) == pytest.approx(of.mean.value, abs=0.6 * 10 ** -len(mean.partition(".")[2]))
         assert float(error) == pytest.approx(of.mean.standard_error, rel=0.05)
@@ -69,7 +69,7 @@ def test_summary_says_what_the_statistics_say(many):
         assert f"{of.median.value:.4g}" in rows[name]
     assert "200 samples on [0, 40] s" in text
     for number in (1, 2, 3, 4):
-        assert f"{told.order(number).start.mean.value:.2f}"[:3] in rows[str(number)]
+        assert f"{statistics.order(number).start.mean.value:.2f}"[:3] in rows[str(number)]
     widths = {len(line) for line in text.split("\n\n")[1].splitlines()[1:]}
     assert len(widths) == 1, "columns are aligned"
     markup = many.summary()._repr_html_()

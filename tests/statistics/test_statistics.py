@@ -21,7 +21,7 @@ def sticks():
 
 
 @pytest.fixture(scope="module")
-def told(sticks):
+def statistics(sticks):
     return statistics_of(sticks, parts=7)
 
 
@@ -46,8 +46,8 @@ QUANTITIES = list(values_by_hand(sticks_from([[]])))
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_moments_by_brute_force(told, sticks, quantity):
-    values, of = np.array(values_by_hand(sticks)[quantity]), getattr(told, quantity)
+def test_moments_by_brute_force(statistics, sticks, quantity):
+    values, of = np.array(values_by_hand(sticks)[quantity]), getattr(statistics, quantity)
     assert of.number == len(values)
     assert of.samples == SAMPLES
     assert (of.smallest, of.largest) == (pytest.approx(values.min()), pytest.approx(values.max()))
@@ -58,13 +58,13 @@ def test_moments_by_brute_force(told, sticks, quantity):
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_histogram_and_entropy_by_brute_force(told, sticks, quantity):
-    values, of = np.array(values_by_hand(sticks)[quantity], float), getattr(told, quantity)
+def test_histogram_and_entropy_by_brute_force(statistics, sticks, quantity):
+    values, of = np.array(values_by_hand(sticks)[quantity], float), getattr(statistics, quantity)
     for bins in (1, 7, 50):
         histogram = of.histogram(bins)
         assert len(histogram.counts) <= bins
         np.testing.assert_allclose(np.diff(histogram.edges), np.diff(histogram.edges)[0], rtol=1e-9)
-        # NumPy closes its last bin on the right, so it is told of one more.
+        # NumPy closes its last bin on the right, so it gets one edge more.
         edges = [*histogram.edges, math.inf]
         np.testing.assert_array_equal(histogram.counts, np.histogram(values, edges)[0][:-1])
         assert histogram.counts.sum() == histogram.number == len(values)
@@ -75,8 +75,8 @@ def test_histogram_and_entropy_by_brute_force(told, sticks, quantity):
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.5, 0.9, 1.0])
-def test_quantiles_to_their_resolution(told, sticks, quantity, share):
-    values, of = np.array(values_by_hand(sticks)[quantity], float), getattr(told, quantity)
+def test_quantiles_to_their_resolution(statistics, sticks, quantity, share):
+    values, of = np.array(values_by_hand(sticks)[quantity], float), getattr(statistics, quantity)
     value = of.quantile(share).value
     if of.is_whole:
         assert value == np.quantile(values, share, method="inverted_cdf")
@@ -94,19 +94,20 @@ MOMENTS = {
 
 
 @pytest.mark.parametrize("name", MOMENTS)
-def test_errors_of_pooled_moments_by_jackknife(told, sticks, name):
+def test_errors_of_pooled_moments_by_jackknife(statistics, sticks, name):
     statistic, close = MOMENTS[name]
-    assert getattr(told.duration, name).standard_error == pytest.approx(jackknife_error(sticks, statistic), rel=close)
+    expected = jackknife_error(sticks, statistic)
+    assert getattr(statistics.duration, name).standard_error == pytest.approx(expected, rel=close)
 
 
-def test_errors_treat_realisations_not_sticks_as_independent(told, sticks):
+def test_errors_treat_realisations_not_sticks_as_independent(statistics, sticks):
     """The sticks of a sample share a factor, so errors as if they were independent would be too small."""
     naive = np.std(sticks.duration, ddof=1) / math.sqrt(len(sticks.duration))
-    assert told.duration.mean.standard_error > 1.3 * naive
+    assert statistics.duration.mean.standard_error > 1.3 * naive
 
 
-def test_errors_of_histogram_and_entropy_by_jackknife(told, sticks):
-    histogram = told.duration.histogram(12)
+def test_errors_of_histogram_and_entropy_by_jackknife(statistics, sticks):
+    histogram = statistics.duration.histogram(12)
     edges, width = [*histogram.edges, math.inf], np.diff(histogram.edges)
 
     def shares(some):
@@ -122,11 +123,11 @@ def test_errors_of_histogram_and_entropy_by_jackknife(told, sticks):
     errors = jackknife_error(sticks, shares) / width
     np.testing.assert_allclose(histogram.error[filled], errors[filled], rtol=CLOSE)
     np.testing.assert_array_equal(histogram.error[histogram.counts == 0], 0)
-    assert told.duration.entropy(12).standard_error == pytest.approx(jackknife_error(sticks, entropy), rel=TAILS)
+    assert statistics.duration.entropy(12).standard_error == pytest.approx(jackknife_error(sticks, entropy), rel=TAILS)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_errors_of_quantiles_by_bootstrap(told, sticks, share):
+def test_errors_of_quantiles_by_bootstrap(statistics, sticks, share):
     rng = np.random.default_rng(1)
     first = sticks.first
     durations = [sticks.duration[at : at + count] for at, count in zip(first, sticks.count, strict=True)]
@@ -136,13 +137,13 @@ def test_errors_of_quantiles_by_bootstrap(told, sticks, share):
     ]
     # The bootstrap's own error with 400 draws is 1 / sqrt(800) = 3.5 %; both estimates of a quantile's error depend on
     # the density there, known to some 10 %.
-    assert told.duration.quantile(share).standard_error == pytest.approx(np.std(drawn), rel=0.3)
+    assert statistics.duration.quantile(share).standard_error == pytest.approx(np.std(drawn), rel=0.3)
 
 
-def test_orders_by_brute_force(told, sticks):
+def test_orders_by_brute_force(statistics, sticks):
     for number in (1, 2, 3):
         at = [first + number - 1 for first, count in zip(sticks.first, sticks.count, strict=True) if count >= number]
-        one = told.order(number)
+        one = statistics.order(number)
         share = len(at) / SAMPLES
         assert one.share.value == share
         assert one.share.standard_error == pytest.approx(math.sqrt(share * (1 - share) / (SAMPLES - 1)))
@@ -156,19 +157,19 @@ def test_orders_by_brute_force(told, sticks):
             assert of.histogram(9).counts.sum() == len(at)
 
 
-def test_endings_by_brute_force(told, sticks):
+def test_endings_by_brute_force(statistics, sticks):
     shares = {ending: np.mean(sticks.ending == ending) for ending in ss.Ending}
-    assert {ending: one.value for ending, one in told.endings.items()} == pytest.approx(shares)
+    assert {ending: one.value for ending, one in statistics.endings.items()} == pytest.approx(shares)
     error = jackknife_error(sticks, lambda some: np.mean(some.ending == ss.Ending.RELEASED))
-    assert told.endings[ss.Ending.RELEASED].standard_error == pytest.approx(error, rel=CLOSE)
-    assert told.endings[ss.Ending.HORIZON].standard_error == 0
+    assert statistics.endings[ss.Ending.RELEASED].standard_error == pytest.approx(error, rel=CLOSE)
+    assert statistics.endings[ss.Ending.HORIZON].standard_error == 0
 
 
 PAIRS = [
     ("duration", "position"),
     ("start", "duration"),
-    ("duration 1", "duration 2"),
-    ("start 2", "position 1"),
+    (("duration", 1), ("duration", 2)),
+    (("start", 2), ("position", 1)),
     ("slip_before", "duration"),
 ]
 
@@ -178,19 +179,16 @@ def pairs_by_hand(sticks, x, y):
         before = np.diff(sticks.start, prepend=0.0) - np.append(0.0, sticks.duration[:-1])
         before[sticks.first[sticks.count > 0]] = sticks.start[sticks.first[sticks.count > 0]]
         return before, getattr(sticks, y)
-    name_x, _, order_x = x.partition(" ")
-    name_y, _, order_y = y.partition(" ")
-    if not order_x:
-        return getattr(sticks, name_x), getattr(sticks, name_y)
-    most = max(int(order_x), int(order_y))
+    if isinstance(x, str):
+        return getattr(sticks, x), getattr(sticks, y)
+    most = max(x[1], y[1])
     first = [first for first, count in zip(sticks.first, sticks.count, strict=True) if count >= most]
-    return tuple(getattr(sticks, name)[np.array(first) + int(order) - 1]
-                 for name, order in ((name_x, order_x), (name_y, order_y)))  # fmt: skip
+    return tuple(getattr(sticks, name)[np.array(first) + order - 1] for name, order in (x, y))
 
 
-@pytest.mark.parametrize("pair", PAIRS, ids="-".join)
-def test_joint_distributions_by_brute_force(told, sticks, pair):
-    joint, (x, y) = told.joint(*pair), pairs_by_hand(sticks, *pair)
+@pytest.mark.parametrize("pair", PAIRS, ids=str)
+def test_joint_distributions_by_brute_force(statistics, sticks, pair):
+    joint, (x, y) = statistics.joint(*pair), pairs_by_hand(sticks, *pair)
     assert joint.number == joint.retained == len(x)
     assert joint.correlation.value == pytest.approx(stats.pearsonr(x, y).statistic, rel=1e-9)
     assert joint.rank_correlation.value == pytest.approx(stats.spearmanr(x, y).statistic, rel=1e-9)
@@ -216,9 +214,9 @@ def test_joint_distributions_by_brute_force(told, sticks, pair):
             assert math.isnan(means.mean[index])
 
 
-@pytest.mark.parametrize("pair", [PAIRS[0], PAIRS[2]], ids="-".join)
-def test_errors_of_correlations_by_jackknife(told, sticks, pair):
-    joint = told.joint(*pair)
+@pytest.mark.parametrize("pair", [PAIRS[0], PAIRS[2]], ids=str)
+def test_errors_of_correlations_by_jackknife(statistics, sticks, pair):
+    joint = statistics.joint(*pair)
     pearson = jackknife_error(sticks, lambda some: stats.pearsonr(*pairs_by_hand(some, *pair)).statistic)
     spearman = jackknife_error(sticks, lambda some: stats.spearmanr(*pairs_by_hand(some, *pair)).statistic)
     assert joint.correlation.standard_error == pytest.approx(pearson, rel=2 * TAILS)
@@ -238,12 +236,12 @@ def test_entropies_in_closed_form():
     sticks = sticks_from(
         [[(20.0 * i, 20.0 * i + rng.exponential(0.5), rng.random(), 0) for i in range(5)] for _ in range(3000)]
     )
-    told = statistics_of(sticks)
-    for of, exact in ((told.duration, 1 + math.log(0.5)), (told.position, 0.0)):
+    statistics = statistics_of(sticks)
+    for of, exact in ((statistics.duration, 1 + math.log(0.5)), (statistics.position, 0.0)):
         # The estimator smooths over sqrt(n) = 120 neighbours on each side, 1 % of the sample: a bias of that order.
         assert abs(of.differential_entropy.value - exact) < 4 * of.differential_entropy.standard_error + 0.01
-    entropy = told.position.entropy(32)
-    bins = len(told.position.histogram(32).counts)
+    entropy = statistics.position.entropy(32)
+    bins = len(statistics.position.histogram(32).counts)
     assert abs(entropy.value - math.log(bins)) < 4 * entropy.standard_error + bins / (2 * 15_000)
 
 
@@ -254,13 +252,13 @@ def test_values_that_repeat_are_told_apart():
         [[(4.0 * i, 4.0 * i + (0.25 if i % 3 == 0 else 1 + rng.random()), 0.0, 0) for i in range(12)]
          for _ in range(500)]
     )  # fmt: skip
-    told = statistics_of(sticks)
-    assert told.duration.repeated_share.value == pytest.approx(1 / 3)
+    statistics = statistics_of(sticks)
+    assert statistics.duration.repeated_share.value == pytest.approx(1 / 3)
     # Where values repeat, round-off of the times (about 1e-14) must not make them look different.
-    assert told.duration.differential_entropy.value == pytest.approx(0, abs=0.03)
-    assert told.position.repeated_share.value == 1
-    assert math.isnan(told.position.differential_entropy.value)
-    assert math.isnan(told.stick_count.differential_entropy.value)
+    assert statistics.duration.differential_entropy.value == pytest.approx(0, abs=0.03)
+    assert statistics.position.repeated_share.value == 1
+    assert math.isnan(statistics.position.differential_entropy.value)
+    assert math.isnan(statistics.stick_count.differential_entropy.value)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -271,6 +269,6 @@ def test_values_that_are_close_by_their_number_do_not_repeat(dtype):
     sticks = sticks_from([[(4.0 * i, 4.0 * i + one, 0.0, 0) for i, one in enumerate(row)] for row in durations])
     sticks = sticks._replace(start=sticks.start.astype(dtype), end=sticks.end.astype(dtype))
     duration = statistics_of(sticks).duration
-    # In float32 what lies within 3e-5 of 1.5 cannot be told from it: 4 values.
+    # In float32 what lies within 3e-5 of 1.5 cannot be distinguished from it: 4 values.
     assert duration.repeated_share.value == pytest.approx(np.mean(durations == 1.5), abs=2e-4)
     assert duration.differential_entropy.value == pytest.approx(0, abs=0.03)

@@ -48,7 +48,7 @@ def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
     return (values, ending, sample), found
 
 
-def gathered(parts, samples, finished=None):
+def collected(parts, samples, finished=None):
     collector = StickCollector()
     collector.restart(samples)
     for part in parts:
@@ -78,7 +78,7 @@ def test_sticks_come_in_order_of_samples_and_time(seed, dtype, compiled, monkeyp
     finished = np.arange(9) != 3
     for parts in (whole, pieces):
         for chosen in (None, finished):
-            sticks = gathered(parts, 9, chosen).in_order()
+            sticks = collected(parts, 9, chosen).in_order()
             kept = [one if chosen is None or chosen[i] else [] for i, one in enumerate(found)]
             assert sticks.count.tolist() == [len(one) for one in kept]
             assert sticks.start.dtype == dtype
@@ -138,32 +138,32 @@ def slips_by_hand(samples, dtype, any_at_zero):
 @pytest.mark.parametrize("orders", [1, 3, 40])
 def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     (values, ending, sample), found = records(np.random.default_rng(orders), dtype)
-    stream = gathered([(values, ending, sample)], 9)
+    stream = collected([(values, ending, sample)], 9)
     rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, _ in one] for one in found]
     every = joined(rows)
-    told = by.sums_of_sticks(stream, T1)
-    assert_sums(told.sticks, every)
-    for a, bins in enumerate(told.stick_bins):
+    sums = by.sums_of_sticks(stream, T1)
+    assert_sums(sums.sticks, every)
+    for a, bins in enumerate(sums.stick_bins):
         assert_bins(bins, [(row[a],) for row in every])
-    for bins, (x, y) in zip(told.pair_bins, ((1, 2), (0, 1)), strict=True):
+    for bins, (x, y) in zip(sums.pair_bins, ((1, 2), (0, 1)), strict=True):
         assert_bins(bins, [(row[x], row[y]) for row in every])
     slips = slips_by_hand(found, dtype, any(one and one[0][0] == 0 for one in found))
-    assert_sums(told.slips, [(slip,) for slip in slips])
-    assert_bins(told.slip_bins, [(slip,) for slip in slips])
+    assert_sums(sums.slips, [(slip,) for slip in slips])
+    assert_bins(sums.slip_bins, [(slip,) for slip in slips])
 
     skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
     assert np.any(skipped) != rest
     numbered = [one[skip:] for one, skip in zip(rows, skipped, strict=True)]
-    told = by.sums_of_orders(stream, skipped, orders)
+    sums = by.sums_of_orders(stream, skipped, orders)
     by_order = [[one[order] for one in numbered if len(one) > order] for order in range(orders)]
     for order, mine in enumerate(by_order):
-        assert_sums(told.by_order.one(order), mine)
+        assert_sums(sums.by_order.one(order), mine)
     group = [order for order, mine in enumerate(by_order) for _ in mine]
-    for a, bins in enumerate(told.order_bins):
+    for a, bins in enumerate(sums.order_bins):
         assert_bins(bins, [(row[a],) for row in joined(by_order)], group)
     first_two = [(one[0][1], one[1][1]) for one in numbered if len(one) > 1]
-    assert_sums(told.first_two, first_two)
-    assert_bins(told.first_two_bins, first_two)
+    assert_sums(sums.first_two, first_two)
+    assert_bins(sums.first_two_bins, first_two)
 
 
 def assert_same(one, other):
@@ -228,7 +228,7 @@ def test_without_numba_the_loops_are_not_there(monkeypatch):
         loops.compiled.cache_clear()
 
 
-def test_gathering_begins_anew():
+def test_collecting_begins_anew():
     parts, found = records(np.random.default_rng(5), np.float64)
     collector = StickCollector()
     for samples in (9, 4):

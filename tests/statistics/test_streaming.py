@@ -90,7 +90,7 @@ def test_sums_of_parts_merge_to_those_of_the_whole(parts):
         np.testing.assert_array_equal(one.largest, values.max(axis=0))
 
 
-def assert_same_tally(one, other):
+def assert_same_accumulator(one, other):
     for name, mine, theirs in zip(one._fields, one, other, strict=True):
         for a, b in zip(jax.tree.leaves(mine), jax.tree.leaves(theirs), strict=True):
             # Sums of tens of thousands of numbers of order 100: third moments of 1e10, their round-off times the count.
@@ -106,16 +106,16 @@ def kept():
 def test_streaming_gives_what_keeping_gives(kept, changed):
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", **changed, **RUN)
     assert streamed.flat_sticks is None
-    assert_same_tally(streamed.accumulator, kept.accumulator)
+    assert_same_accumulator(streamed.accumulator, kept.accumulator)
     for mine, theirs in zip(jax.tree.leaves(streamed.retained), jax.tree.leaves(kept.retained), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert "nan" not in repr(streamed.summary())
     assert repr(streamed.summary()) == repr(kept.summary())
 
 
-def test_the_tally_is_that_of_the_kept_sticks(kept):
-    told = statistics_of(kept.flat_sticks, t1=40.0, orders=4, rest=False)
-    assert_same_tally(kept.accumulator, told.accumulator)
+def test_the_accumulator_is_that_of_the_kept_sticks(kept):
+    statistics = statistics_of(kept.flat_sticks, t1=40.0, orders=4, rest=False)
+    assert_same_accumulator(kept.accumulator, statistics.accumulator)
     assert kept.statistics.duration.mean.value == pytest.approx(ss.mean_stick_duration(kept).value, rel=1e-12)
     assert kept.statistics.duration.mean.standard_error == pytest.approx(
         ss.mean_stick_duration(kept).standard_error, rel=1e-9
@@ -126,17 +126,17 @@ def test_the_tally_is_that_of_the_kept_sticks(kept):
 @pytest.mark.parametrize("rest", [False, True])
 def test_sticks_from_the_start_are_numbered_on_request(rest):
     many = ss.simulate_ensemble(SYSTEM, POISSON, samples=100, keep="sticks", chunk=64, count_initial_rest=rest, **RUN)
-    first, told = ss.first_stick(many, count_initial_rest=rest), many.statistics.order(1)
+    first, order = ss.first_stick(many, count_initial_rest=rest), many.statistics.order(1)
     assert (first.start[first.mask] == 0).any() == rest
     for name in ("start", "duration", "position"):
-        assert getattr(told, name).mean.value == pytest.approx(getattr(first, name)[first.mask].mean(), rel=1e-12)
-        assert getattr(told, name).number == first.count
-    assert told.duration.mean.standard_error == pytest.approx(
+        assert getattr(order, name).mean.value == pytest.approx(getattr(first, name)[first.mask].mean(), rel=1e-12)
+        assert getattr(order, name).number == first.count
+    assert order.duration.mean.standard_error == pytest.approx(
         first.duration[first.mask].std(ddof=1) / np.sqrt(first.count), rel=1e-6
     )
     second = many.numbered_sticks()
-    pair = [second.duration[second.first[second.count > 1] + order] for order in (0, 1)]
-    joint = many.statistics.joint("duration 1", "duration 2")
+    pair = [second.duration[second.first[second.count > 1] + later] for later in (0, 1)]
+    joint = many.statistics.joint(("duration", 1), ("duration", 2))
     assert joint.number == len(pair[0])
     assert joint.correlation.value == pytest.approx(np.corrcoef(*pair)[0, 1], rel=1e-9)
     assert ("not numbered" in repr(many.summary())) == (not rest)
@@ -148,7 +148,7 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
     sticks = streamed.finished_sticks()
     assert len(sticks.start) + len(sticks.count) <= 1500 < len(sticks.start) + len(sticks.count) + 40
     np.testing.assert_array_equal(sticks.start, kept.flat_sticks.start[: len(sticks.start)])
-    assert_same_tally(streamed.accumulator, kept.accumulator)
+    assert_same_accumulator(streamed.accumulator, kept.accumulator)
     exact, scaled = kept.statistics.duration.mean, streamed.statistics.duration.mean
     assert scaled.value == pytest.approx(exact.value)
     # Measured on some 110 of 300 samples: a standard deviation from so many is uncertain by 1 / sqrt(220) = 7 %.
@@ -161,7 +161,7 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
 def test_some_samples_are_retained_however_many_sticks_they_have(monkeypatch):
     monkeypatch.setattr(ensemble_parts, "RETAINED", 10)
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", chunk=37, **RUN)
-    assert len(streamed.retained.features) == len(streamed.finished_sticks().count) == ensemble_parts.FEWEST
+    assert len(streamed.retained.totals) == len(streamed.finished_sticks().count) == ensemble_parts.FEWEST
     assert streamed.statistics.duration.mean.standard_error > 0
 
 
@@ -193,9 +193,10 @@ def test_what_is_not_recorded_is_never_read():
             assert found.count[number] == (mine.sum() if finished[number] else 0)
         expected = np.concatenate([start[stuck & (owner == number)] for number in (0, 1, 3)])
         np.testing.assert_array_equal(found.start, expected)
-        told = statistics_of(found.only(finished), t1=60.0)
-        assert all(np.all(np.isfinite(np.asarray(leaf, float))) for leaf in jax.tree.leaves(told.accumulator.sticks))
-        assert told.duration.number == len(expected)
+        statistics = statistics_of(found.only(finished), t1=60.0)
+        sums = jax.tree.leaves(statistics.accumulator.sticks)
+        assert all(np.all(np.isfinite(np.asarray(leaf, float))) for leaf in sums)
+        assert statistics.duration.number == len(expected)
 
 
 class _EndsEarly(ss.PoissonSwitching):
@@ -210,10 +211,10 @@ def test_unfinished_samples_enter_no_statistic():
     kept = ss.simulate_ensemble(SYSTEM, law, t1=3.0, samples=200, key=jax.random.key(1), y0=(0.0, 1.0), keep="sticks")
     assert 0 < kept.finished < 200
     done = kept.totals.status == ss.Status.FINISHED
-    told = kept.statistics
-    assert told.samples == told.stick_count.number == kept.finished == len(kept.finished_sticks().count)
-    assert told.stick_count.mean.value == pytest.approx(kept.totals.sticks[done].mean())
-    assert told.stick_fraction.mean.value == pytest.approx(kept.totals.stick_time[done].mean() / 3)
+    statistics = kept.statistics
+    assert statistics.samples == statistics.stick_count.number == kept.finished == len(kept.finished_sticks().count)
+    assert statistics.stick_count.mean.value == pytest.approx(kept.totals.sticks[done].mean())
+    assert statistics.stick_fraction.mean.value == pytest.approx(kept.totals.stick_time[done].mean() / 3)
     assert "NOT FINISHED" in repr(kept.summary())
 
 

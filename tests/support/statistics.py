@@ -22,7 +22,7 @@ def sticks_from(samples: list[list[tuple[float, float, float, int]]]) -> FlatSti
 def statistics_of(
     sticks: FlatSticks, t1: float = T1, orders: int = 3, parts: int = 1, rest: bool = True
 ) -> EnsembleStatistics:
-    """The statistics of all sticks, tallied in so many parts."""
+    """The statistics of all sticks, accumulated in so many parts."""
     owner = sticks.sample
     time = np.bincount(owner, weights=sticks.duration, minlength=len(sticks.count))
     slips = np.array([_slips_of_one(sticks, number, t1) for number in range(len(sticks.count))], np.int64)
@@ -32,8 +32,8 @@ def statistics_of(
         one = StickAccumulator.of(StickStream.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
         accumulator = one if accumulator is None else accumulator.merge(one)
     assert accumulator is not None
-    features = np.stack([time, sticks.count, slips], axis=1).astype(float)
-    return EnsembleStatistics(accumulator, sticks, features, t1, "m", numbering)
+    totals = np.stack([time, sticks.count, slips], axis=1).astype(float)
+    return EnsembleStatistics(accumulator, sticks, totals, t1, "m", numbering)
 
 
 def slips_by_hand(sticks: FlatSticks, t1: float) -> list[list[float]]:
