@@ -197,7 +197,7 @@ SENSITIVITY: dict[str, tuple[str | None, dict[str, Any] | None]] = {
 for _motion in ("harmonic base of random phase", "damped, Poisson switching"):
     SENSITIVITY |= {
         f"{_motion}: {VALUE}": (_motion, None),
-        f"{_motion}: corrected derivative": (_motion, _CORRECTED | {"reach": 0.01}),
+        f"{_motion}: corrected derivative": (_motion, _CORRECTED | {"relative_bandwidth": 0.01}),
         f"{_motion}: finite difference, step 1 %": (_motion, _DIFFERENCES | {"step": 0.01}),
     }
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._numerics import loops
-from .sticks import FURTHER, FlatSticks
+from .sticks import FURTHER, NUMBERS, FlatSticks
 
 
 class StickStream(NamedTuple):
@@ -101,6 +101,7 @@ class StickCollector:
         no stick, and `sample` (blocks, lanes) says whose records the lanes of each block of slots hold.
         """
         lanes, dtype = ending.shape[1], values.dtype
+        assert values.shape == (len(ending), len(NUMBERS), lanes)  # compiled loops look at no bounds
         if not self._lanes:
             # The sample that each lane is in, its sticks so far, and the end of the last.
             self._lanes = (np.full(lanes, -1), np.zeros(lanes, np.int32), np.zeros(lanes, dtype))

@@ -44,7 +44,8 @@ def test_statistics_as_labelled_arrays(many, tmp_path):
 def test_tables_hold_every_stick(many, tmp_path, ending, read):
     path = many.write_sticks(tmp_path / f"sticks{ending}")
     table, sticks = read(path), many.flat_sticks
-    assert list(table) == ["sample", "order", "start_s", "end_s", "duration_s", "position_m", "ending"]
+    assert list(table) == ["sample", "order", "start_s", "end_s", "duration_s", "position_m", "slip_displacement_m",
+                           "ending"]  # fmt: skip
     for name in ("start", "end", "duration"):
         np.testing.assert_array_equal(table[f"{name}_s"], getattr(sticks, name))
     np.testing.assert_array_equal(table["sample"], np.repeat(np.arange(200), sticks.count))

@@ -11,6 +11,7 @@ from support.statistics import made_up_sticks, sticks_from
 import stickslip_jax as ss
 from stickslip_jax._ensemble import parts as ensemble_parts
 from stickslip_jax._events.stick_stream import StickCollector, StickStream
+from stickslip_jax._events.sticks import NUMBERS
 from stickslip_jax._numerics import loops
 from stickslip_jax._statistics import compiled_stick_sums, stick_sums
 
@@ -29,7 +30,7 @@ def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
     stuck = rng.random((slots, lanes)) < share
     gaps = rng.exponential(1.0, (2, slots, lanes)).astype(dtype)
     sample = rng.integers(0, 2, (blocks, lanes)).cumsum(axis=0) * lanes + np.arange(lanes)
-    values, ending = np.full((slots, 3, lanes), np.nan, dtype), np.full((slots, lanes), -1, np.int8)
+    values, ending = np.full((slots, len(NUMBERS), lanes), np.nan, dtype), np.full((slots, lanes), -1, np.int8)
     found = [[] for _ in range(samples)]
     for lane in range(lanes):
         t, before = dtype(0), None
@@ -41,7 +42,7 @@ def records(rng, dtype, *, slots=72, lanes=5, blocks=3, samples=9, share=0.4):
             # The first stick of every other sample begins at once.
             start = t + (gaps[0, slot, lane] if t > 0 or whose % 2 else dtype(0))
             t = start + gaps[1, slot, lane]
-            values[slot, :, lane] = start, t, dtype(rng.normal())
+            values[slot, :, lane] = start, t, *rng.normal(size=len(NUMBERS) - 2)
             ending[slot, lane] = rng.integers(3)
             if whose < samples:
                 found[whose].append((*values[slot, :, lane], ending[slot, lane]))
@@ -125,7 +126,7 @@ def slips_by_hand(samples, dtype, any_at_zero):
     before, after = [], []
     for sticks in samples:
         last = dtype(0)
-        for start, end, _, _ in sticks:
+        for start, end, *_ in sticks:
             before.append(float(dtype(start) - last))
             last = dtype(end)
         after.append(float(max(dtype(T1) - last, dtype(0))))
@@ -139,7 +140,7 @@ def slips_by_hand(samples, dtype, any_at_zero):
 def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     (values, ending, sample), found = records(np.random.default_rng(orders), dtype)
     stream = collected([(values, ending, sample)], 9)
-    rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, _ in one] for one in found]
+    rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, *_ in one] for one in found]
     every = joined(rows)
     sums = by.sums_of_sticks(stream, T1)
     assert_sums(sums.sticks, every)

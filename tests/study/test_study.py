@@ -236,7 +236,7 @@ def test_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
 
 
 def test_every_variable_has_units_and_a_name(dataset):
-    assert len(dataset.data_vars) == 9 + 2 * len(STATISTICS)
+    assert len(dataset.data_vars) == 10 + 2 * len(STATISTICS)
     for variable in dataset.variables.values():
         assert variable.attrs["units"]
         assert variable.attrs["long_name"]
