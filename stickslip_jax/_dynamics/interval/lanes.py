@@ -32,7 +32,7 @@ class _Lanes(NamedTuple):
 def draw_block(law: BangBangLaw, key_data: tuple[Array, Array], first: Array, dtype: Any) -> tuple[Any, Array]:
     """What is random in the `BLOCK` intervals from number `first` (lanes,) on, (BLOCK, lanes), and their numbers."""
     draw = jax.vmap(lambda key_data, number: law.draw(key_data, number, dtype))
-    numbers = first + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
+    numbers = first[None] + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
     return jax.vmap(draw, in_axes=(None, 0))(key_data, numbers), numbers
 
 
