@@ -191,7 +191,7 @@ def follow_block(
     engine leaves them, (BLOCK, lanes); else None.
     """
     stacks, shared = stacked or engine.looks_back, engine.shared(dtype)
-    numbers = lanes.number + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
+    numbers = lanes.number[None] + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
     draw = jax.vmap(lambda sample, number: engine.draw(sample, number, dtype))
     drawn = jax.vmap(draw, in_axes=(None, 0))(lanes.sample, numbers)
 

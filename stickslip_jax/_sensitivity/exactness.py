@@ -69,7 +69,7 @@ def _from_special_speeds(engine: Any, key_data: Any, dtype: Any) -> Array:
     """``w - 1`` and ``w - 2`` of the first base speed, (lanes, 2); 1 for a base at rest."""
     scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, key_data, dtype)[:, None]
     w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
-    return jnp.where(velocity == 0, 1.0, w - jnp.array([1.0, 2.0], dtype))
+    return jnp.where(velocity == 0, 1.0, w - jnp.array([[1.0, 2.0]], dtype))
 
 
 def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:

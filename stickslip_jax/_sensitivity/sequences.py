@@ -91,7 +91,7 @@ def record_sequences(
         moments, is_moment, moments_found = _gathered(may_be_near, moments, buffer.edges)
         near = engine.edges(now.sample, moments)
         # In what is certain to come there is nothing to take a density of, but for when the base changes.
-        near = near.only(is_moment & (near.time >= certain), is_moment)
+        near = near.only(is_moment & (near.time >= certain[None]), is_moment)
     start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
     ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
     status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion), jnp.int32)
@@ -104,7 +104,7 @@ def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Arra
     # The slot of row k is the first at which k + 1 have been found. (A scatter takes one after the other.)
     wanted = jnp.arange(1, slots + 1)
     at = jax.vmap(lambda found: jnp.searchsorted(found, wanted), in_axes=1, out_axes=1)(found)
-    filled = wanted[:, None] <= found[-1]
+    filled = wanted[:, None] <= found[-1][None]
     at = jnp.where(filled, at, 0)
     kept = jax.tree.map(lambda column: jnp.take_along_axis(column, at, axis=0), columns)
     return kept, filled, found[-1].astype(jnp.int32)
@@ -120,8 +120,8 @@ def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, band
 
     if recorded.near is None:
         parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
-        nothing = jnp.zeros((len(parts), len(bandwidths)), dtype)
-        return Features(parts, nothing[..., None] * jnp.zeros(2, dtype), nothing)
+        shape = (len(parts), len(bandwidths))
+        return Features(parts, jnp.zeros((*shape, 2), dtype), jnp.zeros(shape, dtype))
 
     def one(sticks, ending, certain, near):
         events, reached = _events(statistic, sticks, ending, certain, near, bandwidths, t1)

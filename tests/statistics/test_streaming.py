@@ -13,7 +13,7 @@ from support.statistics import T1, made_up_sticks, statistics_of
 import stickslip_jax as ss
 from stickslip_jax._ensemble import parts as ensemble_parts
 from stickslip_jax._events.stick_stream import StickCollector
-from stickslip_jax._events.sticks import NUMBERS
+from stickslip_jax._events.sticks import NUMBERS as COLUMNS
 from stickslip_jax._numerics.dyadic import DyadicCounts
 from stickslip_jax._numerics.power_sums import PowerSums
 
@@ -172,7 +172,7 @@ def test_what_is_not_recorded_is_never_read():
     slots, lanes, blocks = 48, 3, 2
     stuck = rng.random((slots, lanes)) < 0.3
     start = np.sort(rng.random((slots, lanes)), axis=0) * 50
-    values = np.stack([start, start + 0.1, *rng.normal(size=(len(NUMBERS) - 2, slots, lanes))], axis=1)
+    values = np.stack([start, start + 0.1, *rng.normal(size=(len(COLUMNS) - 2, slots, lanes))], axis=1)
     values[~np.broadcast_to(stuck[:, None, :], values.shape)] = np.nan
     sample = np.array([[0, 1, 2], [3, 1, 2]])  # lane 0 has gone on to sample 3; sample 2 will not finish
     values[:, :, 2] = np.nan

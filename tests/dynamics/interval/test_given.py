@@ -44,15 +44,22 @@ def assert_same(got, expected, tolerance=1e-12):
             np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("what", FUNCTIONS)
+@pytest.fixture(scope="module")
+def scanned():
+    """600 bases, and what one scan over all intervals makes of each."""
+    base = bases(600)
+    return base, jax.jit(jax.vmap(lambda base: {what: _plain(what, given_of(NUMBERS, base)) for what in FUNCTIONS}))(
+        base
+    )
+
+
 @pytest.mark.parametrize("lanes", [1, 5, 256, 257, 600])
-def test_any_number_of_lanes(what, lanes):
-    base = bases(lanes)
-    got = jax.jit(jax.vmap(lambda base: FUNCTIONS[what](given_of(NUMBERS, base))))(base)
-    expected = jax.jit(jax.vmap(lambda base: _plain(what, given_of(NUMBERS, base))))(base)
-    assert_same(got, expected)
-    if what == "sticks":
-        assert np.sum(np.asarray(got.ending) >= 0) > lanes  # else there is little to compare
+def test_any_number_of_lanes(scanned, lanes):
+    base, expected = jax.tree.map(lambda leaf: leaf[:lanes], scanned)
+    got = jax.jit(jax.vmap(lambda base: {what: of(given_of(NUMBERS, base)) for what, of in FUNCTIONS.items()}))(base)
+    for what in FUNCTIONS:
+        assert_same(got[what], expected[what])
+    assert np.sum(np.asarray(got["sticks"].ending) >= 0) > lanes  # else there is little to compare
 
 
 def test_an_empty_batch_has_empty_results():
@@ -82,17 +89,20 @@ def outcome(what, follow, base, numbers):
     return [jnp.nan_to_num(leaf) for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
-@pytest.mark.parametrize("what", FUNCTIONS)
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
-def test_derivatives_are_those_of_the_scan(what, mode):
+def test_derivatives_are_those_of_the_scan(mode):
     base = bases(6)
-    for follow in (given_intervals._fast, _plain):
-        jacobian = jax.vmap(mode(partial(outcome, what, follow), argnums=1), in_axes=(0, None))
-        slopes = jax.jit(jacobian)(base, NUMBERS)
-        if follow is given_intervals._fast:
-            got = slopes
-    assert max(float(jnp.abs(slope).max()) for slope in got) > 0.1
-    assert_same(got, slopes, 1e-9)
+
+    def slopes_by(follow):
+        def outcomes(base, numbers):
+            return {what: outcome(what, follow, base, numbers) for what in FUNCTIONS}
+
+        return jax.jit(jax.vmap(mode(outcomes, argnums=1), in_axes=(0, None)))(base, NUMBERS)
+
+    got, expected = slopes_by(given_intervals._fast), slopes_by(_plain)
+    for what in FUNCTIONS:
+        assert max(float(jnp.abs(slope).max()) for slope in got[what]) > 0.1
+        assert_same(got[what], expected[what], 1e-9)
 
 
 def total(follow, mu, base):
@@ -106,15 +116,13 @@ def test_gradient_of_a_mean_over_lanes_outside_of_vmap():
     def mean(follow, mu):
         return jax.vmap(partial(total, follow, mu))(base).mean()
 
-    got, expected = (
-        jax.jit(jax.value_and_grad(partial(mean, follow)))(0.8) for follow in (given_intervals._fast, _plain)
-    )
+    fast, plain = (jax.jit(jax.value_and_grad(partial(mean, follow))) for follow in (given_intervals._fast, _plain))
+    got, expected = fast(0.8), plain(0.8)
     assert_same(got, expected, 1e-12)
     forward = jax.jit(lambda mu: jax.jvp(partial(mean, given_intervals._fast), (mu,), (1.0,)))(0.8)
     assert_same(forward, got, 1e-12)
     step = 1e-6  # a central difference along the same paths
-    at = jax.jit(partial(mean, _plain))
-    difference = (at(0.8 + step) - at(0.8 - step)) / (2 * step)
+    difference = (plain(0.8 + step)[0] - plain(0.8 - step)[0]) / (2 * step)
     assert float(got[1]) == pytest.approx(float(difference), rel=1e-6)
 
 
