@@ -12,6 +12,7 @@ from .event_driver import BELT, END, TOP, Arc, ArcEnd, follow
 def _events(arc: Arc):
     """Event functions of the arc. At a start on `u = v` the first tells where the arc goes, not zero."""
 
+    # SciPy reads `terminal` and `direction` as attributes of the event functions.
     def belt(t, y):
         if t == 0.0 and arc.on_belt:
             return -arc.side
@@ -20,9 +21,8 @@ def _events(arc: Arc):
     def top(t, y):
         return arc.side * y[0] - 1.0
 
-    belt.terminal = top.terminal = True
-    belt.direction = arc.way * arc.side
-    top.direction = 1.0
+    vars(belt).update(terminal=True, direction=arc.way * arc.side)
+    vars(top).update(terminal=True, direction=1.0)
     wanted = [(belt, BELT, arc.seek_belt), (top, TOP, arc.seek_top)]
     return [(event, code) for event, code, on in wanted if on]
 

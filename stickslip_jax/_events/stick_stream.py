@@ -21,7 +21,7 @@ class StickStream(NamedTuple):
     - `further`: as in `FlatSticks`, (columns, sticks).
     """
 
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
     last: np.ndarray
     start: np.ndarray
     end: np.ndarray

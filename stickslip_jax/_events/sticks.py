@@ -180,7 +180,7 @@ class FlatSticks(NamedTuple):
     In order of sample, then time. Times in s; position and displacement in m, of a motor angles in rad.
     """
 
-    count: np.ndarray  # (samples,)
+    count: np.ndarray  # (samples,)  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
     start: np.ndarray  # (all sticks,), as the following
     end: np.ndarray
     position: np.ndarray

@@ -257,6 +257,7 @@ def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> li
 
 def _with_buffer(run: Callable[[BufferSizes], tuple[Any, Any, Any, Any]], buffer: BufferSizes) -> Any:
     """What `run` gives with room for everything; it tells beside it status, sticks and edges of every sample."""
+    done = None
     for _ in range(_MOST_DOUBLINGS):
         done, status, sticks, edges = run(buffer)
         cut = np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))

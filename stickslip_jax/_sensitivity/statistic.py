@@ -48,11 +48,11 @@ class OfTotals(StickStatistic):
     is_of_totals = True
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         return self.definition.label
 
     @property
-    def unit(self) -> str:
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         return self.definition.unit
 
     @property
@@ -126,7 +126,7 @@ class StickStart(_OfNumber):
     unit = "s"
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         return f"mean start of stick {self.number}"
 
     def value_of(self, sticks: StickSequence) -> Array:
@@ -139,7 +139,7 @@ class StickDuration(_OfNumber):
     unit = "s"
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         return f"mean duration of stick {self.number}"
 
     def value_of(self, sticks: StickSequence) -> Array:

@@ -28,7 +28,7 @@ class Sequences(NamedTuple):
 
     values: np.ndarray
     first: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
     remark: str
 
     @property
@@ -95,7 +95,7 @@ class _Sticks(NamedTuple):
     """
 
     flat: Any
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
     start: np.ndarray
     end: np.ndarray
     ending: np.ndarray

@@ -104,7 +104,7 @@ class EnsembleStatistics(_ByQuantity):
         return self.position_unit if quantity.unit is None else quantity.unit
 
     @cached_property
-    def distributions(self) -> dict[str, Distribution]:
+    def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         """The distribution over all sticks of each of the `STICK_QUANTITIES`, by name."""
         sums, bins = self.accumulator.sticks, self.accumulator.stick_bins
         return {

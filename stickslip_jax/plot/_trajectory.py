@@ -1,5 +1,7 @@
 """A simulated trajectory cut into segments at its events, so that sticks are drawn exactly where they happen."""
 
+import math
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import jax
@@ -63,12 +65,10 @@ def check_window(window: Window | None, t1: float) -> Window:
     """The window to draw, s; all of ``[0, t1]`` if `window` is None. Raises ValueError if it is not part of that."""
     if window is None:
         return 0.0, t1
-    try:
+    begin = end = math.nan
+    with suppress(TypeError, ValueError):
         begin, end = (float(time) for time in window)
-        inside = 0 <= begin < end <= t1
-    except (TypeError, ValueError):
-        inside = False
-    if not inside:
+    if not 0 <= begin < end <= t1:
         raise ValueError(
             f"Argument window must be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}, but {_checks.show(window)} "
             "was given."

@@ -56,7 +56,6 @@ _SCALE = "what the values in the file are multiplied by; not given: 1"
 class _FromFile(Section):
     """Keys that say how to read a file; None leaves the choice to the reader."""
 
-    file: _File | None = Field(default=None, description="table (CSV) with a row for each time; or times and values")
     time_column: _Column | None = Field(default=None, description=_TABLE_ONLY["time_column"])
     value_column: _Column | None = Field(default=None, description=_TABLE_ONLY["value_column"])
     delimiter: Annotated[str, AfterValidator(_delimiter)] | None = Field(
@@ -70,18 +69,19 @@ class _FromFile(Section):
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} must be left out, but {toml_value(getattr(self, key))} was given: {reason}.")
 
-    def _read(self) -> tuple[Any, Any]:
+    def _read(self, file: str) -> tuple[Any, Any]:
         """Times (s) and values of the table. Raises ValueError if they are unsuitable, OSError if it cannot be read."""
         chosen = {key: getattr(self, key) for key in (*_TABLE_ONLY, "scale") if getattr(self, key) is not None}
         if self.delimiter == _WHITE_SPACE:
             chosen["delimiter"] = None
-        return read_csv(str(self.file), **chosen)
+        return read_csv(file, **chosen)
 
 
 class RecordedConfig(_FromFile):
     """A recorded signal: ``file``, or ``times`` and ``values``."""
 
     law: Literal["Recorded"]
+    file: _File | None = Field(default=None, description="table (CSV) with a row for each time; or times and values")
     times: list[float] | None = Field(default=None, description="s, increasing; the first is 0")
     values: list[float] | None = Field(default=None, description="m/s for a base velocity, N for a force")
 
@@ -100,7 +100,7 @@ class RecordedConfig(_FromFile):
 
         Raises ValueError for an unsuitable record, OSError for a file that cannot be read.
         """
-        return Recorded(self.times, self.values) if self.file is None else Recorded(*self._read())
+        return Recorded(self.times, self.values) if self.file is None else Recorded(*self._read(self.file))
 
 
 class GroundAccelerationConfig(_FromFile):
@@ -128,6 +128,6 @@ class GroundAccelerationConfig(_FromFile):
         Raises ValueError for an unsuitable record, OSError for a file that cannot be read.
         """
         if not self._is_at2:
-            return GroundAcceleration(*self._read())
+            return GroundAcceleration(*self._read(self.file))
         record = read_at2(self.file)
         return record if self.scale is None else GroundAcceleration(record.times, self.scale * record.accelerations)
