@@ -7,8 +7,12 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+import stickslip_jax as ss
+from stickslip_jax import plot
 
 PACKAGE = "stickslip_jax"
 ROOT = Path(__file__).parents[2] / PACKAGE
@@ -98,6 +102,23 @@ def uses(parts: tuple[str, ...]) -> set[tuple[str, ...]]:
 @pytest.mark.parametrize("parts", MODULES, ids=name_of)
 def test_every_module_has_its_row(parts):
     assert parts[0] in ROWS
+
+
+def test_all_but_the_public_modules_are_private():
+    """And no public function or class hides a module of its name."""
+    public = {parts for parts in MODULES if not any(part.startswith("_") and part != "__init__" for part in parts)}
+    assert {name_of(parts) for parts in public} == {"__init__", "papers", "plot/__init__", "study/__init__"}
+    modules = {part for parts in MODULES for part in parts[:1]}
+    for namespace in (ss, plot):
+        assert not {name for name in namespace.__all__ if name in modules}
+        assert not [name for name in namespace.__all__ if isinstance(getattr(namespace, name), ModuleType)]
+
+
+def test_only_systems_ask_which_class_a_system_is():
+    asks = re.compile(r"isinstance\(.*\b(MassSpring|MotorCart|SwitchedSystem)\b")
+    assert [
+        name_of(parts) for parts in MODULES if parts[0] != "_systems" and asks.search(MODULES[parts].read_text())
+    ] == []
 
 
 @pytest.mark.parametrize("parts", MODULES, ids=name_of)
