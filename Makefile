@@ -12,8 +12,11 @@ ONLY ?=
 FAST := $(addprefix tests/,package/test_fresh_process.py simulation/test_derivatives.py statistics/test_streaming.py \
 	statistics/test_edges.py sensitivity/test_edges.py)
 # What is cheap to measure: a tracer costs about a third more of the Python that runs, and hardly shows in compilations.
-MEASURED := $(FAST) $(addprefix tests/,numerics excitation package/test_bad_input.py sensitivity/test_bad_input.py \
-	statistics/test_statistics.py statistics/test_stick_sums.py statistics/test_labelled.py study/test_sections.py)
+# Processes of their own are not seen.
+MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics excitation package/test_bad_input.py \
+	sensitivity/test_bad_input.py statistics/test_statistics.py statistics/test_stick_sums.py \
+	statistics/test_labelled.py plot/test_trajectories.py plot/test_statistics.py study/test_sections.py \
+	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
 .PHONY: study test test-fast coverage check-slow lint format bench bench-smoke versions clean
@@ -30,7 +33,7 @@ test-fast: $(READY)
 
 # Lines and branches that the quick tests of all parts run; under two minutes once the compilation cache is warm.
 coverage: $(READY)
-	$(BIN)/python -m pytest -n auto --dist worksteal --cov $(MEASURED)
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov=stickslip_jax $(MEASURED)
 
 # The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest.
 versions:
