@@ -7,12 +7,12 @@ from ._ensemble.call import simulate_ensemble
 from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
-from ._excitation.excitation import WithJumps
+from ._excitation.excitation import BaseMotion, WithJumps
 from ._excitation.ground import GroundAcceleration
 from ._excitation.kanai_tajimi import KanaiTajimi
 from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.piecewise import VelocitySteps
-from ._excitation.random import RandomPhase, Uniform
+from ._excitation.random import InitialState, RandomPhase, Uniform
 from ._excitation.reading import read_acceleration_csv, read_at2, read_recorded_csv
 from ._excitation.recorded import Recorded
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
@@ -86,6 +86,7 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "BangBangLaw",
+    "BaseMotion",
     "ConditionalMeans",
     "Constant",
     "Convergence",
@@ -104,6 +105,7 @@ __all__ = [
     "Harmonic",
     "Histogram",
     "HistogramConvergence",
+    "InitialState",
     "JointDistribution",
     "JointHistogram",
     "KanaiTajimi",

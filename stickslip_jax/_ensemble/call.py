@@ -23,8 +23,8 @@ from .._dynamics.regularized.settings import as_arrays
 from .._dynamics.regularized.solve import table_sizes
 from .._dynamics.validation import check_method, state_of, working_dtype
 from .._events.stick_stream import StickCollector
-from .._excitation.excitation import is_random, key_data_for
-from .._excitation.random import Uniform
+from .._excitation.excitation import BaseMotion, is_random, key_data_for
+from .._excitation.random import InitialState, Uniform
 from .._fast_cpu import cores
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
@@ -41,12 +41,12 @@ _RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: fewer calls,
 
 def simulate_ensemble(
     system: System,
-    law: Any,
+    law: BaseMotion,
     *,
     t1: float,
     samples: int,
     key: Array | None = None,
-    y0: Any = None,
+    y0: InitialState | None = None,
     method: Exact | Regularized = EXACT,
     keep: Keep = "statistics",
     orders: int = 10,

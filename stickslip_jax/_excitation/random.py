@@ -1,6 +1,7 @@
 """Random phases and random initial states."""
 
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 from .. import _checks
 from .._fields import Checked, Quantity
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import Array, KeyData, Scalar
+from .._types import AnyArray, Array, KeyData, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
@@ -61,6 +62,10 @@ class Uniform(Checked):
     def check_relations(self) -> None:
         if not (_checks.is_traced(self.low) or _checks.is_traced(self.high)) and not self.low < self.high:
             raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
+
+
+InitialState: TypeAlias = Sequence[Scalar | int | np.number | Uniform] | AnyArray
+"""An initial state: a number for each coordinate of the system, or in ensembles a `Uniform` drawn for every sample."""
 
 
 def realised_state(y0: tuple[Any, ...], key_data: KeyData, dtype) -> tuple[Array, ...]:

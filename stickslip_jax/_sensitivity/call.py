@@ -8,6 +8,9 @@ import numpy as np
 
 from .. import _checks
 from .._dynamics.method import EXACT, Exact
+from .._excitation.excitation import BaseMotion
+from .._excitation.random import InitialState
+from .._systems.system import System
 from .._types import Array
 from . import windows
 from .estimate import Estimator, Gradient, Sensitivities, Sensitivity
@@ -29,14 +32,14 @@ _ESTIMATORS = get_args(Estimator)
 
 def sensitivity(
     statistic: Any,
-    system: Any,
-    law: Any,
+    system: System,
+    law: BaseMotion,
     *,
     wrt: str | tuple[str, ...] | list[str],
     t1: float,
     samples: int,
     key: Array | None = None,
-    y0: Any = None,
+    y0: InitialState | None = None,
     elasticity: Any = False,
     estimator: Estimator | None = None,
     step: float | None = None,

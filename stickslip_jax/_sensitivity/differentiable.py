@@ -9,7 +9,10 @@ import numpy as np
 from jax import lax
 
 from .._dynamics.lanes import Job, summarise
+from .._excitation.excitation import BaseMotion
+from .._excitation.random import InitialState
 from .._status import Status
+from .._systems.system import System
 from .._types import Array
 from .counting import IntervalCounting
 from .estimators import RATE, counting_engine, counting_paths
@@ -25,14 +28,14 @@ _LANES = 256
 
 def differentiable(
     statistic: Any,
-    system: Any,
-    law: Any,
+    system: System,
+    law: BaseMotion,
     *,
     wrt: str | tuple[str, ...] | list[str],
     t1: float,
     samples: int,
     key: Array | None = None,
-    y0: Any = None,
+    y0: InitialState | None = None,
 ) -> Callable[[Any], Array]:
     """A function of the values of the parameters `wrt` that estimates `statistic`, to use under ``jax.jit``.
 

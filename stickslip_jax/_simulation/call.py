@@ -1,7 +1,5 @@
 """Simulate one realisation: `simulate(system, base, t1=..., y0=...)`."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 
@@ -9,6 +7,8 @@ from .. import _checks
 from .._dynamics.engine_choice import engine_for
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method, one_realisation, state_of, working_dtype
+from .._excitation.excitation import BaseMotion
+from .._excitation.random import InitialState
 from .._systems.system import System, require_system
 from .._types import Scalar
 from .result import Simulation
@@ -16,10 +16,10 @@ from .result import Simulation
 
 def simulate(
     system: System,
-    base: Any,
+    base: BaseMotion,
     *,
     t1: Scalar,
-    y0: Any = None,
+    y0: InitialState | None = None,
     method: Exact | Regularized = EXACT,
 ) -> Simulation:
     """Simulate one realisation, every stick recorded. Pure: works under jit, vmap, jvp, grad.
