@@ -15,7 +15,7 @@ from .sizes import Sizes
 
 
 class Work(NamedTuple):
-    """What was done, in the unit of the part, and the error that it tells of."""
+    """Work done, in the unit of the part, and error of the result."""
 
     amount: float = 1.0
     error: float | None = None
@@ -166,7 +166,7 @@ def _regularized(samples: int, settings: dict[str, Any] | None, sizes: Sizes) ->
 
 
 def _sensitivity(motion: str | None, options: dict[str, Any] | None, sizes: Sizes) -> Run:
-    """Of the default study d(pooled mean stick duration)/d mu; of an ensemble in time steps d(mean number)/d mu; or
+    """For the default study d(pooled mean stick duration)/d mu; for an ensemble in time steps d(mean number)/d mu; or
     (no `options`) the value alone.
     """
     moved, law, y0 = (system(), LAW, START) if motion is None else ENSEMBLES[motion](sizes)

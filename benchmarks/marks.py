@@ -1,4 +1,4 @@
-"""What this project asks of the engine beside what was measured."""
+"""The performance goals of this project beside what was measured."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Programs timed in turn, round after round, so that ratios between them are taken under the same load."""
+"""Programs timed one after the other in every round, so that their ratios are taken under the same load."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Timed(NamedTuple):
-    """One run: how long it took, how much work it did (in a unit of the caller's), and the error that it told of."""
+    """One run: seconds, work done (in a unit of the caller's), and error of the result, if it has one."""
 
     seconds: float
     work: float = 1.0
@@ -61,7 +61,7 @@ class Rounds:
         return float(np.median([run.seconds for run in self.runs[label]]))
 
     def error(self, label: str) -> float | None:
-        """The median of the errors told of."""
+        """The median of the errors of the runs; None if they have none."""
         told = [run.error for run in self.runs[label] if run.error is not None]
         return float(np.median(told)) if told else None
 

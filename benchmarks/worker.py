@@ -1,7 +1,7 @@
-"""A process that times JAX cases on request, because precision, cores and caches are settled once per process.
+"""A process that times JAX cases on request, because precision, cores and caches are fixed once per process.
 
 It reads one line of JSON at a time, ``{"case": NAME, "number": ROUND}``, and answers with one: the seconds of that
-round, the work done and the error told of (`timed`), and the most memory used so far (bytes). Without a number the case
+round, the work done and its error (`timed`), and the most memory used so far (bytes). Without a number the case
 is compiled: `compile_seconds` is how much longer a first call takes than a second.
 """
 

@@ -3,7 +3,7 @@
 A solver contributes one function, `solve_arc(arc) -> ArcEnd`, that integrates `z' = u, u' = -z + side` (the
 friction force is constant while the mass slips) up to the first of: `u = v` (BELT), the extreme of `u`
 towards the belt (TOP), the end of the arc (END). TOP is there for correctness: a step of the solver can
-jump over both crossings of a shallow arrival, and only the extreme between them tells. Then the arrival is
+jump over both crossings of a shallow arrival, and only the extreme between them shows it. Then the arrival is
 found by going back from the extreme, `way = -1`.
 
 Everything is in the fixed frame; the circles and angles of the closed forms are not used.

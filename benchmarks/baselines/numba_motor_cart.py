@@ -72,7 +72,7 @@ class _State(NamedTuple):
 
 @njit(**FLAGS)
 def _turned(sine, cosine, angle):
-    """Sine and cosine after a turn by a small angle. Calls of the library's `sin` would take most of the time."""
+    """Sine and cosine after a rotation by a small angle. Calls of the library's `sin` would take most of the time."""
     q = angle * angle
     s = angle * (1.0 - q * (1 / 6 - q * (1 / 120 - q * (1 / 5040))))
     c = 1.0 - q * (1 / 2 - q * (1 / 24 - q * (1 / 720)))
@@ -207,7 +207,7 @@ def _slip(now, angle, current, sense, theta, friction, step, t1):
 
 @njit(**FLAGS)
 def _held(tau, phase, excess):
-    """Current and its slope in a stick; `excess` over the settled current and its `phase` are those at `tau = 0`."""
+    """Current and its slope in a stick; `excess` over the steady current and its `phase` are those at `tau = 0`."""
     settled, left = phase + OMEGA * tau, excess * math.exp(-DECAY * tau)
     return NU_0 / R + SWING * math.sin(settled) + left, SWING * OMEGA * math.cos(settled) - DECAY * left
 

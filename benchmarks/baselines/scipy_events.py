@@ -10,7 +10,7 @@ from .event_driver import BELT, END, TOP, Arc, ArcEnd, follow
 
 
 def _events(arc: Arc):
-    """Event functions of the arc. At a start on `u = v` the first tells where the arc goes, not zero."""
+    """Event functions of the arc. At a start on `u = v` the first gives the side to which the arc goes, not zero."""
 
     # SciPy reads `terminal` and `direction` as attributes of the event functions.
     def belt(t, y):

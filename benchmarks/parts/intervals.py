@@ -1,6 +1,6 @@
 """Time per base interval of the engine and of the yardsticks; w = 2, rate/omega = 0.5, omega t1 = 400.
 
-Every round times all programs in turn: the C programs on one and two threads, the other yardsticks, the engine.
+Every round times each program once: the C programs on one and two threads, the other yardsticks, the engine.
 """
 
 from collections.abc import Callable

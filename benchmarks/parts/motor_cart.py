@@ -1,6 +1,6 @@
 """The motor and cart: Lima and Sampaio's 20,000 runs of 2 s, beside a scalar Runge-Kutta program in numba.
 
-Half of the runs have mu = 0.2, half 0.5. Every round times all programs in turn.
+Half of the runs have mu = 0.2, half 0.5. Every round times each program once.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ def _yardsticks(tiny: bool) -> list[Program]:
 
 
 def measure(bench: Bench) -> list[dict[str, Any]]:
-    """A row for each program; the engine in a process of its own for each case, so that memory is told apart."""
+    """A row for each program; the engine in a process of its own for each case, to measure its memory."""
     programs, workers = _yardsticks(bench.tiny), {}
     for case in ENGINE:
         label = f"stickslip_jax, {case}"

@@ -60,7 +60,7 @@ def measure(bench: Bench) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Of each kind the cheapest within 1 % is set in bold."""
+    """The table, in which the cheapest setting of each kind within 1 % is bold."""
     lines = [
         "| method | error of the stick fraction | time of one trajectory | times the exact engine |",
         "|---|---:|---:|---:|",

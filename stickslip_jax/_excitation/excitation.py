@@ -112,7 +112,7 @@ class Excitation(eqx.Module):
 
 @runtime_checkable
 class UserBaseMotion(Protocol):
-    """A base motion of the user's: any object with these methods of the time `t` (s)."""
+    """A user-defined base motion: any object with these methods of the time `t` (s)."""
 
     def velocity(self, t: Any) -> Any:
         """The base velocity, m/s."""
@@ -122,11 +122,11 @@ class UserBaseMotion(Protocol):
 
 
 BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomPhase | WithJumps | UserBaseMotion
-"""What can drive a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
+"""Excitation of a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
 
 
 def excitation_of(base: Any, name: str = "base") -> Excitation:
-    """The parts of `base`, the argument called `name`. Raises ValueError if it cannot drive a system."""
+    """The parts of `base`, the argument called `name`. Raises ValueError for anything else."""
     if isinstance(base, VelocitySteps):
         return Excitation(None, (_Given(base),))
     if isinstance(base, GroundMotion):

@@ -16,7 +16,7 @@ from .segments import SegmentLaw
 class GroundMotion(SegmentLaw):
     """Base class of ground accelerations, piecewise linear in time.
 
-    They drive a `MassSpring` described by its position relative to the ground: there the base is at rest, and the
+    They excite a `MassSpring` described by its position relative to the ground: there the base is at rest, and the
     acceleration of the ground acts as the force ``-mass * acceleration``.
     """
 

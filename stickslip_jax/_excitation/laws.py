@@ -1,7 +1,7 @@
 """Laws of piecewise-constant base velocity: how realisations are drawn.
 
 A law gives the intervals of a realisation one after the other: `draw` computes what is random about interval i from the
-key and i alone, and `next_interval` makes its duration and velocity of that. So a realisation has no length of its own:
+key and i alone, and `next_interval` makes its duration and velocity of that. So a realisation has no fixed length:
 a larger capacity only continues it, and an ensemble can draw intervals while it simulates.
 """
 

@@ -1,7 +1,7 @@
 """Piecewise-linear functions of time: base velocities, ground accelerations and forces, segment by segment.
 
-A law computes segment number i from the key, i, and a memory of the segments before. So a realisation has no length of
-its own, and an ensemble can draw segments while it simulates.
+A law computes segment number i from the key, i, and a memory of the segments before. So a realisation has no fixed
+length, and an ensemble can draw segments while it simulates.
 """
 
 import abc

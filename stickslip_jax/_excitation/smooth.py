@@ -191,7 +191,7 @@ class SumOfHarmonics(_Tones):
 
 
 class UserMotion(Signal):
-    """A base motion of the user's: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
+    """A user-defined base motion: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
 
     It may have ``shortest_period`` (s) too; without it, the step of the simulation must be given. To differentiate with
     respect to its parameters, make it a pytree (an ``equinox.Module``, say); any other object is a constant.

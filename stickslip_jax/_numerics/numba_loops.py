@@ -214,8 +214,8 @@ def count(
 def numbered(start, end, position, owner, order, skipped, columns, number, earlier, first_two):
     """Start, duration and position, (3, orders, sticks), of the sticks of each order, and their `number`, (orders,).
 
-    And the durations of the first and the second stick of each sample that has both, (2, samples); `earlier`: space.
-    `skipped`: how many sticks of each sample have no number, (samples,).
+    Also the durations of the first and the second stick of each sample that has both, (2, samples).
+    `earlier`: scratch array. `skipped`: how many sticks of each sample have no number, (samples,).
     """
     most = len(number)
     for i in range(len(start)):

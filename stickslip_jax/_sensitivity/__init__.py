@@ -1,4 +1,4 @@
-"""Derivatives of stick statistics with respect to parameters, corrected for sticks born and lost."""
+"""Derivatives of stick statistics with respect to parameters, corrected for sticks that appear and vanish."""
 
 from .call import sensitivity
 from .differentiable import differentiable

@@ -1,4 +1,4 @@
-"""`sensitivity`: derivatives of stick statistics, corrected for sticks born and lost."""
+"""`sensitivity`: derivatives of stick statistics, corrected for sticks that appear and vanish."""
 
 import math
 import warnings
@@ -50,35 +50,36 @@ def sensitivity(
 ) -> Sensitivity | Sensitivities:
     """The derivative of a stick statistic's expectation with respect to parameters, with its standard error.
 
-    Sticks are born and lost as parameters change, so differentiating the simulated mean is wrong.
+    Sticks appear and vanish as parameters change, so the derivative of the simulated mean is biased; this one is
+    corrected.
 
     - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
       `StickStatistic`: `RealisationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
       "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
-      ambiguous. All are found in one pass.
+      ambiguous. One pass over the trajectories gives all derivatives.
     - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`, where
-      `method` must be exact; something must be random. The answer does not depend on `threads`, nor, but for the
-      order of summation, on `chunk`.
+      `method` must be exact; the law or `y0` must be random. The result does not depend on `threads`, nor, except for
+      the order of summation, on `chunk`.
     - `elasticity`: whether to give ``d log statistic / d log parameter``.
     - `estimator`: "corrected", or "finite-difference": central differences with common random numbers. By default the
       one with the smaller error in the same time (the result's `estimator` names it): corrected for statistics of
-      totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of no length
-      do not change (`stick_fraction`); else differences. The other one is a check that shares nothing with it.
-    - `step`: of the differences, as a share of the parameter's size; by default as `relative_bandwidth`, or a quarter
-      of that, where the two disagree. Biased by order ``step^2``.
-    - `relative_bandwidth`: how far the corrected estimator looks for sticks about to be born or lost, as a relative
-      change of the parameter: the window is as wide as that change moves what decides. By default ``0.005 (sticks /
-      10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
+      totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of zero
+      length do not change (`stick_fraction`); else differences. The other one is an independent check.
+    - `step`: step of the central differences, relative to the parameter's value; by default that of
+      `relative_bandwidth`, or a quarter of it, where the two disagree. The bias is of order ``step^2``.
+    - `relative_bandwidth`: width of the corrected estimator's kernel, as a relative change of the parameter: a stick
+      counts as about to appear or vanish if that change, to first order, moves its margin through zero. By default
+      ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
 
-    How the event part is found: docs/sensitivity.md. Where a stick can hold more than a slip meets (`mu_static`), one
-    that is caught moves differently ever after; there it comes from pairs of trajectories with the parameter changed up
-    and down by `relative_bandwidth`, and the same random numbers.
+    The method: docs/sensitivity.md. Where static friction exceeds kinetic friction (`mu_static`), a stick that appears
+    changes all later motion; there the event part comes from pairs of trajectories with the parameter changed up and
+    down by `relative_bandwidth`, and the same random numbers.
 
-    Returns a `Sensitivity`, for several names a mapping from them. Warns (RuntimeWarning) if the event part rests on
-    fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where every trajectory
-    begins with an arc that exactly grazes the base velocity: the derivative does not exist there, and is NaN. Raises
-    ValueError for arguments outside these bounds, and in single precision for motion that has no closed form.
+    Returns a `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the
+    event part rests on fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where
+    every trajectory begins with an arc that exactly grazes the base velocity: the derivative does not exist there, and
+    is NaN. Raises ValueError for invalid arguments, and in single precision for motion that has no closed form.
     """
     _check_options(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(
@@ -92,7 +93,7 @@ def sensitivity(
 
 
 def _asked_for(step: float | None, relative_bandwidth: float | None) -> str | None:
-    """The estimator that has the option given."""
+    """The estimator that the given option belongs to, if any."""
     if step is not None:
         return "finite-difference"
     return None if relative_bandwidth is None else "corrected"
@@ -151,13 +152,13 @@ def _warn_of_few(results: dict[str, Sensitivity]) -> None:
 
 
 def _warn_of_torn(
-    accumulator: Accumulator, columns: tuple[Columns, ...], results: dict[str, Sensitivity], told: tuple[str, ...]
+    accumulator: Accumulator, columns: tuple[Columns, ...], results: dict[str, Sensitivity], warned: tuple[str, ...]
 ) -> None:
-    """RuntimeWarning where windows disagree, but for parameters `told` of already."""
+    """RuntimeWarning where windows disagree, except for the parameters `warned` of already."""
     torn = [
         name
         for name, where, near in zip(results, columns, accumulator.near, strict=True)
-        if name not in told and windows.is_torn(accumulator, where, near)
+        if name not in warned and windows.is_torn(accumulator, where, near)
     ]
     if torn:
         warnings.warn(
@@ -170,7 +171,7 @@ def _warn_of_torn(
 
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
-    """With the `step` that the caller chose, or one of two, which must agree."""
+    """Finite differences with the given `step`, or with the wider of two steps that agree."""
     steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(PAIRED_WINDOWS)
     accumulator, columns = differenced(problem, pilot, steps, with_pathwise=False)
     results = {}

@@ -1,8 +1,8 @@
-"""Sticks counted while they are simulated, so that the derivative of the count is that of its expectation.
+"""Counts of sticks whose derivative is that of the expected count, accumulated during the simulation.
 
-Each stick adds its flux through every edge of its existence (`edges.py`, `kernels.py`) to that derivative. Where gaps
-are exponential, what is left of one at an arrival is exponential too, whatever came before: its density at 0 is the
-rate, for every stick. No kernel is needed for that race, and no stick is unused.
+To that derivative each stick and near miss adds its flux through zero of every margin of existence (`edges.py`,
+`kernels.py`). Where the gaps between switches are exponential, the time left at an arrival is exponential too
+(memorylessness): its density at 0 is the rate, for every stick. So the race between arrival and switch needs no kernel.
 """
 
 from typing import Any, NamedTuple
@@ -24,18 +24,18 @@ from .kernels import crossing, ending, hits, through, weighted_flux
 
 
 class Likelihood(NamedTuple):
-    """What the derivative by the rate of a Poisson base takes from the likelihood of the number of switches."""
+    """Data for the derivative by the rate of a Poisson base, from the likelihood of the number of switches (score)."""
 
-    rate: Scalar  # the rate again, 1/s: derivatives by this one come from the likelihood, those by the law's pathwise
-    stick_time: Scalar  # about the means, s and 1: subtracted, so that less is left to average out
+    rate: Scalar  # a copy of the law's rate, 1/s: differentiated for the score part, the law's for the pathwise part
+    stick_time: Scalar  # approximate means, s and 1, subtracted to reduce the variance (control variate)
     sticks: Scalar
 
 
 class Counted(NamedTuple):
-    """The totals of each sample. Of the last two there is one for each window, both zero.
+    """The totals of each sample.
 
-    The derivative of `births` is what sticks born and lost add to that of the number of sticks; the derivative of
-    `near` counts the edges that a kernel reached.
+    `births` and `near` hold one entry per window. Their values are zero; the derivative of `births` is the event part
+    of that of the number of sticks, the derivative of `near` counts the margins inside the kernel's window.
     """
 
     status: AnyArray
@@ -46,20 +46,20 @@ class Counted(NamedTuple):
 
 
 class Flux(NamedTuple):
-    """What has come through the edges so far, for each window: `births` and `near` of `Counted`."""
+    """The flux so far, for each window: `births` and `near` of `Counted`."""
 
     births: tuple[FloatArray, ...]
     near: tuple[FloatArray, ...]
 
     @classmethod
     def none(cls, windows: int, dtype: Any) -> "Flux":
-        """At the beginning."""
+        """No flux, at the beginning."""
         zeros = (jnp.zeros((), dtype),) * windows
         return cls(zeros, zeros)
 
 
 class _Motion(NamedTuple):
-    """The motion of one lane, the flux that it has seen, and how often its base has switched."""
+    """The motion of one lane, its flux so far, and the number of switches of its base."""
 
     lane: IntervalLane
     flux: Flux
@@ -67,10 +67,11 @@ class _Motion(NamedTuple):
 
 
 class IntervalCounting(Engine):
-    """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0` (numbers, or `Uniform` values).
+    """Engine that counts sticks of a `MassSpring` on a base that follows `law`, up to `t1`, from `y0`.
 
-    `bandwidths` (windows,): how far the kernels look, as shares of the parameter (see `kernels.crossing`).
-    `fixed_start`: whether all samples begin in the same state. The outcome of the first arc then has no density.
+    `y0`: numbers, or `Uniform` values. `bandwidths` (windows,): relative bandwidths of the kernels (see
+    `kernels.crossing`). `fixed_start`: whether all samples begin in the same state: then the outcome of the first arc
+    has no density.
     """
 
     system: MassSpring
@@ -106,7 +107,7 @@ class IntervalCounting(Engine):
         totals, flux = motion.lane.totals, motion.flux
         time, births = totals.stick_time, flux.births
         if self.likelihood is not None:
-            # log p = switches log(rate) - rate t1 + ..., of a Poisson process.
+            # Score of a Poisson process: d log p / d rate = switches / rate - t1.
             rate = jnp.asarray(self.likelihood.rate, time.dtype)
             score = weighted_flux(motion.switches / rate - self.t1, rate, jnp.ones((), bool))
             births = tuple(born + (totals.sticks - self.likelihood.sticks) * score for born in births)
@@ -115,11 +116,11 @@ class IntervalCounting(Engine):
         return Counted(status, time, totals.sticks, births, flux.near)
 
     def _with_flux(self, total: Flux, edges: Edges, arrival: FloatArray, is_fixed: BoolArray | bool) -> Flux:
-        """`total` with what one interval adds: its flux through every edge of existence."""
+        """`total` with the flux that one interval adds."""
         exact, races = jnp.zeros_like(arrival), ~jnp.asarray(is_fixed)
         if isinstance(self.law, PoissonSwitching):
             rate = jnp.asarray(self.law.rate, arrival.dtype)
-            # The gap that ends at the arrival, with the random number that made it held fixed.
+            # A gap that ends at the arrival, E / rate with its random number E held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact, races = weighted_flux(rate, gap - arrival, edges.exists), jnp.zeros((), bool)
         edges = edges.only(~jnp.asarray(is_fixed), races)

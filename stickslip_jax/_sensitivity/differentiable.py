@@ -1,4 +1,4 @@
-"""A statistic as a function of parameters, for objectives of one's own: its derivative is the corrected one."""
+"""A statistic as a function of parameters, for the user's own objectives, with the corrected derivative."""
 
 from collections.abc import Callable
 from typing import Any
@@ -40,14 +40,14 @@ def differentiable(
     """A function of the values of the parameters `wrt` that estimates `statistic`, to use under ``jax.jit``.
 
     Call it with one number (`wrt` a name) or an array (as many as names). Differentiating it, in forward or reverse
-    mode, gives the derivative of the expectation, corrected for sticks born and lost as `sensitivity` does, and not
-    that of the simulated mean, which is piecewise smooth and whose slope is another. The random numbers are the same in
-    every call, so that the function has no noise from call to call; it has small jumps. Second derivatives do not
-    exist.
+    mode, gives the derivative of the expectation, corrected for sticks that appear and vanish as in `sensitivity`;
+    the slope of the simulated mean, which is only piecewise smooth, is a different number. Every call uses the same
+    random numbers, so there is no noise from call to call, but the function has small jumps. It has no second
+    derivatives.
 
-    Arguments and errors as for `sensitivity`; the windows of the kernels are settled here, by the parameters of
-    `system` and `law`. `samples` is rounded up to a multiple of 256. NaN where no sample has what the statistic is of,
-    or one has far more sticks than those of the parameters given here.
+    Arguments and errors as for `sensitivity`; the windows of the kernels are chosen once, from the parameters of
+    `system` and `law` given here. `samples` is rounded up to a multiple of 256. The result is NaN where the statistic
+    is defined for no sample, or where a sample has far more sticks than at the parameters given here.
     """
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
     require_precision(problem)
@@ -68,18 +68,19 @@ def differentiable(
     return of
 
 
-# Means of numerator and denominator at parameter values; with the same values again for second argument, to
-# differentiate by these.
+# Means of numerator and denominator at parameter values; to differentiate, pass the same values again as the second
+# argument and differentiate by that.
 Means = Callable[..., Array]
 
 
 def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
-    """The ratio of both means, whose derivative comes from theirs, all in one pass; with a `step` (a share of each
-    value), from central differences.
+    """The ratio of both means, with its derivative by the quotient rule, all in one pass.
+
+    With a `step` (relative to each value), the derivatives of the means are central differences.
     """
 
     def slopes(values: Array, units: Array) -> Array:
-        """Of both means, by every value in these units, (values, 2)."""
+        """Derivatives of both means by every value, measured in `units`, (values, 2)."""
 
         def along(direction):
             if step is not None:
@@ -106,9 +107,9 @@ def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
 
 
 def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
-    """By counting lanes."""
+    """Means by the engines that count sticks."""
     assert isinstance(problem.statistic, OfTotals)
-    # One window, as wide as may be: which is best cannot be asked inside a compiled function.
+    # One window, the widest: comparing several is not possible inside a compiled function.
     engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = counting_paths(problem)
@@ -133,7 +134,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
 
 
 def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
-    """By recorded sequences."""
+    """Means by recorded stick sequences."""
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.has_sudden_switches else 2 * buffer.edges)
     bandwidths = np.array([bandwidth])

@@ -1,8 +1,8 @@
-"""How near each moment of a motion is to a stick, or to a slip between two sticks, of no length.
+"""Signed margins of existence: how close a motion is to gaining or losing a stick, or a slip between two sticks.
 
-Sticks and slips are born and lost where a number passes zero that is positive while they exist. Here these numbers are
-found for a base of piecewise-constant velocity, where the closed forms give them: at most one stick begins in each
-interval, when the mass arrives at the base velocity q inside the band. `turn_edges.py` does the same for any system.
+A margin is positive while the stick or slip exists and passes zero where its length is zero. Here the margins are found
+for a base of piecewise-constant velocity, from the closed forms: at most one stick begins in each interval, when the
+mass arrives at the base velocity q inside the stick band. `step_edges.py` does the same for any system.
 """
 
 from typing import Any, NamedTuple
@@ -19,27 +19,27 @@ from .._numerics.elementary import angle_of
 from .._status import Ending
 from .._types import Array, BoolArray, FloatArray
 
-_TOUCH_ULPS = {8: 4096, 4: 64}  # within so many units in the last place, R and q are equal
+_TOUCH_ULPS = {8: 4096, 4: 64}  # R and q closer than so many units in the last place count as equal
 
 
 class Number(NamedTuple):
-    """A number that is positive while something exists, and whether it decides that here."""
+    """Signed margin, positive while a stick or slip exists; `decides`: whether that depends on it here."""
 
     value: FloatArray
     decides: BoolArray
 
 
 class Edges(NamedTuple):
-    """The numbers of one moment.
+    """The margins of one interval or step.
 
-    - `time`: when the stick begins, or the slip, or would, s. `exists`: whether there is one. `is_slip`: whether it is
-      a slip between two sticks that comes or goes, and not a stick.
-    - Known on both sides of 0: `grazing`, of the arc that touches the base velocity, or of the friction that touches
-      what a stick can hold; `race`, the time left before the base motion changes, s; `horizon`, before `t1`, s;
-      `crossing`, of an arrival that friction can hold, or cannot.
-    - Known while positive: `leaving`, how far an arrival is from being a crossing.
+    - `time`: when the stick or slip begins, or would begin, s. `exists`: whether there is one. `is_slip`: whether it is
+      a slip between two sticks, and not a stick.
+    - Known on both sides of 0: `grazing`, how far an arc goes beyond the base velocity, or the friction that a stick
+      needs beyond what it can hold; `race`, time from the arrival to the next change of the base motion, s; `horizon`,
+      time to `t1`, s; `crossing`, how far friction is from being unable to hold an arrival.
+    - Known only while positive: `leaving`, how far an arrival in the band is from the edge where it would cross.
 
-    None where the engine tells the other of the last two.
+    Each engine gives one of `crossing` and `leaving`; the other is None.
     """
 
     time: FloatArray
@@ -53,25 +53,25 @@ class Edges(NamedTuple):
 
     @property
     def both_sides(self) -> tuple[Number, ...]:
-        """All that are known on both sides of 0."""
+        """All margins that are known on both sides of 0."""
         known = (self.grazing, self.race, self.horizon, self.crossing)
         return tuple(number for number in known if number is not None)
 
     @property
     def one_side(self) -> tuple[Number, ...]:
-        """All that are known while positive."""
+        """All margins that are known only while positive."""
         return () if self.leaving is None else (self.leaving,)
 
     @property
     def any(self) -> BoolArray:
-        """Whether anything is near."""
+        """Whether any margin decides here."""
         found = jnp.zeros_like(self.exists)
         for number in self.both_sides + self.one_side:
             found = found | number.decides
         return found
 
     def only(self, where: BoolArray, races: BoolArray) -> "Edges":
-        """The same with numbers that decide only in some places, races in others."""
+        """The same margins, deciding only `where` that is true; the race only where `races` is."""
         limited = {
             name: number._replace(decides=number.decides & (races if name == "race" else where))
             for name, number in self._asdict().items()
@@ -81,7 +81,10 @@ class Edges(NamedTuple):
 
 
 class IntervalLane(NamedTuple):
-    """One lane between two intervals; `cut_velocity` (m/s): of the base while a stick lasted to the last switch."""
+    """One lane between two intervals.
+
+    `cut_velocity`: base velocity during the last interval if a switch of the base cut a stick short there, else 0, m/s.
+    """
 
     memory: Any
     motion: Motion
@@ -92,7 +95,7 @@ class IntervalLane(NamedTuple):
 def cross_with_edges(
     law: BangBangLaw, scales: Scales, lane: IntervalLane, drawn: Any
 ) -> tuple[IntervalLane, StickRecord, Edges, FloatArray]:
-    """Cross the next interval: the lane after it, its stick, its edges, its length."""
+    """Cross the next interval: the lane after it, its stick, its margins, its length (s)."""
     memory, motion, totals, cut_velocity = lane
     duration, velocity, memory = law.next_interval(memory, drawn, motion.t.dtype)
     duration = jnp.where(duration >= scales.t1, scales.t1, duration)  # no infinity enters the arithmetic
@@ -110,7 +113,7 @@ def _edges(
     duration: FloatArray,
     velocity: FloatArray,
 ) -> Edges:
-    """Of one interval."""
+    """The margins of one interval."""
     stuck, moving = stick.ending >= 0, velocity != 0
     arc = _first_arc(scales, motion, cut_velocity, duration, velocity)
     speed = jnp.abs(jnp.where(moving, velocity, 1))
@@ -140,11 +143,11 @@ def _edges(
 class _Arc(NamedTuple):
     """The first arc of an interval on a moving base."""
 
-    excess: FloatArray  # R^2 - q^2 in (m/s)^2; the arc reaches the base velocity q where it is positive
-    top: FloatArray  # when it comes nearest, s from its beginning
+    excess: FloatArray  # R^2 - q^2 in (m/s)^2, R the arc's radius; where positive the arc reaches the base velocity q
+    top: FloatArray  # when it comes nearest to q, s from its beginning
     is_below: BoolArray
-    meets: BoolArray  # whether its top is reached within the interval, so that a change of sign makes or ends a stick
-    would_stick: BoolArray  # whether it meets the base velocity inside the band, given the time
+    meets: BoolArray  # whether the interval holds its top: a change of the excess's sign then adds or removes a stick
+    would_stick: BoolArray  # whether it meets the base velocity inside the band, if the interval lasts long enough
 
 
 def _first_arc(
@@ -161,9 +164,9 @@ def _first_arc(
     back, up = lax.stop_gradient(D), lax.stop_gradient(p)
     angle = angle_of(jnp.abs(back), up)
     top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * scales.inverse_omega
-    # A stick that the base's reversal cut short leaves the mass with R >= q, however near: nothing is born there.
+    # After a stick cut short by a reversal of the base, R >= q always (the excess is a square): no stick can appear.
     is_reversed = cut_velocity == -velocity
-    # Where the mass is back on the circle on which it left a stick, R = q whatever the parameters: see `dynamics.arcs`.
+    # Back on the circle on which it left a stick, R = q for all parameters: see `_dynamics/interval/arcs.py`.
     roundoff = _TOUCH_ULPS[p.dtype.itemsize] * jnp.finfo(p.dtype).eps * (D * D + q * q)
     meets = (q > 0) & is_below & ~is_reversed & (jnp.abs(excess) > roundoff)
     meets = meets & (top < duration) & (motion.t + top < scales.t1)
@@ -172,7 +175,7 @@ def _first_arc(
 
 
 def relative_excess(scales: Scales, motion: Motion, velocity: Array) -> Array:
-    """``R^2 - q^2`` of the first arc on a base of this velocity, by the size of its terms; 1 for one from above."""
+    """``R^2 - q^2`` of the first arc on a base of this velocity, relative to its terms; 1 for an arc from above."""
     nothing = jnp.zeros_like(motion.x)
     arc = _first_arc(scales, motion, nothing, jnp.full_like(nothing, jnp.inf), velocity)
     size = velocity * velocity + (scales.half_width * scales.omega) ** 2

@@ -1,4 +1,4 @@
-"""From means over realisations to sensitivities with standard errors (delta method)."""
+"""Sensitivities and their standard errors from means over realisations (delta method)."""
 
 import dataclasses
 import math
@@ -18,13 +18,14 @@ class Sensitivity:
     """The derivative of one statistic with respect to one parameter.
 
     - `value`, `value_error`: the statistic and its standard error, in `unit`.
-    - `derivative`, `standard_error`: of the expectation; `unit` by the parameter's, a pure number if `is_elasticity`.
-    - `pathwise`: the part that automatic differentiation of each trajectory gives, `event` the part of sticks born and
-      lost; they add up to `derivative`. NaN for finite differences, which know no parts.
-    - `parameter_value`, `estimator`, `samples` (finished ones, of `asked`).
-    - `sticks_in_window`: how many sticks, and near misses, the event part rests on (of finite differences: in how many
-      trajectories the number of sticks differs). `relative_bandwidth`: the relative change of the parameter over which
-      it looked (of finite differences: the step).
+    - `derivative`, `standard_error`: derivative of the expectation, in `unit` divided by the parameter's unit; a pure
+      number if `is_elasticity`.
+    - `pathwise`: the part that automatic differentiation of each trajectory gives; `event`: the part of sticks that
+      appear and vanish. They add up to `derivative`; NaN for finite differences, which do not separate them.
+    - `parameter_value`, `estimator`, `samples` (that reached t1, of `asked`).
+    - `sticks_in_window`: how many sticks and near misses the event part rests on (for finite differences: in how many
+      trajectories the number of sticks differs). `relative_bandwidth`: width of the kernel as a relative change of the
+      parameter (for finite differences: the step).
     """
 
     statistic: str
@@ -77,7 +78,7 @@ class Sensitivities(Mapping[str, Sensitivity]):
 
 
 class Gradient(NamedTuple):
-    """Of one parameter: value, derivative and pathwise part of a ratio of means, and the errors of the first two."""
+    """A ratio of means and its derivative by one parameter, with their standard errors and the pathwise part."""
 
     value: float
     value_error: float
@@ -90,7 +91,7 @@ def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: f
     """The derivative of ``a / b`` by a parameter, from the `moments` of rows ``[a, b, ...]``.
 
     Columns `column` and the next hold the derivatives of a and b, `path_column` and the next their pathwise parts.
-    `log_by`: the parameter's value, for elasticities. Numbers that are not defined are NaN.
+    `log_by`: the parameter's value, for elasticities. Undefined results are NaN.
     """
     mean, covariance = moments.mean, moments.covariance_of_mean
     a, b = mean[:2]
@@ -111,7 +112,7 @@ def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: f
 
 
 def _ratio_derivative(mean: np.ndarray, column: int) -> tuple[float, np.ndarray]:
-    """``d (a/b)`` and its gradient by all means."""
+    """``d (a/b) = (da - (a/b) db) / b`` and its gradient by all means."""
     (a, b), (da, db) = mean[:2], mean[column : column + 2]
     value = a / b
     derivative = (da - value * db) / b

@@ -1,4 +1,4 @@
-"""How a sensitivity problem is treated: counting lanes, recorded sequences, differences."""
+"""The three ways to estimate a sensitivity: counting engines, recorded stick sequences, finite differences."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,13 +21,13 @@ from .step_counting import StepCounting
 from .traces import traced
 
 RATE: Path = ("law", "rate")
-_MOST_DOUBLINGS = 6  # of the room for a realisation
+_MOST_DOUBLINGS = 6  # of the buffers of a realisation
 
 
 class Columns(NamedTuple):
-    """Where a tally's rows hold the derivatives of numerator and denominator by one parameter, and the pathwise parts.
+    """First columns of the derivatives of numerator and denominator by one parameter, and of their pathwise parts.
 
-    Of several windows, `derivative` has one column each, the widest first.
+    `derivative` has one entry per window, the widest first.
     """
 
     derivative: tuple[int, ...]
@@ -35,9 +35,9 @@ class Columns(NamedTuple):
 
 
 def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | None = None) -> tuple[Columns, ...]:
-    """Of rows that hold, after the two parts, the derivatives (paths, windows, 2) and the pathwise parts (paths, 2).
+    """Columns of the parameters in rows of parts (2,), derivatives (paths, windows, 2), pathwise parts (paths, 2).
 
-    The first paths are those of the parameters; `pathwise`: whose pathwise parts are meant.
+    The first paths are those of the parameters; `pathwise`: for each parameter, the path whose pathwise part to use.
     """
     return tuple(
         Columns(
@@ -49,13 +49,13 @@ def _columns(parameters: int, windows: int, paths: int, pathwise: list[int] | No
 
 
 def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Accumulator, tuple[Columns, ...]]:
-    """All parameters by counting lanes, with windows of all `bandwidths`; without any, one that sees no event."""
+    """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part."""
     engine = counting_engine(problem, pilot, bandwidths)
     paths, number = list(counting_paths(problem)), len(problem.parameters)
     pathwise = list(range(number))
     for index, path in enumerate(problem.paths()):
         if path == RATE and isinstance(engine, IntervalCounting) and engine.likelihood is not None:
-            # Its derivative from the likelihood, and beside it the pathwise one.
+            # Its derivative comes from the likelihood; the pathwise one is found beside it.
             paths[index] = ("likelihood", "rate")
             pathwise[index] = len(paths)
             paths.append(RATE)
@@ -79,12 +79,12 @@ def counting_engine(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> I
 
 
 def counting_paths(problem: Problem) -> tuple[Path, ...]:
-    """Where the parameters are in the engine that counts."""
+    """Paths of the parameters in the counting engine."""
     return problem.paths() if problem.by_intervals else tuple(("steps", *path) for path in problem.paths())
 
 
 def _run_counting(problem: Problem, engine: IntervalCounting | StepCounting, paths: tuple[Path, ...]) -> Accumulator:
-    """The problem's parts; columns: their derivatives by every path and window, and the pathwise parts of these."""
+    """Moments of the statistic's parts, their derivatives by every path and window, and the pathwise parts of these."""
     per_task, record = _counter(problem, engine, paths)
 
     def simulate(first: int, number: int) -> Rows:
@@ -97,10 +97,10 @@ def _run_counting(problem: Problem, engine: IntervalCounting | StepCounting, pat
 def _counter(
     problem: Problem, engine: IntervalCounting | StepCounting, paths: tuple[Path, ...]
 ) -> tuple[int, Callable[[int, int], Any]]:
-    """A function of a task's first sample and their number (at most the number given beside it).
+    """The largest number of samples of a task, and a function of a task's first sample and number of samples.
 
-    It gives the parts (samples, 2), their derivatives (paths, samples, windows, 2), the pathwise parts of these
-    (paths, samples, 2), how many edges each window reached (paths, samples, windows), and status.
+    The function gives the parts (samples, 2), their derivatives (paths, samples, windows, 2), the pathwise parts of
+    these (paths, samples, 2), how many margins each window reached (paths, samples, windows), and status.
     """
     assert isinstance(problem.statistic, OfTotals)
     lanes, rows, per_task = lanes_and_rows(problem)
@@ -114,13 +114,13 @@ def _counter(
         )  # fmt: skip
         totals = np.stack([_flat(leaf, number) for leaf in totals], axis=-1)
         time, births = _flat(d_time, number) / units, [_flat(leaf, number) / units for leaf in d_births]
-        # The number of sticks of one trajectory does not change.
+        # The number of sticks has no pathwise derivative: it is locally constant.
         pathwise = time[..., None] * weights[:, 0]
         slopes = [np.stack([time, born], axis=-1) @ weights[:, :2].T for born in births] or [pathwise]
         slopes = np.stack(slopes, axis=2)
         near = np.stack([_flat(leaf, number) for leaf in near], axis=-1) if near else np.zeros(slopes.shape[:3])
         for index, path in enumerate(paths):
-            if path[0] == "likelihood":  # takes no window: it rests on all sticks
+            if path[0] == "likelihood":  # uses no window: it rests on all sticks
                 near[index] = totals[:, 1:]
         parts = totals @ weights[:, :2].T + weights[:, 2]
         return parts, slopes, pathwise, near, _flat(status, number).astype(int)
@@ -129,7 +129,7 @@ def _counter(
 
 
 def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Accumulator, tuple[Columns, ...]]:
-    """All parameters by recorded sequences, with windows of all `bandwidths`."""
+    """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth."""
     parameters, units = len(problem.parameters), units_of(problem.engine(), problem.paths())[:, None, None]
     record = _recorder(problem, buffer_sizes_for(problem, pilot), bandwidths)
 
@@ -164,9 +164,10 @@ def _recorder(problem: Problem, buffer: BufferSizes, bandwidths: np.ndarray) -> 
 def differenced(
     problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool
 ) -> tuple[Accumulator, tuple[Columns, ...]]:
-    """All parameters by central differences of every trajectory, of the given steps (shares of the parameter's size).
+    """Derivatives by all parameters as central differences of every trajectory, ``(f(p + s) - f(p - s)) / (2 s)``.
 
-    The same random numbers drive both ends. What the windows reached are trajectories whose number of sticks differs.
+    `steps`: s, relative to the parameter's size. Both ends use the same random numbers. In place of the margins that a
+    window reached, the trajectories are counted whose number of sticks differs between the ends.
     """
     engine, paths = problem.engine(), problem.paths()
     units = units_of(engine, paths)
@@ -194,13 +195,14 @@ def differenced(
     return accumulator, _columns(len(paths), len(steps), len(paths))
 
 
-# A function of an engine, a task's first sample and their number that gives the statistic's parts, status and number of
-# sticks; the largest number of samples of a task; a function of the other two that gives the pathwise derivatives.
+# A function of an engine, a task's first sample and number of samples that gives the statistic's parts, status and
+# number of sticks; the largest number of samples of a task; a function of first sample and number of samples that gives
+# the pathwise derivatives.
 _Values = tuple[Callable[[Engine, int, int], Any], int, Callable[[int, int], np.ndarray]]
 
 
 def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
-    """What `differenced` calls, by lanes that keep totals."""
+    """The functions that `differenced` calls, for statistics of totals."""
     assert isinstance(problem.statistic, OfTotals)
     lanes, rows, per_task = lanes_and_rows(problem)
     weights = problem.statistic.weights(problem.t1)
@@ -219,7 +221,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
 
 
 def _by_sequences(problem: Problem, pilot: Pilot) -> _Values:
-    """The same by recorded sequences."""
+    """The functions that `differenced` calls, for statistics of recorded sequences."""
     lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
     buffer = buffer_sizes_for(problem, pilot)._replace(edges=0)
     record = _recorder(problem, buffer, np.zeros(0))
@@ -242,7 +244,7 @@ def _by_sequences(problem: Problem, pilot: Pilot) -> _Values:
 
 
 def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> list[Engine]:
-    """The engine with the parameter lower and higher. Raises ValueError where one of them is not allowed."""
+    """The engine with the parameter lowered and raised by `length`. Raises ValueError if a value is not allowed."""
     ends = [with_numbers(engine, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
     try:
         for end in ends:
@@ -256,12 +258,12 @@ def _ends(engine: Engine, path: Path, parameter: Parameter, length: float) -> li
 
 
 def _with_buffer(run: Callable[[BufferSizes], tuple[Any, Any, Any, Any]], buffer: BufferSizes) -> Any:
-    """What `run` gives with room for everything; it tells beside it status, sticks and edges of every sample."""
+    """The first output of `run`, with buffers doubled until all fits; its others: status, sticks, edges of samples."""
     done = None
     for _ in range(_MOST_DOUBLINGS):
         done, status, sticks, edges = run(buffer)
         cut = np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))
-        # One slot more than there are sticks: one may be put in.
+        # One slot more than there are sticks: a stick of zero length may be inserted.
         needed = BufferSizes(buffer.blocks, 8 * -(-(int(np.max(sticks)) + 1) // 8), 8 * -(-int(np.max(edges)) // 8))
         if needed.slots > buffer.slots or needed.edges > buffer.edges:
             buffer = BufferSizes(buffer.blocks, max(needed.slots, buffer.slots), max(needed.edges, buffer.edges))

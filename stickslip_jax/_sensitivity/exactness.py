@@ -1,4 +1,4 @@
-"""Where derivatives do not exist: all trajectories begin with an arc that exactly grazes; base speeds w = 1 and 2."""
+"""Warnings where no derivative exists: a first arc that exactly grazes in every trajectory; base speeds w = 1, 2."""
 
 import warnings
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from .edges import relative_excess
 from .parameters import Path, number_at, with_numbers
 from .problem import Problem
 
-_LANES = 64  # enough to meet every first velocity that is not rare
-_EXACTLY = 1e-9  # of the scale of the squared velocities, and of w
+_LANES = 64  # enough to draw every first velocity that is not rare
+_EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
 
 
 def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
-    """Names of the parameters by which no derivative exists, with a RuntimeWarning about them."""
+    """Names of the parameters by which no derivative exists because the first arc grazes; warns (RuntimeWarning)."""
     if not (problem.by_intervals and problem.fixed_start):
         return ()
     grazes, moved = _zeros(problem, _excess)
@@ -37,16 +37,16 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
     return tuple(moved)
 
 
-def warn_at_special_speeds(problem: Problem, told: tuple[str, ...]) -> None:
+def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
     """RuntimeWarning where a base speed is exactly ``a omega`` or twice that, and a parameter changes their ratio w.
 
     There the circle on which the mass leaves a stick passes through special points of the phase plane, and the mean
-    number of sticks bends without end: differences grow as steps shrink. Not for parameters `told` of already.
+    number of sticks has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
     """
     if not problem.by_intervals:
         return
     found, moved = _zeros(problem, _from_special_speeds)
-    moved = [name for name in moved if name not in told]
+    moved = [name for name in moved if name not in warned]
     if moved:
         special = 1 if np.any(found[:, 0]) else 2
         warnings.warn(
@@ -84,11 +84,11 @@ def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
 
 
 def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray, list[str]]:
-    """Where a function of the engine is exactly 0, and which parameters move it there."""
+    """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
     engine, dtype = problem.engine(), problem.dtype
     key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
-    # Compiled once, not launched operation by operation, which would take longer than the derivative.
+    # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
     found, slopes = _with_slopes(engine, key_data, values, function=function, paths=problem.paths(), dtype=dtype)
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
@@ -99,7 +99,7 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
 def _with_slopes(
     engine: Any, key_data: Any, values: Array, *, function: Callable[..., Array], paths: tuple[Path, ...], dtype: Any
 ) -> tuple[Array, Array]:
-    """The function, and its derivatives by the parameters along a last axis."""
+    """Values of the function, and its derivatives by the parameters along a last axis."""
 
     def of(values: Array) -> Array:
         return function(with_numbers(engine, paths, values), key_data, dtype)

@@ -1,4 +1,4 @@
-"""Arguments checked, and a first look at the motion: what the windows of the kernels are made by."""
+"""Check of the arguments, and a short pilot simulation, from which the widths of the kernels are chosen."""
 
 from typing import Any
 
@@ -17,10 +17,10 @@ from .parameters import parameters_of
 from .problem import Pilot, Problem
 from .statistic import statistic_of
 
-COUNTED_WINDOWS, RECORDED_WINDOWS = (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # to choose from
+COUNTED_WINDOWS, RECORDED_WINDOWS = (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # relative widths to choose from
 PAIRED_WINDOWS = (1.0, 0.25)
 _PILOT = 1024  # samples
-_RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # the widest window at so many sticks
+_RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # relative bandwidth of the widest window at so many sticks
 _LARGEST_BANDWIDTH = 0.05
 
 
@@ -38,7 +38,7 @@ def problem_of(
     threads: int | None = None,
     chunk: int | None = None,
 ) -> tuple[Problem, Pilot]:
-    """The problem, checked, and a first look at its motion."""
+    """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
     statistic = statistic_of(statistic)
     threads = cores() if threads is None else _checks.whole_number("threads", threads)
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
@@ -57,7 +57,7 @@ def problem_of(
 
 
 def require_precision(problem: Problem) -> None:
-    """Raises ValueError where float32 knows neither a near miss nor the derivative of a slip that begins slowly."""
+    """Raise ValueError where float32 resolves neither near misses nor derivatives of slips that begin slowly."""
     if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
         raise ValueError(
             "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
@@ -68,9 +68,10 @@ def require_precision(problem: Problem) -> None:
 
 
 def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
-    """How far kernels look, as a share of the parameter, by default.
+    """Default relative bandwidth of the kernels: ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05.
 
-    Windows shrink with the fifth root of the number of sticks, as the best ones of a bias of second order do.
+    As in density estimation: with a bias of second order, the mean squared error is least for widths that shrink as the
+    fifth root of the number of sticks.
     """
     return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
 
@@ -86,7 +87,7 @@ def _pilot(
     keep: Keep,
     threads: int,
 ) -> Pilot:
-    """A first look, which also checks the arguments."""
+    """A pilot simulation, which also checks the arguments."""
     number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
     many = simulate_ensemble(
         system, law, t1=t1, samples=number, key=key, y0=y0, method=method, keep=keep, threads=threads, progress=False

@@ -1,11 +1,11 @@
-"""Weights that turn sticks near the edge of existence into derivatives of expectations.
+"""Kernel weights that turn sticks about to appear or vanish into derivatives of expectations.
 
-Let ``g`` be a number that is positive while a stick exists and falls to 0 as the stick vanishes, with density ``f`` at
-0. What sticks born and lost add to the derivative of the mean of a functional is ``f(0) E[dg/dtheta at 0]`` times its
-jump there. A kernel ``K`` of window ``h`` estimates that as the mean of the sum of ``K(g / h) / h * dg/dtheta`` times
-the jump. With ``int K = 1`` and ``int u K = 0`` its bias is of order ``h^2`` (boundary kernels: Jones 1993, "Simple
-boundary correction for kernel density estimation"; of flux: Liu and Hong 2011, "Kernel estimation of the Greeks for
-options with discontinuous payoffs").
+Let the margin ``g`` be positive while a stick exists and 0 where it vanishes, with density ``f(0)`` there. Sticks that
+appear and vanish add ``f(0) E[dg/dtheta | g = 0]`` times its jump to the derivative of the mean of a functional. A
+kernel ``K`` of width ``h`` estimates that as the mean of the sum of ``K(g / h) / h * dg/dtheta`` times the jump. With
+``int K = 1`` and ``int u K = 0`` its bias is of order ``h^2`` (boundary kernels: Jones 1993, "Simple boundary
+correction for kernel density estimation"; of flux: Liu and Hong 2011, "Kernel estimation of the Greeks for options with
+discontinuous payoffs").
 """
 
 from collections.abc import Callable
@@ -22,13 +22,13 @@ Kernel = Callable[[FloatArray, Array, BoolArray], Array]
 
 @jax.custom_jvp
 def crossing(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
-    """Zero, with the derivative of a count of what exists where `distance` is positive.
+    """Zero, whose derivative estimates that of the expected count of positive `distance`, a margin known on both sides.
 
-    Seen on both sides of 0, near misses included. The window is as wide as `distance` moves, to first order, when the
-    parameters move `bandwidth` times the direction of differentiation: ``u = distance / (bandwidth |d distance|)``, and
-    the derivative is ``sign(d distance) K(u) / bandwidth`` with ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every
-    weight is bounded, what does not move is left out, and the answer is what a central difference of that step would
-    give to first order. It is linear in the direction only in expectation: forward mode alone.
+    The kernel is as wide as `distance` moves, to first order, when the parameters move `bandwidth` times the direction
+    of differentiation: ``u = distance / (bandwidth |d distance|)``, and the derivative is ``sign(d distance) K(u) /
+    bandwidth`` with Epanechnikov's ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every weight is bounded, margins that do
+    not move have none, and the result is, to first order, that of a central difference of this step. It is linear in
+    the direction only in expectation: use forward mode only.
     """
     return 0 * distance
 
@@ -41,7 +41,7 @@ def _crossing_jvp(primals, tangents):
 
 @jax.custom_jvp
 def ending(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
-    """The same where `distance` is seen only while it is positive, with ``K(u) = 4 - 6 u`` for 0 < u < 1."""
+    """Like `crossing`, for a `distance` known only while positive, with ``K(u) = 4 - 6 u`` for 0 < u < 1."""
     return 0 * distance
 
 
@@ -53,7 +53,7 @@ def _ending_jvp(primals, tangents):
 
 @jax.custom_jvp
 def hits(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
-    """Zero, with 1 for derivative where `crossing` or `ending` has any: to count what they rest on."""
+    """Zero, whose derivative is 1 inside the window of `crossing` and `ending`: counts the margins they rest on."""
     return 0 * distance
 
 
@@ -64,7 +64,7 @@ def _hits_jvp(primals, tangents):
 
 
 def _moved(primals, tangents):
-    """``u``, the sign of the motion, and whether ``|u| < 1``, where it counts."""
+    """``u``, the sign of ``d distance``, and whether ``|u| < 1`` and `where` is true."""
     distance, bandwidth, where = primals
     change = jnp.abs(tangents[0])
     hit = where & (jnp.abs(distance) < bandwidth * change)
@@ -72,16 +72,17 @@ def _moved(primals, tangents):
 
 
 def weighted_flux(weight: Array, distance: FloatArray, where: BoolArray) -> Array:
-    """Zero, with the derivative ``weight * d distance`` where it holds.
+    """Zero, whose derivative is ``weight * d distance`` where `where` is true.
 
-    Added to a count, it makes the derivative of the count that of its expectation.
+    Added to a count, it makes the count's derivative an unbiased estimate of that of its expectation, if `weight` is
+    the density of `distance` at 0.
     """
     distance = jnp.where(where, distance, 0)
     return jnp.where(where, lax.stop_gradient(weight), 0) * (distance - lax.stop_gradient(distance))
 
 
 def through(edges: Edges, bandwidth: Array, both_sides: Kernel, one_side: Kernel) -> Array:
-    """What all numbers of the edges add: `crossing` and `ending` for the flux, twice `hits` to count."""
+    """The sum over all margins of `edges`: the flux with kernels `crossing` and `ending`, their number with `hits`."""
     found = [both_sides(number.value, bandwidth, number.decides) for number in edges.both_sides]
     found += [one_side(number.value, bandwidth, number.decides) for number in edges.one_side]
     return sum(found[1:], found[0])

@@ -1,4 +1,4 @@
-"""Parameters by name: where they are in a system, its drive and its initial state."""
+"""Parameters by name: numbers in a system, its excitation and its initial state."""
 
 import dataclasses
 import math
@@ -15,7 +15,7 @@ Path = tuple[str | int, ...]
 
 
 class Parameter(NamedTuple):
-    """A number that can be varied: what the caller calls it, where it is, and its value."""
+    """A number that can be varied: its name as the caller gave it, its path, and its value."""
 
     name: str
     path: Path
@@ -25,8 +25,8 @@ class Parameter(NamedTuple):
 def parameters_of(where: dict[str, Any], wrt: Any) -> tuple[Parameter, ...]:
     """The parameters named by `wrt`, a name or several.
 
-    `where` tells what to search, by its own name: "system", "law" and "y0". A name is that of a field, such as "mu" or
-    "rate", with the names before it, as in "law.speed", where several fields have it; initial values are "y0[0]",
+    `where` holds the objects to search: "system", "law" and "y0". A parameter's name is that of a field, such as "mu"
+    or "rate"; where several fields have it, with the names before it, as in "law.speed". Initial values are "y0[0]",
     "y0[1]" and so on. Raises ValueError for a name that fits no number, or several.
     """
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
@@ -39,7 +39,7 @@ def parameters_of(where: dict[str, Any], wrt: Any) -> tuple[Parameter, ...]:
 
 
 def number_at(tree: Any, path: Path) -> Any:
-    """What `tree` holds at `path`."""
+    """The number of `tree` at `path`."""
     for step in path:
         tree = tree[step] if isinstance(step, int) else getattr(tree, step)
     return tree
@@ -53,7 +53,7 @@ def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
 
 
 def check_numbers(tree: Any) -> None:
-    """Check all modules in `tree` as they were when they were made. Raises their ValueError."""
+    """Run the constructor's checks of all modules in `tree` again. Raises their ValueError."""
     if isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
             check_numbers(getattr(tree, field.name, None))
@@ -81,7 +81,7 @@ def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
 
 
 def _numbers(tree: Any, path: Path) -> Iterator[tuple[Path, Any]]:
-    """Paths and values of all numbers, and of those that are not set."""
+    """Paths and values of all numbers; None for optional numbers that are not set."""
     if isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
             if not field.metadata.get("static", False):

@@ -1,4 +1,4 @@
-"""One sensitivity problem: what to vary of which motion, and what a first look at it tells."""
+"""A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation."""
 
 from typing import Any, NamedTuple
 
@@ -19,8 +19,9 @@ from .statistic import OfTotals, StickStatistic
 
 
 class Pilot(NamedTuple):
-    """What a first look at the motion tells: means of total stick time (s) and number of sticks; the largest number,
-    where single sticks matter.
+    """Results of the pilot simulation: means of total stick time (s) and number of sticks of a realisation.
+
+    `most`: the largest number of sticks, for statistics of single sticks; else None.
     """
 
     stick_time: float
@@ -29,7 +30,7 @@ class Pilot(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What to find: the statistic of the system's motion under the law, and the parameters to vary."""
+    """The statistic of the system's motion under the law, the parameters to vary, and how to simulate."""
 
     statistic: StickStatistic
     system: Any
@@ -55,40 +56,40 @@ class Problem(NamedTuple):
         return isinstance(engine_for(self.system, self.law, self.method, self.t1), ByIntervals)
 
     def in_closed_form(self) -> "Problem":
-        """The same problem without a solver, where none is needed.
+        """The same problem without a solver, where closed forms exist.
 
-        Closed forms know which arcs cannot graze: those after a stick that a reversal of the base cut short.
+        They show which arcs cannot graze: those after a stick that a reversal of the base cut short.
         """
         closed = self._replace(method=EXACT)
         return closed if closed.by_intervals else self
 
     @property
     def has_sudden_switches(self) -> bool:
-        """Whether friction can hold more than slipping meets.
+        """Whether static friction can exceed kinetic friction.
 
-        A mass that just touches the base velocity is then caught for a while or not at all: all that follows differs,
-        the state included, and there is no stick of no length.
+        A mass that just touches the base velocity then sticks for a finite time or not at all: all later motion
+        differs, and there are no sticks of zero length.
         """
         return self.system.holds_more
 
     @property
     def is_counted(self) -> bool:
-        """Whether nothing need be recorded."""
+        """Whether the totals of each realisation are enough, so that no stick need be recorded."""
         return self.statistic.is_of_totals
 
     @property
     def is_blind_to_events(self) -> bool:
-        """Whether sticks of no length change nothing: then there is no event part, unless switches are sudden."""
+        """Whether sticks of zero length change nothing: no event part then, unless there are sudden switches."""
         return isinstance(self.statistic, OfTotals) and self.statistic.is_blind_to_events
 
     def engine(self) -> Engine:
-        """What simulates it, the fastest."""
+        """The fastest engine that simulates the motion."""
         engine = engine_for(self.system, self.law, self.method, self.t1).lanes(self.y0, self.dtype)
         assert isinstance(engine, Engine)
         return engine
 
     def paths(self) -> tuple[Path, ...]:
-        """Where the parameters are in the engine."""
+        """Paths of the parameters in the engine."""
         return tuple(self._path(parameter.path) for parameter in self.parameters)
 
     def _path(self, path: Path) -> Path:
@@ -99,7 +100,7 @@ class Problem(NamedTuple):
             where = ("excitation", "base", 0)
         elif isinstance(self.law, GroundMotion):
             where = ("excitation", "ground", 0)
-        elif isinstance(self.law, WithJumps):  # of its two the smooth one is the drive's, and the jumps come last
+        elif isinstance(self.law, WithJumps):  # the smooth part, and jumps, the last part of the base
             where, rest = (where if path[1] == "motion" else ("excitation", "base", -1)), path[2:]
         elif not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
             where = (*where, "motion")
@@ -107,7 +108,7 @@ class Problem(NamedTuple):
 
 
 def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
-    """Enough for nearly every realisation; of others there is more when they come."""
+    """Buffer sizes that suffice for nearly every realisation; callers enlarge them when they do not."""
     assert pilot.most is not None
     if problem.by_intervals:
         intervals = problem.law.checked_capacity(problem.t1)
@@ -119,14 +120,14 @@ def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
 
 
 def lanes_and_rows(problem: Problem) -> tuple[int, int, int]:
-    """In how many lanes and rows totals are found, as in an ensemble (`ensemble.py`), and the samples of a task."""
+    """Lanes, rows and largest number of samples of a task that finds totals, as in `_ensemble/call.py`."""
     lanes, rows = 256, 32
     fair = -(-_share(problem) // lanes) * lanes
     return lanes, rows, min(fair, lanes * rows)
 
 
 def sequence_lanes(problem: Problem) -> int:
-    """In how many lanes a chunk is recorded."""
+    """The number of lanes of a chunk that records sticks."""
     return min(512, max(64, 1 << (_share(problem) - 1).bit_length()))
 
 

@@ -22,8 +22,9 @@ from .traces import TracedIntervals, TracedSteps
 
 
 class Rows(NamedTuple):
-    """Of each sample: status (samples,); what moments are taken of (samples, columns); how many edges each window
-    reached (parameters, samples, windows).
+    """Results per sample: status (samples,); the numbers to take moments of, `columns` (samples, columns).
+
+    `near` (parameters, samples, windows): how many margins each window reached.
     """
 
     status: np.ndarray
@@ -34,16 +35,18 @@ class Rows(NamedTuple):
     def of(
         cls, status: np.ndarray, parts: np.ndarray, slopes: np.ndarray, pathwise: np.ndarray, near: np.ndarray
     ) -> "Rows":
-        """Columns: numerator and denominator `parts` (samples, 2), their derivatives `slopes` (parameters, samples,
-        windows, 2), the pathwise parts of these (parameters, samples, 2).
+        """Rows whose columns are numerator and denominator, their derivatives, and the pathwise parts of these.
+
+        - `parts`: (samples, 2); `slopes`: (parameters, samples, windows, 2); `pathwise`: (parameters, samples, 2).
         """
         columns = (np.moveaxis(leaf, 1, 0).reshape(len(parts), -1) for leaf in (slopes, pathwise))
         return cls(status, np.concatenate([parts, *columns], axis=1), near)
 
 
 class Accumulator(NamedTuple):
-    """Sums over samples: moments of the columns of the finished ones, of both halves of them (every other one), and
-    what the windows reached (parameters, windows).
+    """Sums over the finished samples: moments of the columns, for each half of the samples (every other one).
+
+    `near` (parameters, windows): how many margins the windows reached.
     """
 
     halves: tuple[Moments, Moments]
@@ -58,7 +61,7 @@ class Accumulator(NamedTuple):
 
     @property
     def moments(self) -> Moments:
-        """Of all."""
+        """Moments of both halves together."""
         return self.halves[0].merge(self.halves[1])
 
     def merge(self, other: "Accumulator") -> "Accumulator":
@@ -68,12 +71,12 @@ class Accumulator(NamedTuple):
 
 
 def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Accumulator:
-    """Call ``simulate(first, number)`` for all samples; what comes out does not depend on `threads`."""
+    """Call ``simulate(first, number)`` for all samples in chunks; the result does not depend on `threads`."""
     firsts = range(0, samples, per_chunk)
     with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-        tallies = pool.map(lambda first: Accumulator.of(simulate(first, min(per_chunk, samples - first))), firsts)
-        total = next(tallies)
-        for accumulator in tallies:
+        accumulators = pool.map(lambda first: Accumulator.of(simulate(first, min(per_chunk, samples - first))), firsts)
+        total = next(accumulators)
+        for accumulator in accumulators:
             total = total.merge(accumulator)
     return total
 
@@ -81,11 +84,10 @@ def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: in
 def derivatives_of(
     function: Callable[[Array], tuple[Any, Any]], engine: Any, paths: tuple[Path, ...], dtype: Any
 ) -> Any:
-    """Value of `function` of the engine's numbers at `paths`, its derivatives by each, along a first axis, and its
-    other output. All in one pass: the motion is followed once.
+    """Value of `function` of the engine's numbers at `paths`, its derivatives along a first axis, its other output.
 
-    The numbers are varied in units of their own size (1 where it is 0), so that kernels reach as far for large
-    parameters as for small ones.
+    One pass simulates the motion once for all. The numbers are varied in units of their own size (1 where it is 0), so
+    that bandwidths of kernels are relative to the parameter.
     """
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
     units = jnp.where(values == 0, 1, jnp.abs(values))
@@ -97,7 +99,7 @@ def derivatives_of(
 
 
 def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
-    """What `derivatives_of` varies the numbers at `paths` in."""
+    """The units in which `derivatives_of` varies the numbers at `paths`, (paths,)."""
     return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
 
 
@@ -112,8 +114,10 @@ def _count(
     rows: int,
     dtype: Any,
 ) -> tuple[Any, Any, Any]:
-    """Total stick time and number of sticks (rows, lanes); the derivatives by the numbers at `paths` of stick time,
-    births and what was near (paths, rows, lanes), the last two for each window; status (rows, lanes).
+    """Totals, their derivatives by the numbers at `paths`, and status.
+
+    Total stick time and number of sticks (rows, lanes); the derivatives of stick time, `births` and `near` (paths,
+    rows, lanes), the last two for each window; status (rows, lanes).
     """
 
     def run(values):
@@ -137,8 +141,9 @@ def _sequence(
     buffer: BufferSizes,
     dtype: Any,
 ) -> Any:
-    """`Features`; their derivatives by the numbers at `paths`, along a first axis: pathwise parts, event parts and what
-    the windows reached; status, number of sticks, number of edges (lanes,).
+    """`Features`, their derivatives by the numbers at `paths` along a first axis, and (status, sticks, edges) (lanes,).
+
+    The derivatives are pathwise parts, event parts, and how many margins the windows reached.
     """
 
     def run(values):
@@ -160,13 +165,13 @@ def _values(
     buffer: BufferSizes,
     dtype: Any,
 ) -> Any:
-    """Parts (lanes, 2), status and number of sticks (lanes,). `buffer` has none for edges."""
+    """Parts (lanes, 2), status and number of sticks (lanes,). `buffer.edges` must be 0."""
     recorded = record_sequences(engine, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
     return features_of(statistic, engine, recorded, np.zeros(0)).parts, recorded.status, recorded.sticks
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
-# Native loops and wide vectors only where nothing but the package's own functions is compiled (see `dynamics.chunks`).
+# Native loops and wide vectors only where all compiled functions are the package's own (see `_dynamics/chunks.py`).
 count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options={"xla_cpu_prefer_vector_width": 512}),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),

@@ -1,9 +1,9 @@
 """Statistics of recorded stick sequences whose derivatives are those of their expectations.
 
 The derivative of a realisation's functional with the number of sticks held fixed is the pathwise part. The event part
-comes from the edges of existence (`edges.py`), weighed by kernels (`kernels.py`): at each edge the functional's jump is
-what a stick of no length adds there, or what it changes if a stick is parted in two by a slip of no length. One edge
-more is told by the sticks themselves: one from t = 0 falls to nothing.
+comes from the margins of existence (`edges.py`), weighted by kernels (`kernels.py`): the functional's jump at each is
+its change when a stick of zero length is inserted there, or when a slip of zero length splits a stick in two. The
+duration of a stick from t = 0 is a further margin.
 """
 
 import dataclasses
@@ -22,13 +22,11 @@ from .kernels import ending as ending_at
 from .statistic import StickSequence, StickStatistic
 from .traces import TracedIntervals, TracedSteps
 
-_SAME = 64  # units in the last place by which the same instant may differ, computed twice
+_SAME = 64  # units in the last place by which two computed values of the same instant may differ
 
 
 class BufferSizes(NamedTuple):
-    """How much is kept of each realisation: blocks of intervals or steps, and slots for sticks and for edges; none for
-    edges if they are not asked for.
-    """
+    """Buffer sizes of a realisation: blocks of intervals or steps; slots for sticks and for edges (0: none kept)."""
 
     blocks: int
     slots: int
@@ -41,16 +39,18 @@ class Recorded(NamedTuple):
     start: Array
     end: Array
     ending: IntArray
-    certain: Array  # (lanes,), as the following; until when nothing is random, s
+    certain: Array  # until when nothing is random, s; (lanes,) like the next three
     status: IntArray
     sticks: IntArray  # how many slots would be needed
     edges: IntArray
-    near: Edges | None  # (edges, lanes); in spare slots none decides
+    near: Edges | None  # (edges, lanes); in spare slots no margin decides
 
 
 class Features(NamedTuple):
-    """Of each sample: numerator and denominator (lanes, 2), with pathwise derivatives; zeros (lanes, windows, 2) whose
-    derivatives are the event parts; zeros (lanes, windows) whose derivatives tell how many edges each window reached.
+    """Numerator and denominator of each sample, and zeros that carry the event parts in their derivatives.
+
+    `parts` (lanes, 2), with pathwise derivatives; `events` (lanes, windows, 2): zeros whose derivatives are the event
+    parts; `near` (lanes, windows): zeros whose derivatives count the margins that each window reached.
     """
 
     parts: Array
@@ -61,7 +61,7 @@ class Features(NamedTuple):
 def record_sequences(
     engine: TracedIntervals | TracedSteps, key_data: Array, first: Array, *, lanes: int, buffer: BufferSizes, dtype: Any
 ) -> Recorded:
-    """Simulate samples ``first .. first + lanes - 1`` for up to so many blocks, and keep their sticks and edges."""
+    """Simulate samples ``first .. first + lanes - 1`` for up to `buffer.blocks` blocks, and keep sticks and edges."""
     engine = dataclasses.replace(engine, with_edges=buffer.edges > 0)
     start = lanes_at_start(engine, key_data, first, lanes, dtype)
 
@@ -90,7 +90,7 @@ def record_sequences(
     if buffer.edges > 0:
         moments, is_moment, moments_found = _gathered(may_be_near, moments, buffer.edges)
         near = engine.edges(now.sample, moments)
-        # In what is certain to come there is nothing to take a density of, but for when the base changes.
+        # Before anything random happens no margin has a density, except the race with the base's first change.
         near = near.only(is_moment & (near.time >= certain[None]), is_moment)
     start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
     ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
@@ -99,9 +99,9 @@ def record_sequences(
 
 
 def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Array]:
-    """The first so many rows of each lane that exist: columns, which slots are filled, how many rows there are."""
+    """The first `slots` existing rows of each lane: columns, which slots are filled, how many rows exist."""
     found = jnp.cumsum(exists, axis=0)
-    # The slot of row k is the first at which k + 1 have been found. (A scatter takes one after the other.)
+    # The slot of row k is the first at which k + 1 have been found. (A scatter would run serially.)
     wanted = jnp.arange(1, slots + 1)
     at = jax.vmap(lambda found: jnp.searchsorted(found, wanted), in_axes=1, out_axes=1)(found)
     filled = wanted[:, None] <= found[-1][None]
@@ -113,7 +113,7 @@ def _gathered(exists: Array, columns: Any, slots: int) -> tuple[Any, Array, Arra
 def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, bandwidths: AnyArray) -> Features:
     """The features of all samples; differentiate them to get pathwise and event parts (none without edges).
 
-    `bandwidths` (windows,): how far kernels look, as shares of the parameter.
+    `bandwidths` (windows,): relative bandwidths of the kernels.
     """
     dtype = recorded.start.dtype
     t1, bandwidths = jnp.asarray(engine.engine.t1, dtype), jnp.asarray(bandwidths, dtype)
@@ -132,7 +132,7 @@ def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, band
 
 
 def sequences_of(recorded: Recorded) -> StickSequence:
-    """The sticks as the statistics take them, arrays (lanes, slots)."""
+    """The sticks in the form that statistics take, arrays (lanes, slots)."""
     mask = (recorded.ending >= 0).T
     return StickSequence(
         jnp.where(mask, recorded.start.T, 0), jnp.where(mask, (recorded.end - recorded.start).T, 0), mask
@@ -148,7 +148,7 @@ def _events(
     bandwidths: Array,
     t1: Array,
 ) -> tuple[Array, Array]:
-    """The event parts of one sample's numerator and denominator for each window, and how many edges they rest on."""
+    """The event parts of one sample's numerator and denominator for each window, and how many margins they rest on."""
     fixed = lax.stop_gradient(sticks)
 
     def parts(sequence):
@@ -170,13 +170,13 @@ def _events(
         reached = jnp.sum(through(near, bandwidth, hits, hits)) + hits(sticks.duration[0], bandwidth, from_start)
         return jnp.sum(at, axis=0) + first, reached
 
-    # One after the other: jax 0.10.2 cannot map over them where this is differentiated inside of a loop.
+    # A Python loop: jax 0.10.2 cannot vmap over the windows where this is differentiated inside a loop.
     events, reached = zip(*(window(bandwidth) for bandwidth in bandwidths), strict=True)
     return jnp.stack(events), jnp.stack(reached)
 
 
 def _jump_of_stick(parts: Any, sticks: StickSequence, time: Array, exists: Any) -> Array:
-    """What a stick of no length at `time` adds; the one that is there, if it `exists`, is taken away first."""
+    """Change of the parts by a stick of zero length at `time`; a stick that `exists` there is removed first."""
     index = jnp.argmin(jnp.where(sticks.mask, jnp.abs(sticks.start - time), jnp.inf))
     found = exists & sticks.mask[index] & _same(sticks.start[index], time)
     without = jax.tree.map(lambda a, b: jnp.where(found, a, b), _without(sticks, index), sticks)
@@ -184,9 +184,9 @@ def _jump_of_stick(parts: Any, sticks: StickSequence, time: Array, exists: Any) 
 
 
 def _jump_of_slip(parts: Any, sticks: StickSequence, time: Array, exists: Array) -> Array:
-    """What a slip of no length at `time` changes, by which one stick becomes two; zero where it is in none.
+    """Change of the parts by a slip of zero length at `time` that splits a stick in two; zero outside sticks.
 
-    If the slip `exists`, from `time` on, what it parts is made one first.
+    If the slip `exists`, from `time` on, the two sticks around it are joined first.
     """
     numbers = jnp.arange(len(sticks.mask))
     end = sticks.start + sticks.duration
@@ -221,7 +221,7 @@ def _without(sticks: StickSequence, i: Array) -> StickSequence:
 
 
 def _with(sticks: StickSequence, time: Array, duration: Any = 0) -> StickSequence:
-    """The sequence with one stick more."""
+    """The sequence with a stick inserted at `time`."""
     numbers = jnp.arange(len(sticks.mask))
     place = jnp.sum(sticks.mask & (sticks.start < time))
 

@@ -80,7 +80,7 @@ class OfTotals(StickStatistic):
 
 @dataclasses.dataclass(frozen=True)
 class RealisationMeanDuration(StickStatistic):
-    """The mean over realisations of the mean stick duration of each, s; those without a stick do not count."""
+    """The mean over realisations of the mean stick duration of each, s; realisations without a stick do not count."""
 
     name = "mean stick duration (of realisation means)"
     unit = "s"
@@ -148,7 +148,7 @@ class StickDuration(_OfNumber):
 
 @dataclasses.dataclass(frozen=True)
 class StickFunctional(StickStatistic):
-    """The mean of a function of the user's.
+    """The mean over realisations of a user-supplied function of the stick sequence.
 
     - `function`: takes a `StickSequence` and returns one number, traceable by JAX. It must be smooth in starts and
       durations as long as the number of sticks does not change, and must not depend on empty slots (where starts and

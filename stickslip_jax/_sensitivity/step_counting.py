@@ -1,6 +1,7 @@
-"""Sticks counted while any motion is followed turn by turn: what `counting.py` does where closed forms are known.
+"""Counts of sticks as in `counting.py`, for any motion that is simulated in time steps.
 
-In most turns nothing is near. Those in which something may be are set aside for a block, and looked at together.
+In most steps no stick is about to appear or vanish. The others are collected for a block, and their margins are found
+together.
 """
 
 from typing import NamedTuple
@@ -21,16 +22,16 @@ from .traces import Sample, StepMotion, Trace, TracedSteps
 
 
 class _Motion(NamedTuple):
-    """The motion of one lane, and the flux that it has seen."""
+    """The motion of one lane, and its flux so far."""
 
     traced: StepMotion
     flux: Flux
 
 
 class StepCounting(Engine):
-    """What `steps` simulates, counted; `bandwidths` and `fixed_start` as for `IntervalCounting`.
+    """Engine that counts the sticks that `steps` simulates; `bandwidths`, `fixed_start` as for `IntervalCounting`.
 
-    Without `bandwidths` only the pathwise derivatives are found.
+    Without `bandwidths` it gives only pathwise derivatives.
     """
 
     steps: SwitchedEngine
@@ -66,7 +67,7 @@ class StepCounting(Engine):
         return Counted(totals.status, totals.stick_time, totals.sticks, *motion.flux)
 
     def _with_flux(self, samples: Sample, flux: Flux, trace: Trace) -> Flux:
-        """The flux with what came through the edges of a block."""
+        """`flux` with that of all margins of a block added."""
         bandwidths = jnp.asarray(self.bandwidths, samples.certain.dtype)
         flux = self._from_start(samples, flux, trace.sticks, bandwidths)
         assert trace.may_be_near is not None
@@ -92,7 +93,7 @@ class StepCounting(Engine):
         return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), flux))[1]
 
     def _from_start(self, samples: Sample, flux: Flux, sticks: StickRecord, bandwidths: Array) -> Flux:
-        """The flux with what sticks from t = 0 that may fall to nothing add."""
+        """`flux` with that of sticks from t = 0, which vanish as their duration falls to 0."""
 
         def add(flux, stick):
             is_random = (samples.certain == 0) | (stick.ending == Ending.BASE_SWITCHED)
@@ -107,7 +108,7 @@ class StepCounting(Engine):
 
 
 def _put(so_far: Array, lane: Array, more: Array) -> Array:
-    """`so_far` (lanes,) with each of `more` added to its lane. (XLA makes no native loop of a scatter.)"""
+    """`so_far` (lanes,) with each of `more` added to its lane. (XLA does not compile a scatter to a native loop.)"""
 
     def one(i, kept):
         new = lax.dynamic_index_in_dim(kept, lane[i], keepdims=False) + more[i]

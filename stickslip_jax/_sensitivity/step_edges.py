@@ -1,11 +1,10 @@
-"""The edges of a stick's existence for any system, one turn of the switched engine's loop at a time.
+"""Margins of existence (`edges.py`) for any system, one step of the switched engine at a time.
 
-While a mode lasts its guard is positive (`dynamics.switched_engine`). Where the guard falls and turns up again it has
-a lowest value, which tells how far the arc was from touching zero; where it does fall through zero, following the same
-flow beyond tells the same, with the other sign. So the lowest value is smooth through 0 and known on both sides.
+While a mode lasts its guard is positive (`_dynamics/switched/engine.py`). Where the guard falls and rises again, its
+minimum is the distance of the arc from an event; where it falls through zero, the flow continued beyond the event has
+that minimum too, with the other sign. So the minimum is smooth through 0 and known on both sides.
 
-What is looked for is found without derivatives (`_places`); the derivatives come from one look at what is there
-(`_at`).
+Its place is located without derivatives (`_places`); the derivatives come from one evaluation there (`_at`).
 """
 
 from typing import Any, NamedTuple
@@ -24,17 +23,17 @@ from .._systems.switched_model import Segments, State, SwitchedModel
 from .._types import BoolArray, FloatArray
 from .edges import Edges, Number
 
-_NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a lowest value nearer to 0 is 0 by construction
-_FAR = 0.5  # of the guard's scale: no kernel reaches so far
-# How a flow is followed, in time steps: so far altogether, then a few tries between the last two places.
+_NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off
+_FAR = 0.5  # of the guard's scale: beyond the width of any kernel
+# Search along a flow: increments in time steps, then a number of refinements between the last two places.
 _STEPS, _TRIES = np.linspace(0.5, 1.5, 12), 5
-_JUST_AFTER, _SOON = 0.05, 4.0  # time steps; no kernel reaches further in time either
+_JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
 
 
 class Moment(NamedTuple):
-    """A turn of the loop: time, state, sign and pieces under way at its beginning; the first three at its end.
+    """A step of the engine: time, state, sign and segment states at its start; time, state and sign at its end.
 
-    `crossed`: when the slip began, if it began as the mass crossed the base velocity; else negative (s).
+    `crossed`: when the slip began, if it began as the mass crossed the base velocity, s; else negative.
     """
 
     t: FloatArray
@@ -48,30 +47,30 @@ class Moment(NamedTuple):
 
     @classmethod
     def of(cls, before: Lane, after: Lane, crossed: FloatArray) -> "Moment":
-        """The turn that led from `before` to `after`."""
+        """The step that led from `before` to `after`."""
         return cls(before.t, before.y, before.sign, before.segment_states, after.t, after.y, after.sign, crossed)
 
 
 class _StepSeen(NamedTuple):
-    """What happened in a turn, its length, and when the piece of the drive under way ends, or the time (both s)."""
+    """What happened in a step of length `tau`; `stop`: end of the current excitation segment, or t1 if earlier (s)."""
 
     tau: FloatArray
     stop: FloatArray
-    has_event: BoolArray  # the mode was switched, by nothing from outside
-    crosses: BoolArray  # the mass crossed the base velocity, and friction nearly held it, or could have
-    dips: BoolArray  # what tells of a graze fell and turned up again
-    fall: FloatArray  # where it fell then, a fraction of the turn
-    falls: BoolArray  # the guard was falling when the piece ended, and soon to be zero
-    rise: FloatArray  # the slope at the end
+    has_event: BoolArray  # the mode switched, not because of a jump of the excitation
+    crosses: BoolArray  # the mass crossed the base velocity, and friction could hold it or nearly could
+    dips: BoolArray  # the grazing measure (`_measure`) fell and rose again
+    fall: FloatArray  # where it fell most steeply, as a fraction of the step
+    falls: BoolArray  # the guard was falling when the segment ended, and about to reach zero
+    rise: FloatArray  # slope of the grazing measure at the end of the step
 
     @property
     def may_be_near(self) -> BoolArray:
-        """Whether anything can be: in all other turns nothing is."""
+        """Whether the step may have margins near zero; no other step has any."""
         return self.has_event | self.crosses | self.dips | self.falls
 
 
 class _Place(NamedTuple):
-    """A place on a flow, s after its beginning; whether it is what was looked for; how fast that changes there."""
+    """A place on a flow: time `tau` from its start (s); whether the search succeeded; slope of the goal there."""
 
     tau: FloatArray
     found: BoolArray
@@ -79,7 +78,7 @@ class _Place(NamedTuple):
 
 
 class _Look(NamedTuple):
-    """What a look at a place shows: the time and state there, the guard and its slope."""
+    """Time and state at a place, and the guard with its slope there."""
 
     t: FloatArray
     y: State
@@ -88,7 +87,7 @@ class _Look(NamedTuple):
 
 
 def crossed_at(segment_laws: SegmentLaws, t1: FloatArray, moment: Moment) -> FloatArray:
-    """`Moment.crossed` for the turn after `moment`."""
+    """`Moment.crossed` for the step after `moment`."""
     ends = [
         (law.jumps, segment_state.segment.end)
         for law, segment_state in zip(segment_laws.all, moment.segment_states, strict=True)
@@ -103,7 +102,7 @@ def crossed_at(segment_laws: SegmentLaws, t1: FloatArray, moment: Moment) -> Flo
 def may_be_near(
     model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, moment: Moment
 ) -> BoolArray:
-    """Whether the turn has edges to look for."""
+    """Whether the step may have margins near zero."""
     return _step_seen(*without_derivatives((model, segment_laws, t1, step, moment))).may_be_near
 
 
@@ -111,14 +110,14 @@ def may_be_near(
 def edges_of_moment(
     model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, moment: Moment
 ) -> Edges:
-    """The edges of one turn that may have some."""
+    """The margins of a step for which `may_be_near` is true."""
     still, calm, fixed = without_derivatives((model, segment_laws, moment))
     one_step, sticking = (
         _step_seen(still, calm, lax.stop_gradient(t1), lax.stop_gradient(step), fixed),
         moment.sign == 0,
     )
     segments = segment_laws.segments(moment.segment_states)
-    # Two flows: that of the turn, and that of a mass which crosses the base velocity at the turn's end.
+    # Two flows: that of the step, and that of a mass which crosses the base velocity at the step's end.
     start = _stacked((moment.t, moment.y, moment.sign), (moment.end, moment.y_end, -moment.sign))
     places = _places(
         still, calm.segments(fixed.segment_states), without_derivatives(start), fixed, one_step, lax.stop_gradient(step)
@@ -133,9 +132,9 @@ def edges_of_moment(
     would, is_late = _late(model, segments, fixed, one_step, here, then)
     happens, is_undone = jnp.where(one_step.has_event, moment.end, would), _is_undone(still, calm, fixed, one_step)
     at_horizon = one_step.stop >= t1
-    # No stick begins after t1; a slip after t1 parts none.
+    # No stick begins after t1; a slip after t1 splits none.
     horizon = Number(t1 - happens, (one_step.has_event | (is_late & at_horizon)) & ~sticking)
-    # Times at which pieces end move with the parameters, unlike `one_step`.
+    # Ends of segments depend on the parameters; `one_step` has no derivatives.
     race = Number(_stop(t1, moment) - happens, (one_step.has_event | is_late) & is_undone & ~at_horizon)
     time = jnp.where(one_step.has_event | one_step.crosses, fixed.end, jnp.where(is_late, one_step.stop, nearest))
     return Edges(
@@ -182,27 +181,28 @@ def _stop(t1: FloatArray, moment: Moment) -> FloatArray:
 
 
 def _after_crossing(moment: Moment) -> BoolArray:
-    """Whether the turn is of a slip that began as the mass crossed the base velocity."""
+    """Whether the step belongs to a slip that began as the mass crossed the base velocity."""
     return (moment.crossed >= 0) & (moment.sign != 0)
 
 
 def _lag(moment: Moment) -> FloatArray:
-    """How long ago that was when the turn began, s."""
+    """Time from that crossing to the start of the step, s; 0 without one."""
     return jnp.where(_after_crossing(moment), moment.t - moment.crossed, 0)
 
 
 def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """What is lowest where the guard `s`, of slope `d`, grazes, and its slope: itself, or its ratio to its `age`.
+    """The measure whose minimum is the grazing margin, and its slope: the guard `s` (slope `d`), or ``s / age``.
 
-    A slip that has just begun grazes, and is over, in a place that soon becomes an inflection and is lost if things are
-    a little different. The ratio has its lowest value there still; both fall through zero together.
+    In a slip that began as the mass crossed the base velocity, a small change of parameters can turn the guard's first
+    minimum into an inflection. The ratio ``s / age``, of slope ``(d age - s) / age^2``, keeps its
+    minimum; both minima pass zero together.
     """
     age = jnp.where(is_ratio & (age > 0), age, 1)
     return jnp.where(is_ratio, s / age, s), jnp.where(is_ratio, (d * age - s) / (age * age), d)
 
 
 def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign: FloatArray) -> State:
-    # What is not chosen must stay finite: see `advance`.
+    # The branch that is not chosen must stay finite too: see `advance`.
     slid = model.slip(inputs, y, jnp.where(sign == 0, 0, length), sign)
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
 
@@ -210,11 +210,11 @@ def _flow(model: SwitchedModel, inputs: Any, y: State, length: FloatArray, sign:
 def _places(
     model: SwitchedModel, segments: Segments, start: Any, moment: Moment, one_step: _StepSeen, step: FloatArray
 ) -> _Place:
-    """The places (2,) that tell how near something was, on both flows.
+    """The places (2,) at which the margins are evaluated, one on each flow.
 
-    On that of the turn: where the guard (see `_measure`) turns up, in the turn or beyond the event that ended it; of a
-    turn that was cut short by the end of a piece, where the guard would have come to zero. On that of a mass which
-    crosses the base velocity: the same, for the slip that begins there.
+    On the flow of the step: the minimum of the measure (`_measure`), in the step or beyond the event that ended it; for
+    a step cut short by the end of a segment, where the guard would have reached zero. On the flow of a mass which
+    crosses the base velocity: the minimum for the slip that begins there.
     """
 
     def look(t0, y0, sign, is_across):
@@ -230,13 +230,13 @@ def _places(
         @sharing
         def go_on(carry, share):
             before, after, y = carry
-            # Beyond: a step further. Between two places: where the line through their values is zero.
+            # One side known: go further. Both known: where the line through their values is zero (regula falsi).
             to = before.tau + jnp.where(after.found, _between(before, after), jnp.nan_to_num(share) * longest)
             to = jnp.where(jnp.isnan(share), first, to)
             inputs = model.inputs(t0 + before.tau, segments)
             ahead = _flow(model, inputs, y, to - before.tau, sign)
             value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
-            # What is over at the first place cannot come to an end after it.
+            # A goal that is positive at the first place has no zero after it.
             new, is_before = _Side(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
             before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
             return (before, after, _either(is_before, ahead, y)), None
@@ -256,7 +256,7 @@ def _places(
 
 
 class _Side(NamedTuple):
-    """A place on one side of what is looked for, and the value there; its weight by the Illinois rule."""
+    """A place on one side of the zero searched for, the value there, and its weight in the Illinois rule."""
 
     tau: FloatArray
     value: FloatArray
@@ -265,20 +265,20 @@ class _Side(NamedTuple):
 
 
 def _between(before: _Side, after: _Side) -> FloatArray:
-    """How far after the first of two places to look next: where the line through their weighted values is zero."""
+    """Time from `before` to the zero of the line through both weighted values: ``a / (a - b)`` of their distance."""
     a, b = before.value * before.weight, after.value * after.weight
     return jnp.clip(a / jnp.where(a == b, 1, a - b), 0, 1) * (after.tau - before.tau)
 
 
 def _replaced(side: _Side, new: _Side, by_new: BoolArray) -> _Side:
-    """A side, or what is new there. One that stays counts for half from then on, so that both close in."""
+    """A side, replaced by `new` where `by_new`; a side that stays has its weight halved (Illinois rule)."""
     stays = side._replace(weight=side.weight / 2)
     return _Side(*(jnp.where(by_new, a, b) for a, b in zip(new, stays, strict=True)))
 
 
 def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -> _Look:
-    """A look at the places `tau` (2,) on both flows."""
-    # A solver is not to be asked for steps longer than it takes.
+    """Time, state and guard at the places `tau` (2,) on both flows, with their derivatives."""
+    # A solver must not be given steps longer than its limit.
     steps = 1 if model.steps_may_be_long else len(_STEPS)
 
     def look(t0, y0, sign, tau):
@@ -299,9 +299,9 @@ def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -
 def _grazing(
     model: SwitchedModel, segments: Segments, moment: Moment, one_step: _StepSeen, here: _Place, then: _Look
 ) -> tuple[Number, FloatArray]:
-    """Minus the lowest value, and when it is reached."""
+    """The grazing margin, minus the minimum of the measure, and when that is reached (s)."""
     fixed, is_ratio = lax.stop_gradient(moment), _after_crossing(moment)
-    # A Newton step more, along a parabola; where the lowest point is does not matter to first order.
+    # One more Newton step, along a parabola; to first order the minimum does not depend on its place.
     bend = jnp.where(here.rate > 0, here.rate, 1)
     shift = jnp.where(is_ratio, 0, -lax.stop_gradient(then.slope) / bend)
     lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
@@ -317,7 +317,7 @@ def _grazing(
 def _late(
     model: SwitchedModel, segments: Segments, fixed: Moment, one_step: _StepSeen, here: _Place, then: _Look
 ) -> tuple[FloatArray, BoolArray]:
-    """When the mode would have been switched, had the piece not ended; whether it would."""
+    """When the mode would have switched, had the segment not ended (s), and whether it would."""
     falls = one_step.falls & here.found & (then.slope < 0)
     slope = lax.stop_gradient(jnp.where(falls, then.slope, -1))
     # The Newton step carries the derivative.
@@ -328,7 +328,7 @@ def _late(
 
 
 def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Moment, one_step: _StepSeen) -> BoolArray:
-    """Whether what follows in the drive undoes a switch that comes just before it."""
+    """Whether the excitation's next segment undoes a switch of mode just before it."""
     if not segment_laws.all:
         return jnp.zeros_like(one_step.falls)
     following, jumped = following_segments(segment_laws, fixed.segment_states, one_step.stop, jnp.ones((), bool))
@@ -342,11 +342,11 @@ def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Moment, o
 def _crossing(
     model: SwitchedModel, segments: Segments, moment: Moment, one_step: _StepSeen, across: _Place, then: _Look
 ) -> Number:
-    """How far friction is from being unable to hold an arrival near the far edge of what it can.
+    """How far friction is from being unable to hold an arrival near the far edge of the stick band.
 
-    Where the friction that is needed grows, that edge decides. Where it falls, a mass that is not held crosses and soon
-    comes back, to stick, or does not: of one that is held, how nearly it would not is told by the slip that it would
-    begin. Of others their own slips tell.
+    Where the friction needed grows, the margin is the guard of the stick. Where it falls, a mass that is not held
+    crosses, and may soon come back to stick: the margin of an arrival that is held is the grazing margin of the slip
+    that it would begin. Arrivals that are not held have that margin in their own slips.
     """
     fixed = lax.stop_gradient(moment)
     inputs, nothing = model.inputs(moment.end, segments), jnp.zeros_like(moment.end)

@@ -1,4 +1,4 @@
-"""Engines that record, beside the sticks, how near sticks and slips of no length were."""
+"""Engines that record, beside the sticks, the margins of sticks and slips about to appear or vanish."""
 
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from .step_edges import Moment, crossed_at, edges_of_moment, may_be_near
 class Trace(NamedTuple):
     """The record of one interval or step, with at most one stick.
 
-    `moments`: what the engine finds edges from; `may_be_near`: whether there may be any. None without edges.
+    `moments`: data from which the engine finds edges; `may_be_near`: whether there may be any. None without edges.
     """
 
     sticks: StickRecord
@@ -30,14 +30,14 @@ class Trace(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What stays: that of the engine that is traced, and until when nothing is random, s."""
+    """Constants of a sample: `own`, those of the traced engine; `certain`: until when nothing is random, s."""
 
     own: Any
     certain: FloatArray
 
 
 class TracedIntervals(Engine):
-    """An `IntervalEngine` that records edges too, if asked to.
+    """An `IntervalEngine` that also records edges, if `with_edges`.
 
     `fixed_start`: whether all samples begin in the same state.
     """
@@ -80,14 +80,14 @@ class TracedIntervals(Engine):
 
 
 class StepMotion(NamedTuple):
-    """A lane of the switched engine, and `Moment.crossed` of it."""
+    """A lane of the switched engine, and its `Moment.crossed`."""
 
     lane: Lane
     crossed: FloatArray
 
 
 class TracedSteps(Engine):
-    """A `SwitchedEngine` that records edges too, if asked to; `fixed_start` as for `TracedIntervals`."""
+    """A `SwitchedEngine` that also records edges, if `with_edges`; `fixed_start` as for `TracedIntervals`."""
 
     engine: SwitchedEngine
     fixed_start: bool = eqx.field(static=True)
@@ -136,7 +136,7 @@ class TracedSteps(Engine):
 
 
 def traced(engine: Any, fixed_start: bool) -> TracedIntervals | TracedSteps:
-    """`engine`, with edges; `fixed_start`: whether all samples begin in the same state."""
+    """`engine` with recorded edges; `fixed_start`: whether all samples begin in the same state."""
     if isinstance(engine, IntervalEngine):
         return TracedIntervals(engine, fixed_start)
     return TracedSteps(engine, fixed_start)

@@ -1,7 +1,7 @@
-"""Which of several windows to take: the widest that agrees with the narrower ones (Lepski's rule).
+"""Choice among several windows: the widest that agrees with all narrower ones (Lepski's rule).
 
-An estimate that chooses its own window has a standard error too small. So each half of the samples chooses for the
-other: given the choice, the error is that of a fixed window.
+The standard error of an estimate whose window is chosen from the same samples is too small. So each half of the samples
+chooses for the other: given the choice, the error is that of a fixed window.
 """
 
 import math
@@ -13,13 +13,13 @@ from .estimate import Gradient, gradient_of_ratio
 from .estimators import Columns
 from .runs import Accumulator
 
-FEW = 100  # sticks: a window that holds no more tells too little to judge others by
+FEW = 100  # sticks: a narrower window with fewer is too noisy to judge others by
 _AGREE = 2.0  # standard errors
-_TORN = 4.0  # standard errors: chance alone takes two windows so far apart once in 16,000 times
+_TORN = 4.0  # standard errors: by chance alone two windows differ so much once in 16,000 times
 
 
 def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by: float | None) -> tuple[Gradient, int]:
-    """The derivative by one parameter, and the number of its window, the narrower one where both halves differ.
+    """The derivative by one parameter, and the index of its window, the narrower one where the halves differ.
 
     `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities.
     """
@@ -40,20 +40,18 @@ def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by:
 
 
 def is_torn(accumulator: Accumulator, where: Columns, near: np.ndarray) -> bool:
-    """Whether even the two narrowest windows that hold enough disagree, by more than chance allows."""
+    """Whether even the two narrowest windows with enough sticks disagree by more than chance explains."""
     usable = _usable(where, near)
     return len(usable) > 1 and _widest(accumulator.moments, where, near, _TORN) == usable[-1]
 
 
 def _usable(where: Columns, near: np.ndarray) -> list[int]:
-    """The widest window, and all others that hold enough."""
+    """Indices of the widest window and of all others with enough sticks."""
     return [window for window in range(len(where.derivative)) if window == 0 or near[window] >= FEW]
 
 
 def _widest(moments: Moments, where: Columns, near: np.ndarray, agree: float) -> int:
-    """The number of the widest window whose derivative is within so many standard errors of those of all narrower
-    ones.
-    """
+    """Index of the widest window whose derivative is within `agree` standard errors of those of all narrower ones."""
     usable = _usable(where, near)
     mean, covariance = moments.mean, moments.covariance_of_mean
     a, b = mean[:2]

@@ -99,7 +99,7 @@ class Simulation(eqx.Module):
             stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
             return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
         fraction = 100 * float(self.stick_fraction)
-        near = f", {int(self.near_grazing_count)} in doubt" if self.near_grazing_count else ""
+        near = f", {int(self.near_grazing_count)} near-grazing" if self.near_grazing_count else ""
         return (
             f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
             f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{near}, "

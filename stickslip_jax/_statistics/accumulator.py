@@ -24,7 +24,7 @@ MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
 
 
 class Numbering(NamedTuple):
-    """Which stick of a sample is its 1st, 2nd, ...; there are statistics of the 1st to the `orders`-th.
+    """Numbering of the sticks of a sample; there are statistics of the 1st to the `orders`-th.
 
     `count_initial_rest`: whether a stick that begins at t = 0 is the first; else the next one is.
     """

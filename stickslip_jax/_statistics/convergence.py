@@ -125,7 +125,7 @@ def histogram_convergence(
       ``ensemble.statistics.joint``.
     - `bins`: largest number along each axis. `points`: largest number of distances.
 
-    Raises ValueError for arguments that these refuse, and for an ensemble of fewer than 4 retained samples.
+    Raises ValueError for arguments outside these bounds, and for an ensemble of fewer than 4 retained samples.
     """
     joint = require_ensemble(ensemble).statistics.joint(x, y)
     realisations = joint.x.realisations

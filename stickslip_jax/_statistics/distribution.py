@@ -19,7 +19,7 @@ DEFAULT_BINS = 50
 _REPEATS = 10
 _WIDER, _DENSER = 32, 10
 _FAR_DENSER = 1000
-_MOST_SPACINGS = 100_000  # values that the entropy without bins is estimated from: its error is small by then
+_MOST_SPACINGS = 100_000  # number of values for the entropy without bins: its error is small by then
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -38,7 +38,7 @@ def identically_distributed(
     - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), or "slip_duration", that of
       the slip after each stick (s).
     - `orders`: their number, from the first on, or a sequence of at least two different ones.
-    - `significance`: largest probability, in (0, 1), of rejecting what is true.
+    - `significance`: largest probability, in (0, 1), of rejecting a true hypothesis.
     - `starts_before`: only values that begin before this instant (s) are used; a position begins with the slip before
       it. By default the end of the simulation minus the longest value, so that none is cut. With ``math.inf`` all
       complete values are used; these are too short on average, more so for later orders, and the tests detect it

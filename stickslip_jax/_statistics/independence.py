@@ -82,9 +82,9 @@ def independent_and_identical(
     """Test whether the values are independent and identically distributed, by all tests of both properties.
 
     Arguments as for `identically_distributed` and `independent`. The probability that any of the five tests (in that
-    order) rejects what is true is at most `significance`, by Holm's method. The answer is None if nothing is rejected
-    and one of the two questions cannot be decided. Question: Lima and Sampaio 2017, introduction. Raises ValueError as
-    they do.
+    order) rejects a true hypothesis is at most `significance`, by Holm's method. The answer is None if nothing is
+    rejected and one of the two questions cannot be decided. Question: Lima and Sampaio 2017, introduction. Raises
+    ValueError as they do.
     """
     options = {"significance": significance, "starts_before": starts_before}
     parts = (

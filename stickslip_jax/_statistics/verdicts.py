@@ -55,7 +55,7 @@ class HypothesisTest:
 class Verdict:
     """The answer to one question, by one or several tests.
 
-    - `question`: in words. `significance`: largest probability that any of the tests rejects what is true.
+    - `question`: in words. `significance`: largest probability that any test rejects a true hypothesis.
     - `tests`: in the order in which the docstring of the function names them.
     - `samples`: number of samples given. `values`: number of values of the quantity used.
     - `reason`: why nothing can be decided, else empty.
@@ -104,7 +104,7 @@ def _shown(p_value: float) -> str:
 
 
 def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
-    """P-values adjusted for several tests: rejecting those up to ``a`` rejects what is true with probability <= ``a``.
+    """P-values adjusted for several tests: rejecting those up to ``a`` is wrong with probability at most ``a``.
 
     Holm's method (1979, Scandinavian Journal of Statistics 6, 65): the i-th smallest of n p-values is multiplied by
     n - i + 1, and is at least as large as the adjusted one before it.

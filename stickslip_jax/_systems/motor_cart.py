@@ -274,7 +274,7 @@ class CartModel(SwitchedModel):
         return speed, torque / (system.motor_inertia + inertia * sine * sine), rise
 
     def relative_velocity(self, inputs: CartInputs, tau: FloatArray, y: State) -> FloatArray:
-        # That of the pin which drives the cart, ``eccentricity alpha'``: zero in sticks only.
+        # Velocity of the pin that moves the cart, ``eccentricity alpha'``: zero in sticks only.
         return self.system.eccentricity * y[1]
 
     def relative_acceleration(self, inputs: CartInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
@@ -321,7 +321,7 @@ class _Slip(eqx.Module):
 
 
 def _turned(direction: tuple[FloatArray, FloatArray], angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sine and cosine after a turn by a small angle."""
+    """Sine and cosine after a rotation by a small angle."""
     sine, cosine = direction
     small_sine, small_cosine = sincos_of_small(angle)
     return sine * small_cosine + cosine * small_sine, cosine * small_cosine - sine * small_sine

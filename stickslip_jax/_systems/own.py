@@ -1,4 +1,4 @@
-"""Whether a pytree holds the package's own modules only, or functions of the user's too."""
+"""Whether a pytree holds only the package's own modules, or user-defined functions too."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from .._excitation.smooth import UserMotion
 from .friction import FrictionCurve
 
 _PACKAGE = __name__.partition(".")[0]
-_THEIRS = (FrictionCurve, UserMotion)  # these hold a function of the user's
+_THEIRS = (FrictionCurve, UserMotion)  # these hold a user-defined function
 
 
 def is_own(tree: Any) -> bool:

@@ -48,9 +48,7 @@ class SwitchedModel(eqx.Module):
         """The state after a slip of duration `h` (s) with relative velocity of this `sign`."""
 
     def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray | None]:
-        """The same, and its relative error by the length of the step; None where the step is known to be short
-        enough.
-        """
+        """The result of `slip`, and its relative error; None where the step is known to be short enough."""
         return self.slip(inputs, y, h, sign), None
 
     @abc.abstractmethod
@@ -58,7 +56,7 @@ class SwitchedModel(eqx.Module):
         """The state after a stick of duration `h` (s)."""
 
     def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray | None]:
-        """The same, and its relative error or None."""
+        """The result of `stick`, and its relative error or None."""
         return self.stick(inputs, y, h), None
 
     @abc.abstractmethod

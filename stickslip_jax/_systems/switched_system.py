@@ -1,4 +1,4 @@
-"""Systems of the user's: any ordinary differential equations with one dry-friction contact.
+"""User-defined systems: any ordinary differential equations with one dry-friction contact.
 
 Slips and sticks are integrated; their ends follow from the rates. With the relative velocity ``sigma(t, y, base)`` and
 ``rates = a + b friction``, one unit of friction changes ``sigma'`` by ``gain = grad sigma . b`` (negative). In a stick,
@@ -80,7 +80,7 @@ class SwitchedSystem(System):
     `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
 
     `simulate` and `simulate_ensemble` raise ValueError for an instance that breaks these rules in the initial state
-    with the base at rest. Any base velocity can drive the system, but no ground acceleration.
+    with the base at rest. Any base velocity may excite the system, but no ground acceleration.
     """
 
     @property

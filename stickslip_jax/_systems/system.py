@@ -1,4 +1,4 @@
-"""What engines, statistics, sensitivities, studies and figures ask of a system."""
+"""The interface of a system, which engines, statistics, sensitivities, studies and figures use."""
 
 import abc
 from typing import Any, NamedTuple
@@ -140,7 +140,7 @@ class System(Checked):
         """Check the equations of motion in the initial state `y0`. Raises ValueError for what does not fit."""
 
     def check_excitation(self, excitation: Excitation) -> None:
-        """Check that `excitation` can drive it. Raises ValueError otherwise."""
+        """Check that `excitation` suits the system. Raises ValueError otherwise."""
         if isinstance(voltage_of(excitation), SourceVoltage):
             raise ValueError(
                 f"Argument base of a {type(self).__name__} must be a base motion, but a SourceVoltage was given."

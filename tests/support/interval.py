@@ -97,7 +97,7 @@ class FilledSticks(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Worst relative deviations from the reference; their scales are told in `errors_against`."""
+    """Worst relative deviations from the reference; for their scales see `errors_against`."""
 
     event_time: float
     duration: float
@@ -125,7 +125,7 @@ def evaluate_compiled(simulation, times):
 
 
 def padded(durations, velocities, slots: int) -> ss.VelocitySteps:
-    """A realisation with spare slots of no length at its end."""
+    """A realisation with spare slots of zero length at its end."""
     spare = slots - len(durations)
     assert spare >= 0, "more intervals than slots"
     return ss.VelocitySteps(

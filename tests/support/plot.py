@@ -13,7 +13,7 @@ MAP_LABELS = {"xlabel": "friction coefficient", "ylabel": "speed (m/s)", "label"
 
 
 def simulate(samples, speed=1.0, keep="statistics"):
-    """All of one shape, so that one is compiled."""
+    """An ensemble; all have the same shape, so that one compiled function serves them."""
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
     law = ss.PoissonSwitching(speed, 1.0)
     return ss.simulate_ensemble(

@@ -13,7 +13,7 @@ T1 = 100.0
 
 
 def sticks_from(samples: list[list[tuple[float, float, float, int]]]) -> FlatSticks:
-    """From (start, end, position, ending) of each stick of each sample."""
+    """Sticks from the (start, end, position, ending) of each stick of each sample."""
     rows = np.array([stick for sample in samples for stick in sample], float).reshape(-1, 4)
     count = np.array([len(sample) for sample in samples], np.int64)
     return FlatSticks(count, rows[:, 0], rows[:, 1], rows[:, 2], np.full(len(rows), np.nan), rows[:, 3].astype(np.int8))

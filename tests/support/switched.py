@@ -45,7 +45,7 @@ class Tones(NamedTuple):
 
 
 class Line(NamedTuple):
-    """`values` at `times`, joined by straight lines; `middle` is a time inside the piece that is meant."""
+    """`values` at `times`, joined by straight lines; `middle` is a time inside the segment that is meant."""
 
     times: tuple[float, ...]
     values: tuple[float, ...]
@@ -178,7 +178,7 @@ def hump(low: float, fall: float, scale: float, rise: float, mu_static: float) -
 
 
 class Case(NamedTuple):
-    """A system, what drives it and how it starts, for the package and for the reference."""
+    """A system, its excitation and its initial state, for the package and for the reference."""
 
     mass: float
     stiffness: float
@@ -239,8 +239,7 @@ class Case(NamedTuple):
 class Followed(NamedTuple):
     """A simulation, and states along it: (position, velocity, velocity relative to the base).
 
-    They are told when each turn of the loop begins (at the times `begun`) and half-way to the next, and at the two
-    instants of every stick.
+    States are those at the start of each time step (`begun`), half-way to the next, and at both ends of every stick.
     """
 
     simulation: ss.Simulation
@@ -273,8 +272,8 @@ def states_at(one: ss.Simulation, times) -> tuple[Any, Any, Any]:
 def crossings_of(case: Case, followed: Followed) -> tuple[np.ndarray, np.ndarray]:
     """When the relative velocity passes through zero without a stick, and the positions there.
 
-    Between turns of the loop its sign is constant; where it changes from one turn to the next without a stick, without
-    a jump of the base velocity, there is a crossing.
+    Within a time step its sign is constant; where it changes from one step to the next without a stick, without a jump
+    of the base velocity, there is a crossing.
     """
     begun, t1 = np.asarray(followed.begun), float(followed.simulation.time_reached)
     lasting = np.diff(np.append(begun, t1)) > 1e-14 * t1
@@ -288,7 +287,7 @@ def crossings_of(case: Case, followed: Followed) -> tuple[np.ndarray, np.ndarray
 
 
 class Errors(NamedTuple):
-    """Worst relative deviations from the reference; their scales are told in `errors_against`."""
+    """Worst relative deviations from the reference; for their scales see `errors_against`."""
 
     event_time: float
     event_state: float
