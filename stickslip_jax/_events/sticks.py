@@ -61,7 +61,7 @@ def start_totals(dtype) -> Totals:
 
 
 def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
-    """Number of slips: one between any two sticks, one before them unless `at_start`, one after them unless censored."""
+    """Number of slips: one between two sticks, one before them unless `at_start`, one after them unless censored."""
     return totals.sticks + 1 - at_start.astype(jnp.int32) - totals.censored
 
 
