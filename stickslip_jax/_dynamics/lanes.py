@@ -25,7 +25,7 @@ BLOCK = 24  # intervals or steps in a block; after the end of a sample a lane id
 
 
 class LaneResults(NamedTuple):
-    """Results that the statistics need from each sample, arrays (samples,)."""
+    """Results that the statistics need from each sample, one entry for each."""
 
     sticks: AnyArray
     slips: AnyArray

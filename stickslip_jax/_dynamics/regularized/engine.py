@@ -92,7 +92,7 @@ def start_fixed(
     y0: tuple,
     dtype,
 ) -> FixedLane:
-    """The beginning of a trajectory."""
+    """The lane at the beginning of a trajectory."""
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     speed = field.model.relative_velocity(field.model.inputs(zero, segment_laws.segments(segment_states)), zero, y)

@@ -97,7 +97,7 @@ class Solution(NamedTuple):
 def solve_adaptive(
     field: Field, tables: Tables, t1: FloatArray, y0: tuple[Any, ...], how: Solver, max_steps: int
 ) -> Solution:
-    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, tries included."""
+    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not."""
     dtype = t1.dtype
     zero = jnp.zeros((), dtype)
 

@@ -146,7 +146,7 @@ def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArra
 
 
 def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
-    """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if that slope rises."""
+    """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if it rises there."""
     size, rise = jnp.abs(step.r0), _sign(step.r0) * step.slope0
     above = jnp.maximum(size - threshold, 0)
     total = jnp.maximum(size - _sign(step.r0) * step.r1, threshold)

@@ -97,7 +97,7 @@ def start_lane(
     y0: tuple[Any, ...],
     step: FloatArray,
 ) -> Lane:
-    """The beginning of a trajectory, its mode (stick or slip) found."""
+    """The lane at the beginning of a trajectory, with its mode (stick or slip) found."""
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
@@ -254,7 +254,7 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
     decided = (landed & ~was_stick) | (ended & jumped & resting)
     edge = jnp.abs(model.guard(inputs, jnp.zeros_like(lane.t), on_base, jnp.zeros_like(lane.sign))[0])
     edge = jnp.where(decided, edge, jnp.inf)
-    # A mass that starts exactly on the edge of the band leaves it at once: that is no stick.
+    # A stick that starts exactly on the edge of the band ends at once: of no length, it does not count.
     no_stick = was_stick & (sign != 0) & ~over
     totals = Totals(
         sticks=lane.totals.sticks + over,

@@ -23,7 +23,7 @@ _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
 def implicit_step(model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray) -> State:
-    """The state after the time `h`."""
+    """The state after one step of length `h` (s) from the state `y`."""
     grip = switch.grip(model.friction, model.relative_velocity(inputs, jnp.zeros_like(h), y))
     start = model.rates_under(inputs, jnp.zeros_like(h), y, grip)
     expected = _moved(y, _GAMMA * h, start)

@@ -24,7 +24,7 @@ class Shared(NamedTuple):
 
 
 class SwitchedEngine(Engine):
-    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), by time steps of `step` s.
+    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), in time steps.
 
     A sample that needs more than `most_steps` steps, rejected ones included, is given up. The constant of a sample is
     the smooth part of its excitation.

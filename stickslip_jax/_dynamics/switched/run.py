@@ -41,7 +41,7 @@ class Trajectory(eqx.Module):
 def lane_at_start(
     system: Any, excitation: Excitation, key_data: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any
 ) -> Lane:
-    """The beginning of the trajectory that `key_data` choose."""
+    """The lane at the beginning of the trajectory that `key_data` choose."""
     dtype = step.dtype
     segment_laws = SegmentLaws.of(system, excitation)
     model = system.switched_model(excitation.realised(key_data, dtype), solver)
