@@ -35,7 +35,7 @@ from .result import Ensemble
 
 _MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
-_ADAPTIVE_LANES = 256  # of a batch: many enough to hide the cost of a call, few enough not to wait for slow ones
+_ADAPTIVE_LANES = 256  # of a batch: enough to hide the cost of a call, few enough not to wait long for slow ones
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
 
@@ -181,12 +181,12 @@ class _Plan(NamedTuple):
         # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
         lanes, rows = 256, 32
         if chunk is not None:
-            # A power of two: the lanes beyond the samples are wasted, but similar numbers share a compilation.
+            # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
-        # In a small run most of a larger number of lanes would be idle.
+        # In a small run further lanes would be idle.
         lanes = min(lanes, max(256, 1 << (-(-samples // threads) - 1).bit_length()))
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes

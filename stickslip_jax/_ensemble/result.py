@@ -175,7 +175,7 @@ class Ensemble:
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         lines += (
-            [f"  near-grazing: {self.near_grazing_samples} samples, in which round-off decided on an event"]
+            [f"  near-grazing: {self.near_grazing_samples} samples, in which round-off decided if there was an event"]
             if self.near_grazing_samples
             else []
         )
