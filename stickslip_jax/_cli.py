@@ -26,7 +26,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
     """
     code = _answer(sys.argv[1:] if tokens is None else tokens)
     if tokens is None and code > 128:
-        # JAX may still compile in other threads, and crashes when the interpreter is taken down under them.
+        # JAX may still compile in other threads, and crashes if the interpreter shuts down meanwhile.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
@@ -34,11 +34,11 @@ def main(tokens: Sequence[str] | None = None) -> int:
 
 
 class _Terminated(BaseException):
-    """The system asked the process to end."""
+    """Raised when the process receives SIGTERM."""
 
 
 def _answer(tokens: Sequence[str]) -> int:
-    """Run the command; every failure that is no bug becomes one sentence and an exit code."""
+    """Run the command; every expected failure becomes one sentence and an exit code."""
     try:
         from .study._errors import StudyError  # noqa: PLC0415 - needs the extra
     except ImportError as error:
@@ -57,7 +57,7 @@ def _answer(tokens: Sequence[str]) -> int:
 
 
 def _run(tokens: Sequence[str]) -> int:
-    # Imported only here: help and errors in the arguments come without loading what a simulation needs.
+    # Imported only here, so that help and errors in the arguments appear without loading the simulation.
     from .study._options import parse  # noqa: PLC0415
     from .study._reading import OPTIONS, read_config  # noqa: PLC0415
 
@@ -84,7 +84,7 @@ def _run(tokens: Sequence[str]) -> int:
 
 
 def _prepare_jax(dtype: str) -> None:
-    """Choose the precision before JAX starts, and keep what it compiles."""
+    """Set the precision before JAX starts, and switch the compilation cache on."""
     jax.config.update("jax_enable_x64", dtype == "float64")
     problem = _compilation_cache.use()
     if problem:
@@ -101,7 +101,7 @@ _WEAK_REFERENCES = (weakref.__file__, weakref.WeakSet.__init__.__code__.co_filen
 
 @contextlib.contextmanager
 def _stops_raised() -> Iterator[None]:
-    """Let Ctrl-C, and a request to terminate (from a batch system, say), clean up: both raise, and are not lost."""
+    """Make Ctrl-C and SIGTERM (sent by batch systems) raise an exception, so that the program cleans up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -117,8 +117,8 @@ def _stops_raised() -> Iterator[None]:
 
 
 def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
-    # Python drops what is raised in callbacks of its garbage collector and of weak references, and such a callback of
-    # JAX is often the first thing to run after a long compilation: there, try again a little later.
+    # Python drops exceptions raised in callbacks of the garbage collector and of weak references, and such a callback
+    # of JAX is often the first code to run after a long compilation: in one, send the signal again a little later.
     if _inside_callback(frame):
         later = threading.Timer(0.05, os.kill, (os.getpid(), number))
         later.daemon = True

@@ -1,4 +1,4 @@
-"""JAX's persistent compilation cache in the user's cache folder: for the command and the tests, not for the library."""
+"""JAX's persistent compilation cache in the user's cache folder, for the command and the tests, not the library."""
 
 import hashlib
 import os
@@ -15,13 +15,13 @@ import jax
 VARIABLE = "STICKSLIP_COMPILATION_CACHE"
 """The environment variable that chooses the folder; "off" turns the cache off."""
 SHORTEST = 0.1
-"""Compilations that take less are not kept, s."""
+"""Shortest compilation that is kept, s."""
 LARGEST = 2**30
-"""Bytes that the folder may take; what was not used for longest goes first."""
+"""Largest size of the folder, bytes; the least recently used entries are deleted first."""
 
 
 def use() -> str:
-    """Switch the cache on for this process, unless it is chosen already or not wanted; returns what went wrong, if so.
+    """Switch the cache on for this process, unless it is on already or turned off; returns what failed, or "".
 
     Several processes may share the folder: JAX locks it. A folder that cannot be written, or an entry that cannot be
     read, costs a compilation and nothing else.
@@ -35,7 +35,7 @@ def use() -> str:
         with tempfile.TemporaryFile(dir=folder):
             pass
         _remove_halves(folder)
-    except (OSError, RuntimeError, ValueError) as error:  # no home, or no name of a folder
+    except (OSError, RuntimeError, ValueError) as error:  # no home folder, or not a folder name
         return f"Compilations are not kept ({error}); {VARIABLE} chooses a folder for them, or off."
     # Without a limit JAX does not lock the folder, and another process may read a half-written entry.
     if find_spec("filelock") is not None:
@@ -43,13 +43,13 @@ def use() -> str:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    # JAX compiles anew where an entry cannot be read; who only wanted a result need not hear of it.
+    # Where an entry cannot be read JAX compiles again; a warning about that is of no use to the user.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache", UserWarning)
     return ""
 
 
 def _caches() -> Path:
-    """Where programs keep what they can make again."""
+    """The user's cache folder, by the conventions of the operating system."""
     if sys.platform == "win32" and (folder := os.environ.get("LOCALAPPDATA")):
         return Path(folder)
     if sys.platform == "darwin":
@@ -58,7 +58,7 @@ def _caches() -> Path:
 
 
 def _processor() -> str:
-    """A name for what this processor can do: machines of different kinds may share a home, but not native code."""
+    """A name for the features of this processor: different machines may share a home folder, but not native code."""
     try:
         lines = Path("/proc/cpuinfo").read_bytes().splitlines()
         features = next(line for line in lines if line.lower().startswith((b"flags", b"features")))
@@ -68,7 +68,7 @@ def _processor() -> str:
 
 
 def _remove_halves(folder: Path) -> None:
-    """Remove what a process wrote that was killed meanwhile: JAX notes when each entry was used, after writing it."""
+    """Remove entries that a killed process left half-written: they have no time of use, which JAX writes last."""
     noted = {path.name.removesuffix("-atime") for path in folder.glob("*-atime")}
     for path in folder.glob("*-cache") if noted else ():
         if path.name.removesuffix("-cache") not in noted and path.stat().st_mtime < time.time() - 60:

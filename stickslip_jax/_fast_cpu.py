@@ -1,4 +1,4 @@
-"""What is left of process-wide options: none is set any more."""
+"""A deprecated option that does nothing, and the number of CPU cores."""
 
 import os
 import warnings
@@ -16,5 +16,5 @@ def enable_fast_cpu() -> None:
 
 
 def cores() -> int:
-    """How many threads can work at once."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""Codes that arrays carry: how a stick ended, and whether a trajectory reached its horizon."""
+"""Integer codes in result arrays: how a stick ended, and whether a trajectory reached its horizon."""
 
 from enum import IntEnum
 
@@ -7,7 +7,7 @@ class Ending(IntEnum):
     """Why a stick ended."""
 
     RELEASED = 0
-    """The force needed to hold the mass reached the friction limit: it slides off."""
+    """The force needed to hold the mass reached the friction limit: the mass slips."""
     BASE_SWITCHED = 1
     """The base velocity jumped; the mass cannot follow a jump."""
     HORIZON = 2
@@ -15,7 +15,7 @@ class Ending(IntEnum):
 
 
 class Status(IntEnum):
-    """What became of one trajectory (one lane of a batch)."""
+    """Whether one trajectory (one sample of a batch) reached ``t1``, or why not."""
 
     FINISHED = 0
     """The trajectory reached ``t1``."""

@@ -1,4 +1,4 @@
-"""A loop of fixed length that stops early: what a trajectory of unknown length is followed in."""
+"""A scan of fixed length that stops early, for trajectories whose number of steps is not known in advance."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,7 @@ from jax import lax
 
 from .._types import BoolArray, IntArray
 
-BLOCK = 32  # turns of the loop after which to see whether all lanes of a batch have come to their end
+BLOCK = 32  # steps between two checks whether all lanes of a batch have ended
 
 _StepSeen = Callable[[Any, IntArray], tuple[Any, Any]]
 
@@ -24,7 +24,7 @@ def scan_in_blocks(
 ) -> tuple[Any, Any]:
     """``lax.scan(one_step, start, arange(number))``, idle once ``is_over(carry, index)`` holds in all lanes of a batch.
 
-    `number` is rounded up to whole blocks. An idle turn leaves the carry as it is, and ``idle(carry)`` as its record.
+    `number` is rounded up to whole blocks. An idle step leaves the carry unchanged and records ``idle(carry)``.
     """
 
     def run(carry, first):
@@ -35,10 +35,10 @@ def scan_in_blocks(
         return carry, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (BLOCK, *jnp.shape(leaf))), record)
 
     def block(carry, first):
-        # One answer for a whole batch: asked of each lane, both branches would be computed always.
+        # One condition for the whole batch: with one per lane, vmap would always compute both branches.
         over = eqxi.unvmap_all(lax.stop_gradient(is_over(carry, first)))
-        # Of a block, reverse mode keeps where it began and follows it again: that takes less time and far less memory
-        # than keeping all that was computed in it.
+        # Reverse mode keeps only the start of a block and computes the block again: that takes less time and far less
+        # memory than keeping every intermediate value.
         return lax.cond(over, rest, jax.checkpoint(run), carry, first)
 
     blocks = -(-number // BLOCK)
@@ -48,6 +48,6 @@ def scan_in_blocks(
 
 
 def few_sizes(number: int) -> int:
-    """`number`, rounded up to a power of two or one and a half times one, at least `BLOCK`."""
+    """`number` rounded up to ``2^k`` or ``1.5 * 2^k``, at least `BLOCK`, so that few sizes are compiled."""
     size = max(BLOCK, 1 << (number - 1).bit_length())
     return size * 3 // 4 if size * 3 // 4 >= max(number, BLOCK) else size

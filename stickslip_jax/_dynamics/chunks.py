@@ -1,9 +1,9 @@
 """Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.
 
-512-bit vectors halve the time where the CPU has them, and change nothing where it has not. But with them jaxlib
-(0.10.2) computes ``jnp.arctan`` wrong, by up to pi/2; and there are operations that it cannot compile into a native
-loop, some of which end the process. The package's own laws and systems use none of these; where a user's functions are
-compiled too, XLA is asked for neither.
+512-bit vectors halve the run time on CPUs that have them, and change nothing on others. But with them jaxlib (0.10.2)
+computes ``jnp.arctan`` wrong, by up to pi/2; and it cannot compile every operation into a native loop (some end the
+process). The package's own laws and systems avoid these operations; where a user's functions are compiled too, neither
+512-bit vectors nor native loops are used.
 """
 
 from collections.abc import Callable
@@ -28,11 +28,11 @@ class Chunks(NamedTuple):
 
 
 def chunks_of(engine: lanes.Engine) -> Chunks:
-    """The functions for jobs of `engine`."""
+    """The compiled functions for jobs of `engine`."""
     return _COMPILED[is_own(engine)]
 
 
-# A solver of diffrax holds more than arrays; plain numbers must be arrays here.
+# filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
 solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
@@ -46,6 +46,6 @@ def _compiled(is_own: bool) -> Chunks:
     )
 
 
-# The passes left out find nothing to improve in these loops, and take a quarter of the time to compile.
+# The disabled LLVM passes do not speed up these loops, and take a quarter of the compilation time.
 _WIDE = {"xla_cpu_prefer_vector_width": 512, "xla_llvm_disable_expensive_passes": True}
 _COMPILED = {is_own: _compiled(is_own) for is_own in (True, False)}

@@ -1,4 +1,4 @@
-"""Which engine follows a system: chosen here, for one trajectory, for ensembles and for sensitivities."""
+"""Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities."""
 
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ _MOST_COUNTED = 2**31 - 1
 class ByIntervals(NamedTuple):
     """Closed forms over whole intervals of a piecewise-constant base velocity.
 
-    `system` is a `MassSpring`: none other has an interval form.
+    `system` is a `MassSpring`, the only system with an interval form.
     """
 
     system: Any
@@ -37,16 +37,16 @@ class ByIntervals(NamedTuple):
     t1: Scalar
 
     def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Exact, Run]:
-        """One trajectory on a realisation, and the method with every option filled in."""
+        """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         return self.method, follow_intervals(self.system, self.base, self.t1, y0, dtype)
 
     def lanes(self, y0: tuple[Any, ...], dtype) -> IntervalEngine:
-        """What simulates the samples of a law."""
+        """The engine that simulates samples of the law."""
         return IntervalEngine(self.system, self.base, self.t1, y0)
 
 
 class BySteps(NamedTuple):
-    """Time steps with located switches, for any system and drive."""
+    """Time steps in which every event is located, for any system and excitation."""
 
     system: System
     base: Any
@@ -54,15 +54,15 @@ class BySteps(NamedTuple):
     t1: Scalar
 
     def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Exact, Run]:
-        """One trajectory on a realisation, and the method with every option filled in."""
+        """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         return self.method, follow_steps(self.system, self.base, self.method, self.t1, y0, dtype)
 
     def lanes(self, y0: tuple[Any, ...], dtype) -> SwitchedEngine:
-        """What simulates the samples of a law."""
+        """The engine that simulates samples of the law."""
         system, method, t1 = self.system, self.method, self.t1
         excitation, step = checked_step(system, self.base, method, t1, "law")
         check_length(system, self.base, t1)
-        # Generous: a sample that needs more has come to nothing, or to a place where events pile up.
+        # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
         most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
         return SwitchedEngine(system, excitation, method.solver, t1, y0, step, most)
 
@@ -76,11 +76,11 @@ class Smoothed(NamedTuple):
     t1: Scalar
 
     def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Regularized, Run]:
-        """One trajectory on a realisation, and the method with every option filled in."""
+        """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         return follow_regularized(self.system, self.base, self.method, self.t1, y0, dtype)
 
     def lanes(self, y0: tuple[Any, ...], dtype) -> FixedEngine | AdaptiveBatch:
-        """What simulates the samples of a law."""
+        """The engine that simulates samples of the law."""
         system, t1 = self.system, self.t1
         excitation = excitation_of(self.base, "law")
         system.check_excitation(excitation)
@@ -88,7 +88,7 @@ class Smoothed(NamedTuple):
         method = resolved(system, excitation, self.method, dtype)
         if method.step is None:
             return AdaptiveBatch(system, excitation, method, t1, y0)
-        # Twice what is expected, for samples of a law with many jumps; a step that is too long is refused here.
+        # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
         return FixedEngine(
             system, excitation, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED))
@@ -96,9 +96,9 @@ class Smoothed(NamedTuple):
 
 
 def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scalar) -> ByIntervals | BySteps | Smoothed:
-    """The fastest engine that can follow `system` on `base` (a law or a realisation) up to `t1` (s) by `method`.
+    """The fastest engine that can simulate `system` on `base` (a law or a realisation) up to `t1` (s) by `method`.
 
-    Decided by what the arguments are, not by their numbers.
+    The choice depends on the types and options of the arguments, not on their numbers.
     """
     if isinstance(method, Regularized):
         return Smoothed(system, base, method, t1)
@@ -111,7 +111,7 @@ def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scala
 def lanes_for(
     system: System, law: Any, method: Exact | Regularized, t1: float, y0: tuple[Any, ...], dtype
 ) -> Engine | AdaptiveBatch:
-    """What simulates the samples of `law`, checked."""
+    """The engine that simulates samples of `law`, with its arguments checked."""
     if isinstance(law, BangBangLaw):
         law.checked_capacity(t1)
     return engine_for(system, law, method, t1).lanes(y0, dtype)

@@ -1,8 +1,9 @@
-"""Many trajectories in lock step: take every lane a block further, see which have ended, go on.
+"""Simulation of many samples side by side in lanes, one block of steps at a time.
 
-A lane starts its next sample as soon as one has ended. The excitation of a sample is drawn while simulating, so no
-realisation is ever too short and none is stored. `summarise` keeps totals; `record` returns every stick, a few blocks
-at a time. An `Engine` says how ONE lane begins, takes a step and ends; everything about many lanes is here.
+A lane simulates one sample after the other: when a sample has ended, it starts its next one after the block. The
+excitation of a sample is drawn while simulating, so no realisation is ever too short and none is stored. `summarise`
+keeps totals; `record` returns every stick, a few blocks at a time. An `Engine` defines how ONE lane begins, takes a
+step and ends; everything about many lanes is here.
 """
 
 import abc
@@ -20,11 +21,11 @@ from .._numerics.packing import Layout, packed, unpacked
 from .._numerics.random_bits import stored_words
 from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
 
-BLOCK = 24  # intervals or steps taken at once; a lane idles for half a block on average after its sample's end
+BLOCK = 24  # intervals or steps in a block; after the end of a sample a lane idles for half a block on average
 
 
 class LaneResults(NamedTuple):
-    """What the statistics need of each sample, one entry a sample."""
+    """Results that the statistics need from each sample, one entry for each."""
 
     sticks: AnyArray
     slips: AnyArray
@@ -34,10 +35,10 @@ class LaneResults(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """Lanes at work, each leaf with the lanes as its first axis.
+    """The state of all lanes; the first axis of each leaf is the lanes.
 
-    `row`: the row of samples that the lane is in. `number`: how many steps its sample has taken. `sample`: what stays
-    as it is from the beginning of the sample to its end. `motion`: what moves.
+    - `row`: the row of samples that the lane simulates (see `Job`). `number`: steps taken in its sample.
+    - `sample`: constants of the sample. `motion`: its state of motion, which every step changes.
     """
 
     row: IntArray
@@ -47,7 +48,7 @@ class Lanes(NamedTuple):
 
 
 class Records(NamedTuple):
-    """The sticks of some blocks, one slot an interval or step.
+    """The sticks of some blocks, one slot for each interval or step.
 
     Times and positions share one array: XLA updates a single large array of a shape in place, but copies several.
     """
@@ -61,15 +62,15 @@ class Records(NamedTuple):
         return cls(jnp.zeros((slots, len(NUMBERS), lanes), dtype), jnp.full((slots, lanes), -1, jnp.int8))
 
     def with_slot(self, slot: Array | int, sticks: Any) -> "Records":
-        """The same with the values (columns, lanes) and endings (lanes,) of one slot's sticks put in."""
+        """A copy in which slot `slot` holds `sticks`: values (columns, lanes) and endings (lanes,)."""
         return Records(*(_with(kept, new, slot) for kept, new in zip(self, sticks, strict=True)))
 
 
 class Blocks(NamedTuple):
-    """What some blocks left, (blocks, lanes) each.
+    """A report of some blocks, arrays (blocks, lanes).
 
-    `row`: the row of samples that the lane was in, `job.used_rows` or more where there is nothing to be read.
-    `ended`: whether its sample ended with the block, and `results`: its results up to then.
+    - `row`: the row of samples that the lane was in; `job.used_rows` or more where the lane had no sample left.
+    - `ended`: whether its sample ended in the block. `results`: the results of the sample up to the end of the block.
     """
 
     row: AnyArray
@@ -78,45 +79,45 @@ class Blocks(NamedTuple):
 
 
 class Engine(eqx.Module):
-    """How one lane moves, step by step; a step is a time step, or a whole interval of the base."""
+    """How one lane is simulated step by step; a step is a time step, or a whole interval of the base."""
 
     looks_back: ClassVar[bool] = False
-    """Whether `after_block` needs the records of the block."""
+    """Whether `after_block` reads the records of the block."""
 
     @abc.abstractmethod
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, Any]:
-        """What stays as it is throughout the sample that `key_data` choose, and its motion at t = 0."""
+        """The constants of the sample that `key_data` choose, and its motion at t = 0."""
 
     @abc.abstractmethod
     def shared(self, dtype) -> Any:
-        """What all steps of all samples need, computed once a block."""
+        """Quantities that all steps of all samples share, computed once per block."""
 
     def draw(self, sample: Any, number: Array, dtype) -> Any:
-        """What is random (or looked up) in step `number`, drawn for a whole block at once."""
+        """The random (or looked-up) numbers of step `number`; drawn for a whole block at once."""
         return None
 
     @abc.abstractmethod
     def step(self, shared: Any, sample: Any, motion: Any, drawn: Any) -> tuple[Any, Any]:
-        """Take one step: the motion after it, and what is recorded of it, a `StickRecord` or what holds one."""
+        """Take one step: returns the motion after it and its record, a `StickRecord` or an object that holds one."""
 
     def after_block(self, samples: Any, motions: Any, records: Any) -> Any:
-        """The motions of ALL lanes after a block that left these records, (BLOCK, lanes)."""
+        """The motions of ALL lanes, corrected after a block with these records, (BLOCK, lanes)."""
         return motions
 
     @abc.abstractmethod
     def ended(self, motion: Any, before: Any) -> BoolArray:
-        """Whether the sample has come to its end, for whatever reason; `before`: its motion a block ago."""
+        """Whether the sample has ended, for whatever reason; `before`: its motion a block ago."""
 
     @abc.abstractmethod
     def results(self, sample: Any, motion: Any) -> Any:
-        """What one sample has come to: `LaneResults`, or what else the engine is for."""
+        """The results of one sample: `LaneResults`, or what else the engine computes."""
 
 
 class Job(NamedTuple):
-    """What to simulate: samples ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `key_data`.
+    """Samples to simulate: ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `key_data`.
 
-    Lane i simulates samples ``first_sample + i + lanes * row``, one after the other, which wastes less than waiting for
-    the slowest lane after each.
+    Lane i simulates samples ``first_sample + i + lanes * row``, one after the other; no lane waits for the slowest one
+    after each row.
     """
 
     engine: Engine
@@ -126,10 +127,10 @@ class Job(NamedTuple):
 
 
 def summarise(job: Job, *, lanes: int, rows: int, dtype) -> Any:
-    """Simulate the whole job and keep its engine's results; arrays (rows, lanes). `job.used_rows` may be anything up to
-    `rows`.
+    """Simulate the whole job; returns the engine's results, arrays (rows, lanes). `job.used_rows` is at most `rows`.
 
-    Forward-mode differentiable; the loop has no fixed length, so reverse mode needs `simulate` under ``vmap``.
+    Forward-mode differentiable only, because the loop has no fixed length; for reverse mode use `simulate` under
+    ``vmap``.
     """
 
     def advance(carry):
@@ -145,16 +146,16 @@ def summarise(job: Job, *, lanes: int, rows: int, dtype) -> Any:
 
 
 def open_lanes(job: Job, *, lanes: int, dtype) -> tuple[Array, ...]:
-    """All lanes at the beginning of their first sample, as `record` takes them."""
+    """All lanes at the beginning of their first sample, `packed` as `record` takes them."""
     return packed(lanes_at_start(job.engine, job.key_data, job.first_sample, lanes, dtype))
 
 
 def record(
     job: tuple[Array, ...], now: tuple[Array, ...], *, layout: Layout, lanes: int, blocks: int, dtype
 ) -> tuple[tuple[Array, ...], Records, Blocks]:
-    """Go on for so many `blocks`, or until the job is done, and keep every stick.
+    """Simulate the next `blocks` blocks, or fewer if the job is done before, and record every stick.
 
-    Takes the job, `packed` (`layout` is its), and the lanes that `open_lanes` or the call before returned. Returns the
+    Takes the `packed` job with its `layout`, and the lanes that `open_lanes` or the previous call returned. Returns the
     lanes for the next call, the records, and a report of each block.
     """
     task = unpacked(job, layout)
@@ -185,10 +186,10 @@ def record(
 def follow_block(
     engine: Engine, lanes: Lanes, dtype, into: Records | None = None, slot: Array | int = 0, *, stacked: bool = False
 ) -> tuple[Lanes, Any]:
-    """Take all lanes `BLOCK` steps further.
+    """Advance all lanes by `BLOCK` steps.
 
-    Returns them, and the records: put `into` given ones from `slot` on; or where they are to be `stacked`, as the
-    engine leaves them, (BLOCK, lanes); else None.
+    Returns the lanes and the records: those `into` which the block was written from slot `slot` on; with `stacked`, the
+    engine's own, (BLOCK, lanes); else None.
     """
     stacks, shared = stacked or engine.looks_back, engine.shared(dtype)
     numbers = lanes.number[None] + jnp.arange(BLOCK, dtype=jnp.uint32)[:, None]
@@ -220,7 +221,7 @@ def lanes_at_start(engine: Engine, key_data: Any, first_sample: AnyInteger, lane
 
 
 def _start_row(engine: Engine, key_data: Any, first_sample: AnyInteger, row: IntArray, dtype) -> Lanes:
-    """Every lane at t = 0 of its sample in row `row` (lanes,)."""
+    """Every lane at t = 0 of its sample in row `row`, (lanes,)."""
     lanes = len(row)
     lane = jnp.arange(lanes, dtype=jnp.uint32)
     own = stored_words(key_data, first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes))
@@ -229,7 +230,7 @@ def _start_row(engine: Engine, key_data: Any, first_sample: AnyInteger, row: Int
 
 
 def _following(job: Job, before: Lanes, after: Lanes, dtype) -> tuple[Lanes, BoolArray, Any]:
-    """After a block: lanes whose sample has ended start their next; which these are, and the results of all."""
+    """The lanes after a block, ended samples replaced by the next; which had ended, and the results of all lanes."""
     ended = jax.vmap(job.engine.ended)(after.motion, before.motion) & (before.row < job.used_rows)
     fresh = _start_row(job.engine, job.key_data, job.first_sample, before.row + ended, dtype)
 
@@ -245,14 +246,14 @@ def _results(engine: Engine, lanes: Lanes) -> Any:
 
 
 def _with(kept: Array, new: Array, at: Array | int) -> Array:
-    """`kept` with `new` as its entry `at`."""
+    """A copy of `kept` whose entry `at` is `new`."""
     return lax.dynamic_update_slice_in_dim(kept, new[None], at, 0)
 
 
 def _note(results: Any, row: IntArray, ended: BoolArray, new: Any) -> Any:
-    """`results` (rows, lanes) with those of the lanes that `ended` put into their rows.
+    """`results` (rows, lanes) in which the lanes that `ended` have their new results, in their rows.
 
-    Lanes keep abreast, so only a few rows are touched: far fewer than there are.
+    The lanes are at most a few rows apart, so that few of the rows are rewritten.
     """
     first = jnp.min(jnp.where(ended, row, np.int32(2**31 - 1)))
     last = jnp.max(jnp.where(ended, row, np.int32(-1)))

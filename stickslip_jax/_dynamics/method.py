@@ -1,4 +1,4 @@
-"""How to simulate: the exact method, the regularised one, and their options."""
+"""Simulation methods: `Exact` switched dynamics and `Regularized` dynamics, with their options."""
 
 import difflib
 from typing import Any
@@ -16,11 +16,11 @@ class Exact(eqx.Module):
     """Exact switched dynamics. Without a step, closed forms over whole base intervals are used where they apply
     (constant velocities, no damping, no force, one friction coefficient), and time steps elsewhere.
 
-    - `step`: the time step, s; switches are located inside it. By default a fraction of the shortest time scale.
-    - `max_steps`: how many steps (and tries of steps, about three for every event) one trajectory may take. By default
-      enough, and more when they do not suffice. Needed under ``jit`` or ``grad`` when `t1` is traced.
-    - `solver`: an explicit Runge-Kutta solver of diffrax for slips; by default closed forms where there are any, and
-      ``diffrax.Dopri8()`` for a mass and spring without.
+    - `step`: the time step, s; events are located inside it. By default a fraction of the shortest time scale.
+    - `max_steps`: the largest number of steps of one trajectory, rejected trial steps (about three per event) included.
+      By default estimated, and doubled while too few. Needed under ``jit`` or ``grad`` when `t1` is traced.
+    - `solver`: an explicit Runge-Kutta solver of diffrax for slips. By default slips follow closed forms where these
+      exist; a `MassSpring` without them uses ``diffrax.Dopri8()``.
 
     Raises ValueError for a step that is not positive, a number of steps below 1, or another kind of solver.
     """
@@ -46,31 +46,32 @@ class Regularized(eqx.Module):
 
     The mass then creeps where it would stick, and a stick is a time in which it creeps slowly. The exact method is
     faster and has no such errors: this one is for comparison with programs and papers that regularise, and for
-    optimisers that need a smooth field. How wrong it is, and what it costs: ``docs/regularized.md``.
+    optimisers that need a smooth field. Errors and run times: ``docs/regularized.md``.
 
-    - `width`: the relative velocity over which friction changes its sign, m/s, positive. Of a `MotorCart`:
-      ``eccentricity`` times angular velocity; of a `SwitchedSystem`: in the unit of its relative velocity.
+    - `width`: the relative velocity over which friction changes its sign, m/s, positive. For a `MotorCart`,
+      ``eccentricity`` times angular velocity; for a `SwitchedSystem`, in the unit of its relative velocity.
     - `shape`: "linear" (up to one width, then constant), "tanh", "rational" (``s/sqrt(1 + s^2)``) or "arctan"
-      (``2/pi atan``), of ``s = v_rel / width``. The first is the least wrong, and the cheapest; the others are smooth.
+      (``2/pi atan``), of ``s = v_rel / width``. "linear" is the most accurate and cheapest; the others are smooth.
     - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Without it, diffrax
       chooses the steps.
-    - `solver`: diffrax's solver of adaptive steps; by default ``Kvaerno3()``, which is implicit and takes any width.
+    - `solver`: diffrax solver for adaptive steps; by default ``Kvaerno3()``, which is implicit and works for any width.
       ``Tsit5()`` is explicit: cheaper while ``width`` is at least a hundredth of the system's velocities.
     - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
-      the scale of each state. The instants of sticks are read off between two steps: where they matter, take an `rtol`
-      far below the width over the system's velocities ("linear", whose corners a long step passes, 1e-8 or less).
-    - `max_steps`: how many steps (tries included) one trajectory may take; by default 16384 adaptive ones, or as many
-      fixed ones as ``t1`` holds. Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
-    - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep at which a mass is
-      released, a little more than one width (`Switch.creep`).
-    - `minimum_duration`: that lasts at least so long (s); by default the time that friction takes to stop twice the
-      threshold (so that a mass that passes through is not counted), and two fixed steps.
-    - `adjoint`: diffrax's way to differentiate adaptive steps: ``RecursiveCheckpointAdjoint()`` by default, for reverse
-      mode (``grad``); ``ForwardMode()`` for ``jvp`` and ``jacfwd``; ``DirectAdjoint()`` takes both, slower. Fixed steps
-      take both modes.
+      the scale of each state. The instants of sticks are interpolated inside a step: where they matter, take an `rtol`
+      far below the width over the system's velocities (for "linear", whose corners a long step misses, at most 1e-8).
+    - `max_steps`: the largest number of steps of one trajectory, rejected ones included; by default 16384 adaptive
+      steps, or as many fixed steps as fit into ``t1``. Needed with a fixed step under ``jit`` or ``grad`` where `t1` is
+      traced.
+    - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
+      mass is released, about one width or a little more (`Switch.creep`).
+    - `minimum_duration`: shortest time below the threshold that counts as a stick, s; by default ten times the time in
+      which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps.
+    - `adjoint`: how diffrax differentiates adaptive steps: ``RecursiveCheckpointAdjoint()`` by default, for reverse
+      mode (``grad``); ``ForwardMode()`` for ``jvp`` and ``jacfwd``; ``DirectAdjoint()`` for both, slower. Fixed steps
+      support both modes.
 
     The method of a result, ``one.method``, holds the numbers that were used. Raises ValueError for numbers that are
-    not positive, an unknown shape, another kind of solver, and options that do not go together.
+    not positive, an unknown shape, an unsuitable solver, and options that exclude each other.
     """
 
     width: Scalar
@@ -126,4 +127,4 @@ class Regularized(eqx.Module):
 
 
 EXACT = Exact()
-"""The exact method with nothing chosen by hand."""
+"""The exact method with all options at their defaults."""

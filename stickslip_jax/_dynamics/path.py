@@ -1,4 +1,4 @@
-"""The state along one trajectory, whichever engine followed it: what a `Simulation` is made of."""
+"""Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`."""
 
 import abc
 from typing import NamedTuple
@@ -12,12 +12,12 @@ from .._types import FloatArray
 
 
 class Path(eqx.Module):
-    """What is needed to tell the state at any time."""
+    """The state and the base velocity of one trajectory as functions of time."""
 
     @property
     @abc.abstractmethod
     def times(self) -> Array:
-        """When the pieces of the path begin, s."""
+        """The instants at which the steps or intervals of the path begin, s."""
 
     @abc.abstractmethod
     def state(self, time: FloatArray) -> State:
@@ -29,7 +29,7 @@ class Path(eqx.Module):
 
 
 class Run(NamedTuple):
-    """One trajectory, as a `Simulation` names its parts."""
+    """One trajectory; the fields are those of a `Simulation`."""
 
     sticks: Sticks
     totals: Totals

@@ -1,4 +1,4 @@
-"""The step that the time scales of a system and of what drives it call for."""
+"""Choice and check of the time step, from the time scales of a system and of its excitation."""
 
 import math
 from contextlib import suppress
@@ -15,10 +15,10 @@ from .blocks import few_sizes
 
 
 def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
-    """The time step (s) of `method`, checked, or the default one.
+    """The time step (s) of `method`, checked; by default a fraction of the shortest time scale.
 
-    Raises ValueError if it is too long for the shortest time scale, or if one is needed because a time scale is not
-    known.
+    Raises ValueError for a step that is too long for a time scale, and where `method` gives none although a time scale
+    is not known.
     """
     scales = {name: (plain(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()}
     known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
@@ -46,7 +46,7 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
 
 
 def max_steps_advice(system: System, excitation: Excitation, method: Any, t1: Scalar) -> str:
-    """A number of steps to give where JAX traces what it depends on, from what is known of time and time scales."""
+    """A message that proposes `max_steps` where JAX traces `t1` or a time scale, from the numbers that are known."""
     horizon = min(_known([t1]), default=100.0)
     scales = system.time_scales(excitation, method.solver).values()
     lengths = [of.time / of.steps.default for of in scales if of.time is not None]
@@ -59,7 +59,7 @@ def max_steps_advice(system: System, excitation: Excitation, method: Any, t1: Sc
 
 
 def _known(numbers: list[Any]) -> list[float]:
-    """The smallest value of each number that has one yet."""
+    """The smallest value of each number whose value is known (not traced)."""
     found = []
     for number in numbers:
         with suppress(NotKnown):

@@ -1,4 +1,4 @@
-"""What `simulate` and `simulate_ensemble` ask of their arguments."""
+"""Checks of the arguments of `simulate` and `simulate_ensemble`."""
 
 import warnings
 from typing import Any
@@ -20,7 +20,7 @@ from .time_scales import step_for
 
 
 def check_method(method: Any) -> None:
-    """Check that `method` is `Exact` or `Regularized`. Raises ValueError otherwise."""
+    """Check that `method` is an `Exact` or a `Regularized`. Raises ValueError otherwise."""
     if not isinstance(method, (Exact, Regularized)):
         raise ValueError(
             f"Argument method must be Exact(...) or Regularized(width), but {_checks.show(method)} was given."
@@ -28,7 +28,7 @@ def check_method(method: Any) -> None:
 
 
 def state_of(system: System, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
-    """The initial state of `system`, checked; zeros if it is None."""
+    """The initial state `y0` of `system`, checked; zeros if `y0` is None."""
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
     numbers = y0 = (0.0,) * len(meaning) if y0 is None else y0
     if isinstance(y0, (tuple, list)) and any(isinstance(value, Uniform) for value in y0):
@@ -44,7 +44,7 @@ def state_of(system: System, y0: Any, *, may_be_random: bool = False) -> tuple[A
 
 
 def one_realisation(system: System, base: Any, t1: Scalar) -> Any:
-    """`base` as a motion without randomness that covers ``[0, t1]``."""
+    """`base` as a motion without randomness that covers ``[0, t1]``. Raises ValueError if it is not one."""
     if isinstance(base, VelocitySteps) and base.durations.ndim != 1:
         raise ValueError(
             f"Argument base must be one realisation, but it has durations of shape {base.durations.shape}; "
@@ -76,7 +76,7 @@ def check_length(system: System, base: Any, t1: Scalar) -> None:
 
 
 def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Excitation, Scalar]:
-    """The drive that `base` (an argument called `name`) is, and the time step (s), at most `t1`."""
+    """The `Excitation` made from `base` (the argument called `name`), and the time step (s), at most `t1`."""
     excitation = excitation_of(base, name)
     system.check_excitation(excitation)
     system.check_solver(method.solver)
@@ -87,7 +87,7 @@ def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str
 
 
 def working_dtype(*arrays: AnyArray, stacklevel: int = 3):
-    """The floating dtype of a simulation; says once how to get float64 when JAX runs in float32."""
+    """The floating dtype of a simulation; in float32, warns and says how to get float64."""
     dtype = jnp.result_type(float, *arrays)
     if not jax.config.read("jax_enable_x64"):
         warnings.warn(

@@ -1,4 +1,4 @@
-"""`simulate_ensemble`: many samples of a random base motion, in chunks and threads, with streamed statistics."""
+"""`simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics."""
 
 import sys
 import threading
@@ -33,10 +33,10 @@ from .._types import Array
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .result import Ensemble
 
-_MOST_SAMPLES = 2**31  # they are numbered in 32 bits
+_MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
-_ADAPTIVE_LANES = 256  # of one batch: enough to hide the launches, few enough for the slowest not to hold up many
-_RECORDED_AT_ONCE = 2**17  # intervals of a call that keeps sticks: fewer calls, but records that stay in the cache
+_ADAPTIVE_LANES = 256  # of a batch: enough to hide the cost of a call, few enough not to wait long for slow ones
+_RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
 
 def simulate_ensemble(
@@ -55,26 +55,26 @@ def simulate_ensemble(
     chunk: int | None = None,
     progress: bool | None = None,
 ) -> Ensemble:
-    """Simulate `samples` independent realisations of the base motion `law`.
+    """Simulate `samples` independent realisations of the excitation `law`.
 
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
-    the chunk size or the threads; ``many.realisation(i)`` gives its base motion and initial state.
+    the chunk size or the threads; ``many.realisation(i)`` returns its base motion and initial state.
 
     - `system`: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
     - `law`: the random excitation, such as `PoissonSwitching` or `KanaiTajimi`, or any excitation that `simulate`
       takes.
     - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
-    - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
-    - `keep`: "statistics" sums what ``many.statistics`` needs while the sticks stream by (memory does not grow with
-      `samples`); "sticks" keeps every stick as well; "totals" only sums stick time, sticks and slips, the fastest.
-    - `orders`: there are statistics of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
-    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, is the 1st of these.
+    - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
+    - `keep`: "statistics" accumulates the sums for ``many.statistics`` during the simulation (memory does not grow with
+      `samples`); "sticks" keeps every stick as well; "totals" sums only stick time, sticks and slips, the fastest.
+    - `orders`: statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
-    - `progress`: True shows a progress bar, False none; default: only on a terminal.
+    - `progress`: True shows a progress bar, False none; by default only on a terminal.
 
-    Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic. Raises ValueError for
-    arguments outside these bounds.
+    Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
+    Raises ValueError for arguments outside these bounds.
     """
     run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
@@ -102,7 +102,7 @@ def simulate_ensemble(
 
 
 def _compile(simulate: _Simulate, run: "_Run", keep: Keep) -> None:
-    """Compile before the threads start, so that they do not all compile the same code."""
+    """Compile before the threads start, so that not each of them compiles the same code."""
     with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
         prepared = pool.submit(prepare, run.dtype) if keep != "totals" else None
         simulate(0, 0)
@@ -120,7 +120,7 @@ def _simulate_all(
 
 
 class _Run(NamedTuple):
-    """The checked arguments, the same for every chunk."""
+    """The checked arguments, which all chunks share."""
 
     engine: Engine | AdaptiveBatch
     method: Exact | Regularized
@@ -158,7 +158,7 @@ class _Run(NamedTuple):
         return cls(engine, method, key_data_for(law, key), y0, random, dtype, float(t1), numbering)
 
     def job(self, first: int, used_rows: int) -> Job:
-        """The job of simulating samples `first`, ``first + 1``, ... in `used_rows` rows of lanes."""
+        """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes."""
         assert isinstance(self.engine, Engine)
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows))
 
@@ -169,7 +169,7 @@ def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
 
 
 class _Plan(NamedTuple):
-    """How the samples are divided: tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
+    """Division of the samples into tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
 
     lanes: int
     rows: int
@@ -178,15 +178,15 @@ class _Plan(NamedTuple):
 
     @classmethod
     def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        # The arrays of so many lanes stay in the cache (benchmarks/README.md).
+        # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
         lanes, rows = 256, 32
         if chunk is not None:
-            # Lanes beyond the samples are wasted, but a few let other numbers of samples share a compilation.
+            # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
-        # In a small run most of the lanes would be idle.
+        # In a small run further lanes would be idle.
         lanes = min(lanes, max(256, 1 << (-(-samples // threads) - 1).bit_length()))
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
@@ -194,7 +194,7 @@ class _Plan(NamedTuple):
 
     @classmethod
     def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        """For adaptive steps: every sample of a task has a lane of its own."""
+        """The plan for adaptive steps, where every sample of a task has its own lane."""
         most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES)
         lanes = min(most, -(-samples // threads) if chunk is None else samples)
         return cls(lanes, 1, lanes, threads)
@@ -229,7 +229,7 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleA
 
 
 def _streamer(run: _Run, plan: _Plan) -> _Simulate:
-    """The same as `_simulator`, for totals only."""
+    """The same as `_simulator`, for ``keep="totals"``."""
     assert isinstance(run.engine, Engine)
     summarise = chunks_of(run.engine).summarise
 
@@ -245,7 +245,7 @@ def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simu
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
-    own = threading.local()  # memory of each thread, used again because allocating it for every task is slow
+    own = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
     lane = np.arange(plan.lanes)
 
@@ -274,7 +274,7 @@ def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simu
 def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> LaneResults:
     """The results of the first `number` of `samples` samples, in order.
 
-    `ended`: numbers of the samples and their results, in the order in which they ended.
+    `ended`: sample numbers and results, in the order in which the samples ended.
     """
     sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
     ordered = [np.empty(samples, column.dtype) for column in columns]
@@ -284,7 +284,7 @@ def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) 
 
 
 def _first_samples(results: LaneResults, number: int) -> LaneResults:
-    """The results (rows, lanes) of the first `number` samples, as NumPy arrays (number,)."""
+    """The first `number` samples of `results` (rows, lanes), as NumPy arrays (number,)."""
     return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
 
 
@@ -308,7 +308,7 @@ def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[
 
 @contextmanager
 def _progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
-    """A function to call with each number of samples done; it updates a bar, if `simulate_ensemble` shows one."""
+    """A function to call with the number of newly finished samples; it updates the progress bar, if one is shown."""
     if progress is False or (progress is None and not sys.stderr.isatty()):
         yield lambda number: None
         return

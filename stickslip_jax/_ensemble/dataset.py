@@ -1,4 +1,4 @@
-"""The sticks of an ensemble as labelled arrays."""
+"""The sticks of an ensemble as labelled arrays (``xarray``)."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def dataset_of(ensemble: Any) -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names.
 
-    Raises as `Ensemble.to_xarray`.
+    Raises the errors of `Ensemble.to_xarray`.
     """
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
@@ -49,7 +49,7 @@ def dataset_of(ensemble: Any) -> "xarray.Dataset":
 
 
 def _method(method: Exact | Regularized) -> dict[str, Any]:
-    """The method, and what counted as a stick, as attributes; SI units."""
+    """Attributes that state the method and its criterion of a stick, in SI units."""
     if not isinstance(method, Regularized):
         return {"method": "exact"}
     numbers = {

@@ -1,4 +1,4 @@
-"""Parts of an ensemble, as its threads simulate them, and the accumulator that merges them."""
+"""Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
 import os
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -15,17 +15,17 @@ from .._status import Status
 from .result import Retained, SampleTotals
 
 Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
-"""What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or every stick as well."""
+"""What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or also every stick."""
 
 RETAINED = 1_000_000
-"""With ``keep="statistics"``, at most so many sticks, those of the first samples, are retained: standard errors and
-whatever cannot be summed (ranks, tests) are computed from them."""
+"""With ``keep="statistics"``, the most sticks that are retained, those of the first samples: for standard errors and
+for what cannot be accumulated (ranks, tests)."""
 FEWEST = 64
-"""At least so many samples are retained, however many sticks they have."""
+"""The fewest samples that are retained, however many sticks they have."""
 
 
 class Part(NamedTuple):
-    """A simulated part of the ensemble: results of consecutive samples, their sticks, and the accumulator of these."""
+    """A part of the ensemble: results of consecutive samples, their sticks, and the sums over these sticks."""
 
     results: LaneResults
     sticks: FlatSticks | None = None
@@ -35,9 +35,9 @@ class Part(NamedTuple):
     def of(
         cls, results: LaneResults, sticks: StickCollector, t1: float, numbering: Numbering, keep_sticks: bool
     ) -> "Part":
-        """The part that holds consecutive samples, simulated up to `t1` (s), from their results and their sticks.
+        """The part made from the results and the sticks of consecutive samples, simulated up to `t1` (s).
 
-        `keep_sticks`: whether the part holds the sticks themselves, besides their sums.
+        `keep_sticks`: whether the part holds the sticks too, not only their sums.
         """
         finished = np.equal(results.status, Status.FINISHED)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
@@ -50,7 +50,7 @@ class Part(NamedTuple):
 
 
 def prepare(dtype: Any) -> None:
-    """Compile the loops that find and count sticks with times of `dtype`, unless they are compiled."""
+    """Compile the loops that collect and count sticks with times of `dtype`, unless they are compiled."""
     sticks = StickCollector()
     sticks.restart(1)
     sticks.add(np.zeros((1, len(NUMBERS), 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
@@ -61,7 +61,7 @@ def prepare(dtype: Any) -> None:
 class EnsembleAccumulator:
     """Merges the parts of an ensemble, which are added in order of the samples.
 
-    It holds the sums over all samples, and the sticks of the first samples (with ``keep="sticks"`` of all).
+    Holds the sums over all samples, and the sticks of the first samples (with ``keep="sticks"``, of all).
     """
 
     def __init__(self, samples: int, keep: Keep):
@@ -71,11 +71,11 @@ class EnsembleAccumulator:
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
-        self._space, self._retained_samples = RETAINED, 0  # space is left for so many sticks
+        self._space, self._retained_samples = RETAINED, 0  # number of sticks that still fit
 
     @property
     def wants_sticks(self) -> bool:
-        """Whether the sticks of further parts will be kept."""
+        """Whether the sticks of further parts are kept."""
         return self.keep == "sticks" or self._space > 0
 
     def add(self, part: Part) -> None:
@@ -93,7 +93,7 @@ class EnsembleAccumulator:
             self._kept.append(part._replace(accumulator=None))
             _check_memory(self._kept, self.samples)
         elif self._space > 0:
-            # Every sample counts as one stick more, so that samples without sticks cannot fill the memory either.
+            # A sample takes the space of its sticks and one more, so that samples without sticks are limited too.
             fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._space, side="right"))
             fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
             self._retained_samples += fits

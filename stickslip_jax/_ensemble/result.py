@@ -1,4 +1,4 @@
-"""The result of an ensemble: sums for the statistics and, if kept, every stick of every sample."""
+"""`Ensemble`, the result of many samples: sums for the statistics and, if kept, every stick of every sample."""
 
 import dataclasses
 import os
@@ -51,18 +51,18 @@ class Retained(NamedTuple):
 class Ensemble:
     """The result of `simulate_ensemble`: many simulated samples.
 
-    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: what was simulated.
-    - `method`: how it was simulated; a `Regularized` method has its options filled in.
+    - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: the arguments and the floating dtype.
+    - `method`: the simulation method; a `Regularized` method has its options filled in.
     - `numbering`: which stick of a sample is the 1st, 2nd, ...
     - `moments`: number of finished samples, mean and covariance of their `TOTALS` (stick time in s, number of sticks,
       number of slips).
     - `near_grazing_samples`: number of samples in which round-off decided whether there was an event (see
-      `Simulation`); they count like the others.
+      `Simulation`); the statistics include them.
     - `status_counts`: number of samples that ended with each `Status`; only those FINISHED count in the statistics.
     - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
     - `flat_sticks`: the same sticks one after the other, without padding; None unless ``keep="sticks"``.
     - `accumulator`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first
-      samples that finished (of all, if kept), from which standard errors are computed. Both None if ``keep="totals"``.
+      finished samples (of all, if kept), from which standard errors are computed. Both None if ``keep="totals"``.
     - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
 
@@ -92,7 +92,7 @@ class Ensemble:
         return statistics_of_ensemble(self)
 
     def summary(self) -> Summary:
-        """The statistics as a table to read, in text or in a notebook. Raises ValueError if ``keep="totals"``."""
+        """The statistics as a readable table, for text and notebooks. Raises ValueError if ``keep="totals"``."""
         return summary_of(self)
 
     @cached_property
@@ -101,7 +101,7 @@ class Ensemble:
         return self.require_sticks().padded()
 
     def finished_sticks(self) -> FlatSticks:
-        """The sticks of the samples that reached ``t1``: of all, or with ``keep="statistics"`` of the first ones.
+        """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
 
         Raises ValueError if ``keep="totals"``.
         """
@@ -112,7 +112,7 @@ class Ensemble:
         return self.retained.sticks
 
     def numbered_sticks(self) -> FlatSticks:
-        """`finished_sticks` without those that begin at t = 0, unless `numbering` counts these as the first."""
+        """`finished_sticks`, without those that begin at t = 0 unless `numbering` counts these as the first."""
         sticks = self.finished_sticks()
         return sticks if self.numbering.count_initial_rest else sticks.without_initial_rest()
 
@@ -128,7 +128,7 @@ class Ensemble:
         return self.status_counts[Status.FINISHED]
 
     def realisation(self, number: int) -> tuple[Any, tuple[float, ...]]:
-        """The base motion and the initial state of sample `number`, with which `simulate` repeats it.
+        """The base motion and the initial state of sample `number`; `simulate` repeats the sample with them.
 
         Raises ValueError unless ``0 <= number < samples``.
         """
@@ -144,7 +144,7 @@ class Ensemble:
     def to_xarray(self) -> "xarray.Dataset":
         """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.
 
-        Sticks are CF contiguous ragged arrays along ``stick``; ``stick_count`` is the number that belongs to each
+        Sticks are CF contiguous ragged arrays along ``stick``; ``stick_count`` is the number of sticks of each
         sample. Raises ValueError unless ``keep="sticks"``, ImportError without the extra ``study``.
         """
         from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
@@ -154,7 +154,7 @@ class Ensemble:
     def write_sticks(self, path: str | os.PathLike[str]) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
 
-        - `path`: a file that ends in .csv or .parquet. The names of the columns hold the units.
+        - `path`: a file name that ends in .csv or .parquet. The column names include the units.
 
         Returns the path. Raises ValueError unless ``keep="sticks"`` and for other paths, ImportError without the extra
         ``tables``.
@@ -175,7 +175,7 @@ class Ensemble:
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         lines += (
-            [f"  near-grazing: {self.near_grazing_samples} samples, in which round-off decided about an event"]
+            [f"  near-grazing: {self.near_grazing_samples} samples, in which round-off decided if there was an event"]
             if self.near_grazing_samples
             else []
         )

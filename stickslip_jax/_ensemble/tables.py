@@ -1,4 +1,4 @@
-"""Tables of sticks in files, with one row for each stick."""
+"""Files of sticks as tables, one row for each stick."""
 
 import os
 from pathlib import Path

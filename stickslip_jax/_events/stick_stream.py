@@ -1,4 +1,4 @@
-"""Sticks as they come out of the lanes' records: each sample's in order of time, samples in any order."""
+"""Sticks in the order in which the lanes record them: those of a sample in order of time, samples interleaved."""
 
 from typing import Any, NamedTuple
 
@@ -9,14 +9,13 @@ from .sticks import FURTHER, NUMBERS, FlatSticks
 
 
 class StickStream(NamedTuple):
-    """The sticks of many samples, those of each in order of time.
+    """The sticks of many samples, those of each sample in order of time.
 
-    To bring millions of sticks into the order of their samples takes as long as to simulate them; what the statistics
-    need can be had without.
+    Sorting millions of sticks by sample takes as long as simulating them, and most statistics do not need it.
 
-    - `count`: of sticks of each sample, (samples,). `last`: when the last of them ends, s (0 without any), (samples,).
+    - `count`: number of sticks of each sample. `last`: end of its last stick, s (0 without any). (samples,).
     - `start`, `end`, `position`, `ending`: as in `FlatSticks`, (sticks,).
-    - `owner`: the sample of each stick. `order`: how many sticks of the same sample come before. (sticks,).
+    - `owner`: the sample of each stick. `order`: number of sticks of the same sample before it. (sticks,).
     - `slip`: duration of the slip before each stick, s; 0 where a sample begins with a stick. (sticks,).
     - `further`: as in `FlatSticks`, (columns, sticks).
     """
@@ -34,7 +33,7 @@ class StickStream(NamedTuple):
 
     @classmethod
     def of(cls, sticks: FlatSticks) -> "StickStream":
-        """Of sticks in order of their samples."""
+        """The stream of `sticks`, which are in order of their samples."""
         first, has = sticks.first, sticks.count > 0
         slip = np.empty_like(sticks.start)
         slip[1:] = sticks.start[1:] - sticks.end[:-1]
@@ -79,9 +78,9 @@ class StickStream(NamedTuple):
 
 
 class StickCollector:
-    """Takes sticks out of records, some blocks after the other, into memory of its own, which it uses again and again.
+    """Collects the sticks of successive blocks of records in memory that it reuses.
 
-    Fresh memory for every part would take longer to be had than the sticks to be put there.
+    Allocating memory for every part would take longer than collecting its sticks.
     """
 
     def __init__(self) -> None:
@@ -89,21 +88,21 @@ class StickCollector:
         self.restart(0)
 
     def restart(self, samples: int) -> None:
-        """Begin anew, with so many samples; what `sticks` gave before is lost."""
+        """Start over, with so many `samples`; overwrites what `sticks` returned before."""
         self._samples, self._number = samples, 0
         self._lanes: tuple[np.ndarray, ...] = ()
         self._of_samples: tuple[np.ndarray, ...] = ()
 
     def add(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> None:
-        """Take in the sticks of further blocks of records, later than those before.
+        """Add the sticks of further blocks of records, which follow those added before.
 
-        `values` (slots, columns, lanes) holds the numbers of sticks, `ending` (slots, lanes) is negative where there is
-        no stick, and `sample` (blocks, lanes) says whose records the lanes of each block of slots hold.
+        - `values`: the numbers of the sticks, (slots, columns, lanes). `ending`: (slots, lanes), negative where there
+          is no stick. `sample`: the sample of each lane in each block of slots, (blocks, lanes).
         """
         lanes, dtype = ending.shape[1], values.dtype
-        assert values.shape == (len(ending), len(NUMBERS), lanes)  # compiled loops look at no bounds
+        assert values.shape == (len(ending), len(NUMBERS), lanes)  # compiled loops check no bounds
         if not self._lanes:
-            # The sample that each lane is in, its sticks so far, and the end of the last.
+            # The sample of each lane, the number of its sticks so far, and the end of the last.
             self._lanes = (np.full(lanes, -1), np.zeros(lanes, np.int32), np.zeros(lanes, dtype))
             self._of_samples = (np.zeros(self._samples, np.int64), np.zeros(self._samples, dtype))
         columns = self._buffer(ending.size, dtype)
@@ -115,7 +114,7 @@ class StickCollector:
         self._number += compiled.gather(*records, self._samples, *self._lanes, *self._of_samples, *columns)
 
     def _gather(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray, into: tuple[np.ndarray, ...]) -> int:
-        """Put the sticks of some blocks into columns; their number."""
+        """Put the sticks of some blocks into the columns `into`; returns their number."""
         whose, so_far, last = self._lanes
         count, finish = self._of_samples
         found = 0
@@ -143,7 +142,7 @@ class StickCollector:
         return found
 
     def _buffer(self, more: int, dtype: Any) -> tuple[np.ndarray, ...]:
-        """Where to put up to so many more sticks."""
+        """The slots for up to `more` further sticks, enlarged as needed."""
         begin, end = self._number, self._number + more
         if not self._columns or end > len(self._columns[0]):
             kinds = (dtype, dtype, dtype, dtype, np.int8, np.int32, np.int32)

@@ -1,4 +1,4 @@
-"""The sticks of trajectories, and the slips between them: as engines record them, and as users get them."""
+"""Sticks of trajectories and the slips between them: as engines record them, and as results return them."""
 
 from typing import Any, NamedTuple
 
@@ -14,8 +14,8 @@ from .._types import AnyArray, BoolArray, FloatArray, IntArray
 class StickRecord(NamedTuple):
     """The stick of one interval or step, if any: times in s, position in m, and an `Ending` code, or -1 for no stick.
 
-    What every engine finds of a stick, in one place: `Sticks` and `FlatSticks` have the same columns. A further one
-    is added before `ending`, and described in `FURTHER`; engines fill it, and all else follows.
+    Defines the columns of a stick; `Sticks` and `FlatSticks` have the same. To add a column, put it before `ending`,
+    describe it in `FURTHER`, and let every engine compute it; nothing else changes.
     """
 
     start: FloatArray
@@ -31,11 +31,11 @@ class StickRecord(NamedTuple):
 
 
 NUMBERS = StickRecord._fields[:-1]
-"""The names of a stick's columns, but for the ending."""
+"""Names of the columns of a stick, without the ending."""
 
 
 class Column(NamedTuple):
-    """What a column holds: its name in tables and figures, and its unit, None for that of the position."""
+    """Description of a column: its name in tables and figures, and its unit (None: that of the position)."""
 
     label: str
     unit: str | None
@@ -55,20 +55,20 @@ class Totals(NamedTuple):
 
 
 def start_totals(dtype) -> Totals:
-    """Nothing counted yet."""
+    """The totals of a trajectory at its beginning, all zero."""
     none = jnp.zeros((), jnp.int32)
     return Totals(none, none, jnp.zeros((), dtype))
 
 
 def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
-    """Number of slips: one between any two sticks, one before and one after them where no stick reaches."""
+    """Number of slips: one between two sticks, one before them unless `at_start`, one after them unless censored."""
     return totals.sticks + 1 - at_start.astype(jnp.int32) - totals.censored
 
 
 def closed_up(records: StickRecord) -> StickRecord:
-    """One trajectory's records (intervals,) with the sticks first; differentiable, fixed size.
+    """The records (intervals,) of one trajectory with the sticks moved to the front; differentiable, fixed size.
 
-    Spare slots hold NaN, and -1 as ending.
+    The other slots hold NaN, and -1 as ending.
     """
     stuck = records.ending >= 0
     (order,) = jnp.nonzero(stuck, size=stuck.shape[0], fill_value=0)
@@ -83,15 +83,15 @@ def no_stick(dtype: Any) -> StickRecord:
 
 
 class Sticks(eqx.Module):
-    """Sticks in order of time, in slots of which `mask` marks the filled ones.
+    """Sticks in order of time; `mask` marks the slots that hold one.
 
     Arrays have the shape (slots,) for one trajectory and (samples, slots) for an ensemble; sticks fill the first slots.
-    Slots outside `mask` hold NaN (ending: -1), are for display only, and enter no statistic.
+    Slots outside `mask` hold NaN (ending: -1) and enter no statistic.
 
-    - `start`, `end`: s. `position`: of the mass when the stick starts, m (of a motor: its angle, rad).
-    - `slip_displacement`: how far the mass moved in the slip before the stick, in the unit of the position: from where
-      the stick before ended (or the simulation began) to `position`; 0 where no slip comes before. Times the stiffness
-      it is the change of the spring force in that slip, the force drop of stick-slip experiments.
+    - `start`, `end`: s. `position`: that of the mass at the start of the stick, m (for a `MotorCart` its angle, rad).
+    - `slip_displacement`: displacement of the mass in the slip before the stick, in the unit of the position: from the
+      end of the previous stick (or the start of the simulation) to `position`; 0 where no slip comes before. Times the
+      stiffness it is the change of the spring force in that slip, the force drop of stick-slip experiments.
     - `ending`: an `Ending` code: 0 RELEASED, 1 BASE_SWITCHED, 2 HORIZON (censored by the end of the simulation).
     """
 
@@ -120,9 +120,9 @@ class Sticks(eqx.Module):
 
 
 class Slips(eqx.Module):
-    """Slips in order of time: what is left of [0, t1] outside the sticks. Slots outside `mask` hold NaN.
+    """Slips in order of time: the parts of [0, t1] outside the sticks. Slots outside `mask` hold NaN.
 
-    - `start`, `end`: s. `censored`: cut by the horizon.
+    - `start`, `end`: s. `censored`: whether the horizon cuts the slip.
     """
 
     start: Float[AnyArray, "*batch slots"]
@@ -142,7 +142,7 @@ class Slips(eqx.Module):
 
 
 def sticks_in_order(records: StickRecord) -> Sticks:
-    """One trajectory's records, arrays (records,), with the sticks first; differentiable, fixed size."""
+    """The `Sticks` in the records of one trajectory, arrays (records,); differentiable, fixed size."""
     ordered = closed_up(records)
     return Sticks(*ordered, ordered.ending >= 0)
 
@@ -150,8 +150,8 @@ def sticks_in_order(records: StickRecord) -> Sticks:
 def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips:
     """The slips of one trajectory or of many: before the first stick, between sticks, after the last.
 
-    `sticks` hold (..., slots), the result one slot more. A slip of no length (a stick from t = 0, or to the horizon)
-    is no slip.
+    `sticks` have arrays (..., slots); the result has one slot more. Slips of no length, before a stick from t = 0 and
+    after one that lasts to the horizon, are left out.
     """
     batch = sticks.mask.shape[:-1]
     dtype = sticks.start.dtype
@@ -163,7 +163,7 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
     is_last = exists & ~jnp.concatenate([sticks.mask, ~edge], axis=-1)
     end = jnp.where(is_last, jnp.asarray(t1, dtype)[..., None], end)
     mask = exists & (jnp.where(exists, end, 0) > jnp.where(exists, start, 0))
-    # Slots of no length are closed up, so that slips fill the first slots.
+    # Slips of no length are sorted to the end, so that slips fill the first slots.
     order = jnp.argsort(~mask, axis=-1, stable=True)
     mask = jnp.take_along_axis(mask, order, axis=-1)
 
@@ -175,13 +175,13 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
 
 
 class FlatSticks(NamedTuple):
-    """The sticks of many samples one after the other (the "contiguous ragged" form of CF conventions).
+    """The sticks of many samples one after the other (the "contiguous ragged" arrays of the CF conventions).
 
-    In order of sample, then time. Times in s; position and displacement in m, of a motor angles in rad.
+    In order of sample, then time. Times in s; position and displacement in m, for a `MotorCart` angles in rad.
     """
 
     count: np.ndarray  # (samples,)  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
-    start: np.ndarray  # (all sticks,), as the following
+    start: np.ndarray  # (all sticks,), like the columns below
     end: np.ndarray
     position: np.ndarray
     slip_displacement: np.ndarray
@@ -199,12 +199,12 @@ class FlatSticks(NamedTuple):
 
     @property
     def first(self) -> np.ndarray:
-        """Where the sticks of each sample begin, (samples,)."""
+        """Index of the first stick of each sample, (samples,)."""
         return np.cumsum(self.count) - self.count
 
     @property
     def sample(self) -> np.ndarray:
-        """The sample that each stick belongs to."""
+        """The sample of each stick, (all sticks,)."""
         return np.repeat(np.arange(len(self.count)), self.count)
 
     @property
@@ -215,7 +215,7 @@ class FlatSticks(NamedTuple):
         return begins
 
     def without_initial_rest(self) -> "FlatSticks":
-        """The same without the sticks that begin at t = 0."""
+        """A copy without the sticks that begin at t = 0."""
         begins = self.begins_at_zero
         if not np.any(begins):
             return self
@@ -231,7 +231,7 @@ class FlatSticks(NamedTuple):
         return FlatSticks(self.count[chosen], *(column[kept] for column in self[1:]))
 
     def head(self, samples: int) -> "FlatSticks":
-        """The sticks of so many samples, the first."""
+        """The sticks of the first `samples` samples."""
         sticks = int(self.count[:samples].sum())
         return FlatSticks(self.count[:samples].copy(), *(column[:sticks].copy() for column in self[1:]))
 
@@ -241,7 +241,7 @@ class FlatSticks(NamedTuple):
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def padded(self) -> Sticks:
-        """As `Sticks` with arrays (samples, slots), slots being the largest count (at least 1)."""
+        """The same as `Sticks` with arrays (samples, slots), where slots is the largest count (at least 1)."""
         slots = max(1, int(self.count.max(initial=0)))
         mask = np.arange(slots) < self.count[:, None]
 

@@ -22,19 +22,19 @@ def simulate(
     y0: InitialState | None = None,
     method: Exact | Regularized = EXACT,
 ) -> Simulation:
-    """Simulate one realisation, every stick recorded. Pure: works under jit, vmap, jvp, grad.
+    """Simulate one realisation and record every stick. A pure function: works under jit, vmap, jvp, grad.
 
-    - `system`: what moves, a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
-    - `base`: what drives it: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
+    - `system`: the oscillator: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
+    - `base`: its excitation: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
       `Harmonic`, `SumOfHarmonics`, `Recorded`, `WithJumps`, or an object with ``velocity(t)`` and ``acceleration(t)``,
       m/s and m/s^2); a `GroundAcceleration`; for a `MotorCart` a `SourceVoltage`.
     - `t1`: duration, s.
     - `y0`: initial state: position (m) and velocity (m/s); for a `MotorCart` angle (rad), angular velocity (rad/s) and
       current (A). Zeros by default.
-    - `method`: `Exact`, with the step for motions that are followed in time steps, or `Regularized`.
+    - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
 
-    Returns a `Simulation`; look at its `status`. There are slots for all sticks that can happen. Raises ValueError for
-    arguments outside these bounds, and for a step too long for the shortest time scale.
+    Returns a `Simulation`; check its `status`. Its arrays have slots for all sticks that can happen. Raises ValueError
+    for arguments outside these bounds, and for a step too long for the shortest time scale.
     """
     require_system(system)
     check_method(method)

@@ -22,18 +22,18 @@ class Simulation(eqx.Module):
     """One simulated trajectory on ``[0, t1]``.
 
     - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).
-    - `stick_time`, `slip_time`: total, s. `stick_fraction`: share of ``[0, t1]``.
-    - `final_state`: (position m, velocity m/s), of a `MotorCart` (angle rad, angular velocity rad/s, current A), at
-      `time_reached`, which is ``t1`` if the trajectory is FINISHED.
-    - `status`: a `Status` code; 0 is FINISHED. Anything else: do not use the numbers.
-    - `near_grazing_count`: how often the last digits decided whether there was an event: the relative velocity (or the
-      force that a stick needs) turned round close to the edge, or just beyond it; the mass came to rest where friction
-      could just hold it; a jump of the base or the horizon came just before or after an event. Close means about
-      1e-9 of the scale (float32: 1e-3). 0 where no time steps were made.
-    - `evaluate(times)`: the state at any instants; `base_velocity(times)`: that of the base.
-    - `step_starts`: the instants at which the steps of the simulation begin, s: time steps, or where the motion
-      is known in closed form the whole intervals of the base velocity.
-    - `system`, `base`, `t1`, `method`: what was simulated, and how; a `Regularized` method has its options filled in.
+    - `stick_time`, `slip_time`: total, s. `stick_fraction`: total stick time over ``t1``.
+    - `final_state`: (position m, velocity m/s), for a `MotorCart` (angle rad, angular velocity rad/s, current A), at
+      `time_reached` (s), which is ``t1`` if the trajectory is FINISHED.
+    - `status`: a `Status` code; 0 is FINISHED. With any other code do not use the numbers.
+    - `near_grazing_count`: number of instants at which round-off decided whether there was an event: the relative
+      velocity had an extremum near zero, or the force that a stick needs one near the friction limit; the mass came to
+      rest where friction could just hold it; or a jump of the base or the horizon came just before or after an event.
+      Near means within about 1e-9 of the scale (float32: 1e-3). Counted by `Exact` in time steps only, else 0.
+    - `evaluate(times)`: the state at any instants; `base_velocity(times)`: the base velocity there.
+    - `step_starts`: the instants at which the steps of the simulation begin, s: time steps or, where the motion is
+      known in closed form, whole intervals of the base velocity.
+    - `system`, `base`, `t1`, `method`: the arguments; a `Regularized` method has its options filled in.
     """
 
     system: System
@@ -66,11 +66,11 @@ class Simulation(eqx.Module):
 
     @property
     def step_starts(self) -> Float[Array, "*batch steps"]:
-        """The instants at which the steps of the simulation begin, s; spare slots hold the end."""
+        """The instants at which the steps of the simulation begin, s; unused slots hold the end."""
         return self._path.times
 
     def evaluate(self, times: AnyArray | float) -> tuple[FloatArray, ...]:
-        """The state at `times` (s, any shape): position (m) and velocity (m/s), of a `MotorCart` angle (rad), angular
+        """The state at `times` (s, any shape): position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular
         velocity (rad/s) and current (A). As exact as the simulation.
 
         NaN outside ``[0, time_reached]``. Under ``jax.jit`` write ``jax.jit(lambda t: one.evaluate(t))``.
@@ -79,7 +79,7 @@ class Simulation(eqx.Module):
         return _evaluate(self, times, len(self.final_state))
 
     def base_velocity(self, times: AnyArray | float) -> FloatArray:
-        """Velocity of the base at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
+        """The base velocity at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
         times = self._checked(times)
         return jax.vmap(self._path.base_velocity)(times.reshape(-1)).reshape(times.shape)
 

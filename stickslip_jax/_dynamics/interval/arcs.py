@@ -1,15 +1,15 @@
 """Closed forms of the motion while the base velocity stays constant.
 
 Units inside: lengths as given; time as the angle ``omega t``; velocities divided by ``omega``, so that every slip arc
-is a circle run clockwise with unit angular speed. ``a`` is the stick half-width ``mu n / k``. All is told for a base
-that moves forward, ``q = |v| / omega >= 0``; for a backward one the picture is mirrored (`carry_across`).
+is a clockwise circle of unit angular speed. ``a`` is the stick half-width ``mu n / k``. The formulas are for a base
+that moves forward, ``q = |v| / omega >= 0``; for a backward one the state is mirrored (`carry_across`).
 
 Slip below the base velocity circles about ``+a``, slip above it about ``-a`` (Lima and Sampaio, conference paper,
-eq. 3). With ``side = +1`` below and ``-1`` above, every rule is the same for both:
+eq. 3). With ``side = +1`` below and ``-1`` above, the rules that follow from this geometry are the same for both:
 
 - offset from the centre, towards the side: ``D = side x - a``; radius ``R^2 = D^2 + p^2``;
 - the arc meets the base velocity at distance ``h = sqrt(R^2 - q^2)`` from the centre, at ``x = side (a - h)``;
-- it sticks there if ``h <= 2 a``; otherwise it crosses to the other side, and meets the base velocity next at
+- the mass sticks there if ``h <= 2 a``; otherwise it crosses to the other side, and meets the base velocity next at
   distance ``h - 2 a`` from the other centre, and so on.
 """
 
@@ -23,20 +23,20 @@ from ..._numerics.compiling import computed_once
 from ..._numerics.elementary import angle_of, sincos
 from ..._types import BoolArray, FloatArray
 
-# The arc of a mass that left a stick at base velocity w has R = w exactly. If the base comes back to w while the mass
-# is on that arc (perhaps after a rest, or half a turn about the other centre), the two touch, and round-off must not
-# make a stick of it. The error of R^2 - q^2, in units in the last place of the terms below, grows as the root of the
-# number of intervals passed: 80 after 10^4. With this threshold a true arrival is missed only if its stick is shorter
-# than about 1e-6 R/q (float64), which happens once in 10^12 arcs.
+# After a release at base velocity w the arc has R = w exactly. If the base velocity returns to w while the mass is on
+# that arc (perhaps after a rest, or half a turn about the other centre), the arc is tangent to it, and round-off must
+# not create a stick there. The error of R^2 - q^2, in units in the last place of the terms in `_meeting`, grows with
+# the square root of the number of intervals: 80 after 10^4. With this threshold a true arrival is missed only if its
+# stick is shorter than about 1e-6 R/q (float64), which happens once in 10^12 arcs.
 _TOUCH_ULPS = {8: 4096, 4: 64}
-# Within so many units in the last place a mass on a base at rest counts as resting inside the band.
+# Tolerance, in units in the last place, within which a mass on a base at rest counts as resting inside the band.
 _REST_ULPS = 128
-# Beyond so many radians an angle means nothing: its last place is 1e-7. Such spans end as NaN, which is reported.
+# The longest interval, rad: the last place of a larger angle exceeds 1e-7. Longer intervals give NaN (`NOT_FINITE`).
 _LONGEST_SPAN = 2.0**30
 
 
 class Passage(NamedTuple):
-    """What happened in one interval: the state at its end, and its stick, if any, in angle from its beginning."""
+    """Result of one interval: the state at its end and its stick, if any; `entered`, `left`: angles since its start."""
 
     x: FloatArray
     p: FloatArray
@@ -50,7 +50,7 @@ class Passage(NamedTuple):
 def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, span: FloatArray) -> Passage:
     """Carry the state ``(x, p)`` across an interval of base velocity ``v`` (over omega) and length `span` (an angle).
 
-    At most one stick happens: from a release on, the mass circles tangentially below the base velocity.
+    There is at most one stick: after a release the mass moves on a circle tangent to the base velocity from below.
     """
     mirror, x, p, q, span = _mirrored(x, p, v, span)
     first = _first_arc(x, p, q, a, span)
@@ -61,7 +61,7 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
         side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p
     )
     sine, cosine = sincos(angle)
-    # A radius whose square overflows would miss its arrivals: infinity times zero makes it NaN, which is reported.
+    # A radius whose square overflows would miss its arrivals: 0 * infinity makes the state NaN (`NOT_FINITE`).
     x_end = centre + offset * cosine + p_start * sine + 0 * excess
     p_end = p_start * cosine - offset * sine
     return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
@@ -86,9 +86,9 @@ def _stick(side, h, entered, arrived, q, a, span):
 
 @computed_once
 def _last_arc(side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p):
-    # One rotation ends the interval: about +a from the release point, or about the centre of the arc under way from
-    # where that arc began: the interval's first state, or (after a crossing) distance h beyond the centre at p = q.
-    # A mass still stuck at the end is a rotation by angle 0 of its last point.
+    # The last motion of the interval is one rotation: about +a from the release point, or about the centre of the
+    # current arc from where that arc began, which is the interval's first state or (after a crossing) distance h beyond
+    # the centre at p = q. A mass still stuck at the end is rotated by the angle 0.
     crossed = arrived_first & ~arrived
     offset = jnp.where(crossed, side * h, first_offset)
     offset = jnp.where(arrived, jnp.where(released, 0, position + q * (span - entered) - a), offset)
@@ -105,9 +105,9 @@ def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray
 
 
 def _rests(x, p, v, a):
-    """Whether the mass is at rest inside the stick band, its very edge included, on a base at rest.
+    """Whether the mass rests inside the stick band on a base at rest.
 
-    At the edge a circle of radius 0 is no motion.
+    The edge of the band is included: the slip circle there has radius 0, which is no motion.
     """
     edge = _REST_ULPS * jnp.finfo(x.dtype).eps * a
     return (v == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
@@ -116,8 +116,8 @@ def _rests(x, p, v, a):
 def _first_arc(x, p, q, a, span):
     """The arc from the interval's first state.
 
-    Returns its side, offset from its centre and p; ``R^2 - q^2``; its root, the distance h at which the arc meets the
-    base velocity; the angle at which it does, and whether within the span.
+    Returns its side, its offset from the centre and p; ``R^2 - q^2`` and its square root h, the distance from the
+    centre at which the arc meets the base velocity; the angle at which it does, and whether this is within the span.
     """
     at_rest, side, D, p = _seen_from_centre(x, p, q, a)
     excess, reaches, h = _meeting(at_rest, D, p, q, a)
@@ -146,8 +146,8 @@ def _meeting(at_rest, D, p, q, a):
 
 
 def _angle_to_meeting(D, p, q, h, side):
-    # Half the clockwise angle from (D, p) to (-h, q) on the same circle. Each form is free of cancellation where it is
-    # used, never negative, and 0 when the state is already on the base velocity inside the band.
+    # The clockwise angle from (D, p) to (-h, q) on the same circle, as twice its half. Each half-angle form is free of
+    # cancellation where it is used, never negative, and 0 for a state already at the base velocity inside the band.
     before = D <= 0
     return _twice_the_angle(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
 
@@ -156,12 +156,12 @@ def _angle_to_meeting(D, p, q, h, side):
 def _follow_crossings(side, h, entered, arrived, q, a, span):
     """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval.
 
-    Takes and returns: the side of the arc under way, the distance h at which it meets the base velocity, the angle at
-    which the last arc that arrived did so, and whether the one under way arrives within the span. Nothing is done (and
-    nearly nothing spent) where the first arc does not cross. Differentiable in both modes: the number of crossings
-    does not change, and the derivative of the sum over them is summed beside it.
+    Takes and returns: the side of the current arc, the distance h at which it meets the base velocity, the angle of the
+    last arrival, and whether the current arc arrives within the span. Costs nearly nothing where the first arc does not
+    cross. Differentiable in both modes: the derivative holds the number of crossings fixed, and is summed over them
+    along with the angles.
     """
-    # Beside thousands of other lanes the first crossing is nearly always needed: no loop for it.
+    # Among thousands of lanes some lane nearly always needs the first crossing: it is done without a loop.
     state = _cross_if_needed((arrived & (h > 2 * a), side, h, entered, arrived), q, a, span)
     return lax.while_loop(lambda s: s[0], lambda s: _cross(s, q, a, span), state)[1:]
 

@@ -1,7 +1,7 @@
-"""Exact motion on a base of piecewise-constant velocity: one closed form per interval, scanned over the intervals.
+"""Exact motion on a base of piecewise-constant velocity: a closed form for each interval, in a scan over intervals.
 
-One trajectory per call; batches are made with ``jax.vmap`` outside. Time is carried in seconds, so that switching
-instants are exact sums of durations; inside an interval the closed forms measure it as the angle ``omega t``.
+One trajectory per call; the caller makes batches with ``jax.vmap``. Time is in seconds, so that switching instants are
+exact sums of durations; inside an interval the closed forms use the angle ``omega t``.
 """
 
 from functools import partial
@@ -20,9 +20,9 @@ from .arcs import carry_across, sticks_from_start
 
 
 class Motion(NamedTuple):
-    """Where the mass is: time in s, position in m, velocity divided by omega in m.
+    """The state of the mass: time `t` in s, position `x` in m, velocity divided by omega `p` in m.
 
-    `slid_from`: where the slip under way began, or in a stick the one before, m.
+    `slid_from`: position where the current slip began, or during a stick where the slip before it began, m.
     """
 
     t: FloatArray
@@ -32,7 +32,7 @@ class Motion(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """What the closed forms need to know of the system, and the horizon."""
+    """Parameters of the closed forms, ``omega = sqrt(k/m)`` and the stick half-width ``mu n / k``; horizon `t1`, s."""
 
     omega: FloatArray
     inverse_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
@@ -47,23 +47,23 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
 
 
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
-    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's is kept equal to the last bit."""
+    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's stays equal to the last bit."""
     dtype = scales.omega.dtype
     x = jnp.asarray(y0[0], dtype)
     return Motion(jnp.zeros((), dtype), x, jnp.asarray(y0[1], dtype) * scales.inverse_omega, x)
 
 
 def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
-    """Whether the trajectory begins with a stick, given the first base velocity: then no slip comes before it."""
+    """Whether the trajectory begins with a stick, and so without a slip before it, at the first base `velocity`."""
     return sticks_from_start(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width)
 
 
 def cross_interval(
     scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
 ) -> tuple[Motion, Totals, StickRecord]:
-    """Cross one interval, cut at the horizon: the next state, the totals with this interval's stick, its record."""
+    """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, and its record."""
     omega, inverse_omega, a, t1 = scales
-    uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: it spoils the time, and that is reported
+    uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: the time becomes NaN (`NOT_FINITE`)
     span = jnp.where(uncut, duration, t1 - motion.t)
     passage = carry_across(motion.x, motion.p, velocity * inverse_omega, a, omega * span)
     t_end = jnp.where(uncut, motion.t + duration, t1)
@@ -83,7 +83,7 @@ def cross_interval(
     totals = Totals(
         sticks=totals.sticks + stuck,
         censored=totals.censored + (stuck & ~released & ~uncut),
-        # Not end - start, whose error grows with the time of day.
+        # Not end - start, whose round-off grows with the time since t = 0.
         stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * inverse_omega,
     )
     return following, totals, record
@@ -92,7 +92,7 @@ def cross_interval(
 def cross_live_interval(
     scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
 ) -> tuple[Motion, Totals, StickRecord]:
-    """`cross_interval`, but after the horizon nothing happens, not even the round-off of going nowhere."""
+    """`cross_interval`, which after the horizon leaves everything as it is, to the last bit."""
     live = ~(motion.t >= scales.t1)
     following, totals, record = cross_interval(scales, motion, totals, duration, velocity)
     return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record
@@ -103,10 +103,10 @@ def run_intervals(
 ) -> tuple[Motion, Totals, StickRecord, Motion]:
     """Simulate all intervals of one realisation.
 
-    Returns the final state, the totals, one `StickRecord` an interval, and the state at the beginning of each.
+    Returns the final state, the totals, a `StickRecord` for each interval, and the state at the beginning of each.
     """
 
-    @partial(jax.checkpoint, prevent_cse=False)  # an interval is followed again sooner than what it needs is stored
+    @partial(jax.checkpoint, prevent_cse=False)  # computing an interval again takes less time than storing its values
     def step(carry, interval):
         *following, record = cross_live_interval(scales, *carry, *interval)
         return tuple(following), (record, carry[0])

@@ -1,13 +1,13 @@
 """Motion over given base intervals: one trajectory, which ``jax.vmap`` turns into blocks of lanes.
 
-XLA runs a vmapped loop over intervals operation by operation, each over all samples, and as far as the room for
-intervals goes. Here a vmapped trajectory becomes blocks of lanes whose arrays stay in the cache; a block is one native
-loop, which ends with its last lane. Such a loop has no reverse mode. So derivatives with respect to single numbers
-(the system's and the initial state) are found in forward mode beside the motion: the tangents of the results are sums
-of stored slopes, which JAX transposes for reverse mode. Where the base itself depends on what is differentiated by (its
-durations or velocities do), the tangents go through `run_intervals`.
+XLA runs a vmapped loop over intervals operation by operation, each over all samples, and over all slots for intervals.
+Here a vmapped trajectory becomes blocks of lanes whose arrays stay in the cache; a block is one native loop, which ends
+with its last lane. Such a loop has no reverse mode. So derivatives with respect to scalars (parameters of the system
+and the initial state) are computed in forward mode along with the motion: the tangents of the results are sums of
+stored slopes, which JAX transposes for reverse mode. Derivatives with respect to the base (its durations or velocities)
+go through `run_intervals`.
 
-There are three functions, so that nobody pays for what nobody reads: `final_motion`, `ordered_sticks`, `beginnings`.
+Three functions, `final_motion`, `ordered_sticks` and `beginnings`, so that results that are not used cost nothing.
 """
 
 from collections.abc import Callable
@@ -42,8 +42,8 @@ class Given(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """A block of lanes under way: the number of intervals crossed, the state and sums of each lane, and what is kept of
-    each interval, arrays (intervals, lanes): `StickRecord`, `Motion` or nothing.
+    """Loop state of a block of lanes: the number of intervals crossed, the state and sums of each lane, and what is
+    kept of each interval: `StickRecord` (intervals, lanes), `Motion` (lanes, intervals) or nothing.
     """
 
     crossed: IntArray
@@ -58,7 +58,7 @@ def final_motion(given: Given) -> tuple[Motion, Totals]:
 
 
 def ordered_sticks(given: Given) -> StickRecord:
-    """The sticks of one trajectory in order of time, in slots (intervals,); as `closed_up` leaves them."""
+    """The sticks of one trajectory in order of time, in slots (intervals,), as `closed_up` returns them."""
     return _follow("sticks", given)
 
 
@@ -72,7 +72,7 @@ def _follow(what: _What, given: Given) -> Any:
 
 
 def _plain(what: _What, given: Given) -> Any:
-    """One scan over all intervals, which every transformation of JAX understands."""
+    """One scan over all intervals, which every transformation of JAX supports."""
     start = start_motion(given.scales, given.y0)
     motion, totals, records, began = run_intervals(given.scales, start, given.durations, given.velocities)
     if what == "final":
@@ -138,7 +138,7 @@ def _lanes_of(what: _What) -> Callable[[Given], Any]:
 
 @cache
 def _lanes_with_slopes(what: _What, moved: tuple[bool, ...]) -> Callable[[Given], Any]:
-    """Results, and their slopes (lanes, numbers, ...) by the numbers that `moved`: a list, of the real results."""
+    """Results, and a list of the slopes (lanes, numbers, ...) of the real ones with respect to the numbers `moved`."""
 
     def run(given: Given) -> Any:
         numbers = _numbers_of(given)
@@ -169,7 +169,7 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
         width = 8 * -(-lanes // (8 * max(blocks, 1)))
 
         def add_block(number, results):
-            # The last block goes back over lanes of the one before, which come out the same again.
+            # The last block starts among lanes of the block before, whose results come out the same again.
             first = jnp.minimum(number * width, lanes - width)
             block = run_block(jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, first, width), given))
             return jax.tree.map(lambda old, new: lax.dynamic_update_slice_in_dim(old, new, first, 0), results, block)
@@ -183,7 +183,7 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
 
     @mapped.def_vmap
     def _more_lanes(size, batched, given):
-        (batched,) = batched  # one entry an argument
+        (batched,) = batched  # one entry per argument
         if not any(jax.tree.leaves(batched)):
             out = run(given)
             return out, jax.tree.map(lambda _: False, out)
@@ -245,7 +245,7 @@ def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Bloc
     return lax.while_loop(goes_on, cross, block)
 
 
-@computed_once  # neighbours in a column lie far apart: to be read once
+@computed_once  # neighbours in a column lie far apart in memory: read each once
 def _column(table: Array, number: IntArray) -> Array:
     return lax.dynamic_index_in_dim(table, number, 1, keepdims=False)
 
@@ -259,7 +259,7 @@ def _close_up(records: StickRecord, buffer: StickRecord, crossed: IntArray) -> S
         is_stick = records.ending[number, lane] >= 0
 
         def move(old, column):
-            # What is no stick leaves the slot spare, for the next.
+            # An interval without a stick leaves the slot empty, for the next.
             spare = jnp.asarray(-1 if column.dtype == jnp.int8 else jnp.nan, column.dtype)
             entry = jnp.where(is_stick, lax.dynamic_slice(column, (number, lane), (1, 1)), spare)
             return lax.dynamic_update_slice(old, entry, (lane, count))

@@ -1,4 +1,4 @@
-"""Lanes of the interval engine: a step is a whole base interval, drawn as it comes."""
+"""Lanes of the interval engine: a step is a whole base interval, drawn when it is simulated."""
 
 from typing import Any, NamedTuple
 
@@ -15,14 +15,14 @@ from .engine import Motion, Scales, cross_interval, scales_of, start_motion, sta
 
 
 class _Sample(NamedTuple):
-    """What stays: the sample's key data, and whether it begins with a stick."""
+    """Constants of a sample: its key data, and whether it begins with a stick."""
 
     key_data: tuple[Array, Array]
     at_start: BoolArray
 
 
 class _Lane(NamedTuple):
-    """The motion of one lane; `memory`: what the law remembers."""
+    """The motion of one lane; `memory`: the state of the random law, which the next interval depends on."""
 
     memory: Any
     motion: Motion
@@ -72,5 +72,5 @@ class IntervalEngine(Engine):
 
 
 def is_over(motion: Motion, before: Motion, t1: Scalar) -> BoolArray:
-    """Whether a sample has come to the horizon, or had no further interval since `before`; a NaN time is over too."""
+    """Whether a sample reached the horizon, had no further interval since `before`, or has a NaN time."""
     return ~(motion.t < jnp.asarray(t1, motion.t.dtype)) | (motion.t <= before.t)

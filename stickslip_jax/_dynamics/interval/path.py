@@ -1,4 +1,4 @@
-"""One trajectory in closed form, and the state along it."""
+"""One trajectory in closed form over base intervals, and the state along it."""
 
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ from .given import Given, beginnings, final_motion, ordered_sticks
 
 
 class IntervalPath(Path):
-    """The states at the beginnings of the base's intervals."""
+    """Path given by the states at the beginnings of the base intervals."""
 
     system: MassSpring
     base: VelocitySteps
@@ -41,7 +41,7 @@ class IntervalPath(Path):
         return self.base.velocities[self._index(time)].astype(time.dtype)
 
     def _index(self, time: FloatArray) -> Array:
-        # Among intervals that begin together (spare slots of no length), the last: it is the one that lasts.
+        # Of intervals with the same beginning (empty slots of no length), the last is the one with a length.
         return jnp.clip(jnp.searchsorted(self.beginnings.t, time, side="right") - 1, 0)
 
 
@@ -49,7 +49,7 @@ class IntervalPath(Path):
 def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
     """One trajectory in closed form, interval by interval."""
     scales = scales_of(system, t1, dtype)
-    # Nothing later than t1 matters; cutting here keeps infinite durations out of all arithmetic.
+    # Nothing after t1 matters; cutting durations here keeps infinities out of the arithmetic.
     durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
     start = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
     given = Given(scales, start, durations, base.velocities.astype(dtype))

@@ -1,7 +1,7 @@
-"""Regularised motion in steps of fixed length: one trajectory, batches are made with ``jax.vmap`` outside.
+"""Regularised motion of one trajectory in steps of fixed length; the caller makes batches with ``jax.vmap``.
 
-Each turn of the loop takes one step, which ends early where a piece of the base motion or of the load ends: a jump is
-never stepped over. Adaptive steps: `regularized_solve.py`.
+A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump. Adaptive
+steps: `solve.py`.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from .switch import Switch
 
 
 class Field(NamedTuple):
-    """A system under its drive, whose friction acts by a smooth switch."""
+    """A system under its excitation, with friction regularised by `switch`."""
 
     model: SwitchedModel
     switch: Switch
@@ -32,7 +32,7 @@ class Field(NamedTuple):
         return self.model.rates_under(inputs, tau, y, self.switch.grip(self.model.friction, speed))
 
     def need(self, inputs: object, tau: FloatArray, y: State) -> FloatArray:
-        """The friction that holding the relative velocity needs, as a share of the largest; infinite without any."""
+        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
         zero = jnp.zeros_like(tau)
         free, per_grip = (
             self.model.relative_acceleration(inputs, tau, y, self.model.rates_under(inputs, tau, y, grip))
@@ -44,7 +44,7 @@ class Field(NamedTuple):
     def seen(
         self, inputs: object, t: FloatArray, h: FloatArray, before: State, after: State
     ) -> tuple[Step, State, State]:
-        """The step from `t` for the time `h` as a watch sees it, and the rates at its ends."""
+        """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(inputs, zero, before), self.rates(inputs, h, after)
         first = (
@@ -60,7 +60,7 @@ class Field(NamedTuple):
 
 
 class FixedLane(NamedTuple):
-    """One trajectory under way; `has_ended` and `status_of_lane` of the switched engine take it too."""
+    """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too."""
 
     t: FloatArray
     y: State
@@ -70,7 +70,7 @@ class FixedLane(NamedTuple):
 
 
 class Passage(NamedTuple):
-    """What a step leaves for `evaluate`: when it began, the state, and the rates at both ends."""
+    """Record of a step for the `CubicPath`: its beginning, the state there, and the rates at both ends."""
 
     t: FloatArray
     y: State
@@ -79,7 +79,7 @@ class Passage(NamedTuple):
 
 
 def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
-    """What an idle turn leaves, of a trajectory with states like `y`."""
+    """The records of an idle step, for a trajectory with states like `y`."""
     none = tuple(jnp.zeros_like(value) for value in y)
     return no_stick(y[0].dtype), Passage(none[0], none, none, none)
 
@@ -92,7 +92,7 @@ def start_fixed(
     y0: tuple,
     dtype,
 ) -> FixedLane:
-    """The beginning of a trajectory."""
+    """The lane at the beginning of a trajectory."""
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     speed = field.model.relative_velocity(field.model.inputs(zero, segment_laws.segments(segment_states)), zero, y)
@@ -109,14 +109,14 @@ def advance_fixed(
     most_steps: IntArray,
     lane: FixedLane,
 ) -> tuple[FixedLane, StickRecord, Passage]:
-    """One turn of the loop: the lane after it, the stick that ended in it, if any, and the step."""
+    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`."""
     inputs = field.model.inputs(lane.t, segment_laws.segments(lane.segment_states))
     live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
     stop = t1
     for segment_state in lane.segment_states:
         stop = jnp.minimum(stop, segment_state.segment.end)
     left = jnp.where(live, stop - lane.t, 0)
-    # Not a last step of a few units in the last place.
+    # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = step * (1 + 1e-6) >= left
     h = jnp.where(to_stop, left, step)
     y = implicit_step(field.model, field.switch, inputs, lane.y, h)

@@ -23,7 +23,7 @@ from .switch import Switch
 
 
 class Shared(NamedTuple):
-    """What all steps need: the laws of the excitation's segments, the criterion of a stick, horizon and step (s)."""
+    """Quantities that all steps share: the segment laws, the criterion of a stick, the horizon and the step (s)."""
 
     segment_laws: SegmentLaws
     criterion: Criterion
@@ -35,8 +35,8 @@ class Shared(NamedTuple):
 class FixedEngine(Engine):
     """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), in fixed steps.
 
-    `method`: with every option filled in (`resolved`). A sample that takes more than `most_steps` is given up. What
-    stays throughout a sample is the smooth part of its excitation.
+    `method`: with every option filled in (`resolved`). A sample that needs more than `most_steps` is given up. The
+    constant of a sample is the smooth part of its excitation.
     """
 
     system: Any
@@ -76,9 +76,9 @@ class FixedEngine(Engine):
 
 
 class AdaptiveBatch(NamedTuple):
-    """Samples of any system under any drive that diffrax solves together, each in its own steps.
+    """Samples of any system under any excitation that diffrax solves together, each in its own steps.
 
-    `method`: with every option filled in. The slowest sample of a batch sets its time.
+    `method`: with every option filled in. The slowest sample determines the time of the batch.
     """
 
     system: Any
@@ -99,10 +99,10 @@ def solve_batch(
     keep: bool,
     dtype: Any,
 ) -> tuple[LaneResults, StickRecord | None]:
-    """Samples ``first .. first + samples - 1`` of a key; with `keep`, a `StickRecord` (samples, steps) too.
+    """Solve samples ``first .. first + samples - 1`` of a key; with `keep`, a `StickRecord` (samples, steps) too.
 
-    `used`: how many of them are asked for; the others end at once. `sizes`: how many segments of each part of the
-    excitation to draw (`table_sizes`).
+    `used`: number of samples that are needed; the others end at once. `sizes`: number of segments to draw for each part
+    of the excitation (`table_sizes`).
     """
     places = jnp.arange(samples, dtype=jnp.uint32)
     method, t1 = batch.method, jnp.asarray(batch.t1, dtype)
@@ -136,12 +136,12 @@ def solve_batch(
 
 
 def field_of(system: Any, smooth: Signal | None, method: Regularized) -> Field:
-    """The regularised field of `system` under a realised smooth drive."""
+    """The regularised field of `system` under a realised smooth excitation."""
     return Field(system.switched_model(smooth, None), Switch(method.width, method.shape))
 
 
 def criterion_of(method: Regularized) -> Criterion:
-    """What counts as a stick; `method` with every option filled in."""
+    """The criterion of a stick in `method`, which has every option filled in."""
     assert method.threshold is not None
     assert method.minimum_duration is not None
     return Criterion(method.threshold, method.minimum_duration)

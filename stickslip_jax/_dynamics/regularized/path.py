@@ -28,7 +28,7 @@ _NO_KEY_DATA = np.zeros(2, np.uint32)  # a realisation draws nothing
 
 
 class CubicPath(Path):
-    """The states at the ends of all steps and the rates there; a cubic for each state in between.
+    """Path given by the states and rates at the ends of all steps, with a cubic for each state in between.
 
     `t` (s) and `y` have an entry for the beginning of each step and one for the end of the last.
     """
@@ -44,7 +44,7 @@ class CubicPath(Path):
     def of(
         cls, excitation: Excitation, tables: Tables, passages: Passage, steps: IntArray, last: FloatArray, final: State
     ):
-        """From the first `steps` passages (the others are empty), and where the last one ended."""
+        """The path of the first `steps` passages (the others are empty), which ends at time `last` in `final`."""
         live = jnp.arange(len(passages.t)) < steps
 
         def closed(values, end):
@@ -75,7 +75,7 @@ class CubicPath(Path):
 
 
 class _Setting(NamedTuple):
-    """What one trajectory is made from, as arrays."""
+    """Arguments of one simulation, with numbers as arrays."""
 
     system: Any
     excitation: Excitation
@@ -87,12 +87,12 @@ class _Setting(NamedTuple):
 def follow_regularized(
     system: Any, base: Any, method: Regularized, t1: Scalar, y0: tuple[Any, ...], dtype
 ) -> tuple[Regularized, Run]:
-    """One trajectory, and the method with every option filled in."""
+    """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
     excitation = excitation_of(base)
     system.check_excitation(excitation)
     given, method = method, resolved(system, excitation, method, dtype)
     if given.step is not None:
-        step_for(system, excitation, given)  # refuses one that is too long
+        step_for(system, excitation, given)  # raises for a step that is too long
     steps = method.max_steps or _fixed_steps(system, excitation, given, t1)
     sizes = table_sizes(system, excitation, t1)
     system, excitation, t1, y0 = as_arrays((system, excitation, t1, y0), dtype)
@@ -101,7 +101,7 @@ def follow_regularized(
 
 
 def _fixed_steps(system: Any, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
-    """How many fixed steps the trajectory takes."""
+    """Upper bound of the number of fixed steps of the trajectory."""
     try:
         return few_sizes(fixed_steps(system, excitation, method, t1))
     except NotKnown:

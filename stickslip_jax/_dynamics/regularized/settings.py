@@ -1,4 +1,4 @@
-"""What a regularised simulation takes where the user leaves it open: thresholds and tolerances by scales."""
+"""Defaults of a regularised simulation: thresholds and tolerances from the scales of the system."""
 
 import math
 from typing import Any
@@ -37,7 +37,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
     threshold = Switch(width, method.shape).creep(jnp.asarray(speed)) if method.threshold is None else method.threshold
     duration = method.minimum_duration
     if duration is None:
-        # Without friction nothing sticks, however slowly it passes.
+        # Without friction nothing sticks, however slowly the mass passes through.
         slows = jnp.asarray(deceleration) > 0
         never = min(_checks.LARGEST, float(jnp.finfo(dtype).max))
         duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
@@ -65,9 +65,9 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 
 
 def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
-    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each piece.
+    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each segment.
 
-    Raises NotKnown where a number that it depends on is not known yet, ValueError for a step that is too long for the
+    Raises NotKnown where a number that it depends on is traced, ValueError for a step that is too long for the
     shortest time scale.
     """
     horizon, shortest = largest(t1), smallest(step_for(system, excitation, method))
@@ -75,7 +75,7 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
 
 
 def _state_scales(system: System, excitation: Excitation, dtype) -> Array:
-    """The typical size of each state, by which errors are judged where the state itself is small."""
+    """The typical size of each state, the scale of its absolute tolerance."""
     values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(excitation)])
     return jnp.where(values > 0, values, 1)
 

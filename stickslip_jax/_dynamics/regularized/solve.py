@@ -1,4 +1,4 @@
-"""Regularised motion in steps of adaptive length, by diffrax: one trajectory."""
+"""Regularised motion of one trajectory in adaptive steps, by diffrax."""
 
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from .stick_detector import Criterion, StickDetector, detect, start_detector
 
 
 class Tables(eqx.Module):
-    """All that comes in pieces, of one realisation; the order is that of `SegmentLaws`."""
+    """All segments of one realisation, in the order of `SegmentLaws`."""
 
     base: tuple[SegmentTable, ...]
     ground: tuple[SegmentTable, ...]
@@ -28,7 +28,7 @@ class Tables(eqx.Module):
 
     @classmethod
     def of(cls, system: Any, excitation: Excitation, key_data: Any, sizes: tuple[int, ...], dtype) -> "Tables":
-        """The pieces that `key_data` choose, so many of each part (`table_sizes`)."""
+        """The segments that `key_data` choose; `sizes`: how many of each part (`table_sizes`)."""
         segment_laws, own = SegmentLaws.of(system, excitation), excitation.segment_key_data(key_data)
         tables = [SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True)]
         second, third = len(segment_laws.base), len(segment_laws.base) + len(segment_laws.ground)
@@ -40,12 +40,12 @@ class Tables(eqx.Module):
         return self.base + self.ground + self.force
 
     def at(self, t: FloatArray) -> Segments:
-        """The pieces under way at time `t`."""
+        """The current segments at time `t`."""
         return Segments(*(tuple(table.at(t) for table in part) for part in (self.base, self.ground, self.force)))
 
     @property
     def end(self) -> FloatArray | float:
-        """When the first part comes to its end, s."""
+        """Earliest end of a part, s."""
         earliest = jnp.inf
         for table in self.all:
             earliest = jnp.minimum(earliest, table.end)
@@ -53,18 +53,18 @@ class Tables(eqx.Module):
 
     @property
     def times(self) -> Array | None:
-        """When pieces end and others begin, s; None where that never happens."""
+        """The instants at which one segment follows another, s; None without any."""
         times = [table.segments.begin[1:] for table in self.all]
         return jnp.concatenate(times) if sum(map(len, times)) else None
 
 
 def table_sizes(system: Any, excitation: Excitation, t1: Any) -> tuple[int, ...]:
-    """How many pieces of each part nearly every realisation needs until `t1`, which is no tracer."""
+    """Number of segments of each part that suffices for nearly every realisation until `t1` (not traced)."""
     return tuple(law.segments(t1) for law in SegmentLaws.of(system, excitation).all)
 
 
 class Solver(NamedTuple):
-    """How to solve: diffrax's solver and adjoint, tolerances (absolute: one for each state)."""
+    """Options of diffrax: solver, adjoint, and tolerances (absolute: one for each state)."""
 
     solver: Any
     adjoint: Any
@@ -73,14 +73,14 @@ class Solver(NamedTuple):
 
     @classmethod
     def of(cls, method: Regularized) -> "Solver":
-        """As a method says in which every option is filled in."""
+        """The options of `method`, which has every option filled in."""
         return cls(method.solver, method.adjoint, method.rtol, method.atol)
 
 
 class Solution(NamedTuple):
-    """The accepted steps: the states at their beginnings and, in the last slots used, at the end.
+    """The accepted steps of a solution: the state at the beginning of each, and at the end of the last.
 
-    `t`: (steps + 1,), infinity in spare slots. `y`: (steps + 1, states). `steps`: how many there are.
+    `t`: (steps + 1,), infinity in spare slots. `y`: (steps + 1, states). `steps`: number of accepted steps.
     """
 
     t: Array
@@ -97,7 +97,7 @@ class Solution(NamedTuple):
 def solve_adaptive(
     field: Field, tables: Tables, t1: FloatArray, y0: tuple[Any, ...], how: Solver, max_steps: int
 ) -> Solution:
-    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, tries included."""
+    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not."""
     dtype = t1.dtype
     zero = jnp.zeros((), dtype)
 
@@ -125,7 +125,7 @@ def solve_adaptive(
 
 
 def start_detection(field: Field, tables: Tables, criterion: Criterion, y: Array) -> StickDetector:
-    """The watch at the beginning."""
+    """The stick detector at the beginning of a trajectory."""
     zero = jnp.zeros((), y.dtype)
     return start_detector(
         criterion, field.model.relative_velocity(field.model.inputs(zero, tables.at(zero)), zero, tuple(y)), y[0]
@@ -141,11 +141,11 @@ def detect_in_step(
     detector: StickDetector,
     index: IntArray,
 ) -> tuple[StickDetector, StickRecord, Passage]:
-    """Go over step number `index` of a solution; where there is none, nothing happens."""
+    """Run the stick detector over step number `index` of a solution; beyond its last step nothing changes."""
     live = index < solution.steps
     index = jnp.where(live, index, 0)
     t, y = solution.t[index], tuple(solution.y[index])
-    # Without steps at all, one of no length stands in.
+    # A solution without steps is read as one step of no length.
     following = jnp.where(solution.steps > 0, index + 1, 0)
     now, after = solution.t[following], tuple(solution.y[following])
     h = now - t

@@ -1,4 +1,4 @@
-"""Sticks of regularised dynamics: while the relative velocity is below a threshold, for long enough."""
+"""Detection of sticks in regularised dynamics: the relative velocity stays below a threshold for long enough."""
 
 from typing import NamedTuple
 
@@ -12,18 +12,18 @@ from ..._types import BoolArray, FloatArray, Scalar
 
 
 class Criterion(NamedTuple):
-    """What counts as a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s)."""
+    """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s)."""
 
     threshold: Scalar
     minimum_duration: Scalar
 
 
 class StickDetector(NamedTuple):
-    """What is known of the sticks so far.
+    """State of the detector after the steps so far.
 
-    `inside`: whether the relative velocity is below the threshold. `crossed`: when it passed through zero in the last
-    step without ending inside, infinity if it did not; `crossed_at`: the position there. `slid_from`: that at the end
-    of the last stick, or at t = 0.
+    - `inside`: whether the relative velocity is below the threshold, since `start` (s) at `position` (m).
+    - `crossed`: when it passed through zero in the last step without ending inside, s, infinity if it did not;
+      `crossed_at`: the position there. `slid_from`: the position at the end of the last stick, or at t = 0.
     """
 
     inside: BoolArray
@@ -37,10 +37,10 @@ class StickDetector(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One step as the watch sees it, from time `t` for the time `h`.
+    """One step from `t` to ``t + h`` as the detector reads it.
 
-    Relative velocity and its slope at both ends (before a jump of the base), position and velocity too. `need0` and
-    `need1`: the friction that holding the mass needs there, as a share of the largest.
+    `r0`, `slope0`, `r1`, `slope1`: relative velocity and its slope at both ends (before a jump of the base); `x0`,
+    `v0`, `x1`, `v1`: position and velocity; `need0`, `need1`: friction that holds the mass, over the largest friction.
     """
 
     t: FloatArray
@@ -58,7 +58,7 @@ class Step(NamedTuple):
 
 
 def start_detector(criterion: Criterion, speed: FloatArray, position: FloatArray) -> StickDetector:
-    """The beginning of a trajectory with this relative velocity and position."""
+    """The detector at the beginning of a trajectory with relative velocity `speed` and `position`."""
     dtype = speed.dtype
     inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
     return StickDetector(inside, zero, position, never, position, position, start_totals(dtype), jnp.zeros((), bool))
@@ -74,12 +74,12 @@ def detect(
     last: BoolArray,
     resolved: bool,
 ) -> tuple[StickDetector, StickRecord]:
-    """Go over one step.
+    """Update the detector by one step; returns it and the record of the stick that ended in the step, if any.
 
-    It may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. `resolved`: whether
-    it resolves the width, so that the cubic through its ends shows where the relative velocity passes the threshold. If
-    not, that falls straight to zero inside the step in which a stick begins, and leaves zero inside the step in which
-    the needed friction passes the largest.
+    The step may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. `resolved`:
+    whether it resolves the width, so that the cubic through its ends shows where the relative velocity passes the
+    threshold. If not, the relative velocity is taken to fall linearly to zero inside the step in which a stick begins,
+    and to leave zero inside the step in which the needed friction exceeds the largest.
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
     inside = jnp.abs(step.r1) <= threshold
@@ -92,7 +92,7 @@ def detect(
     position = jnp.where(enters, at, detector.position)
     crossed, crossed_at = detector.crossed, detector.crossed_at
     if not resolved:
-        # A long step in which the mass comes to rest may end a little beyond; the next one brings it back.
+        # A long step in which the mass comes to rest may end a little beyond rest; the next step corrects this.
         late = enters & jnp.isfinite(detector.crossed)
         start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
         passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
@@ -127,7 +127,7 @@ def detect(
 
 
 def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
-    """When ``|v_rel|`` passes the threshold, s after the step began; of no meaning where it does not."""
+    """When ``|v_rel|`` passes the threshold, s after the step began; meaningless where it does not."""
     h = step.h
     sign = _sign(step.r0 if entering else step.r1)
     # Positive before the crossing and negative after it.
@@ -138,7 +138,7 @@ def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArra
     falls = (s0 > 0) & (s1 < 0)
     s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
     u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(h)).where
-    # One Newton step more, through which the derivative passes.
+    # One more Newton step, which carries the derivative.
     value = hermite(u, jnp.ones_like(u), s0, d0, s1, d1)
     slope = 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
     usable = falls & (slope < 0)
@@ -146,7 +146,7 @@ def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArra
 
 
 def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
-    """When ``|v_rel|`` falls to the threshold if it goes on as it begins; else where the chord does."""
+    """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if it rises there."""
     size, rise = jnp.abs(step.r0), _sign(step.r0) * step.slope0
     above = jnp.maximum(size - threshold, 0)
     total = jnp.maximum(size - _sign(step.r0) * step.r1, threshold)
@@ -155,10 +155,10 @@ def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
 
 
 def _late_exit(threshold: FloatArray, step: Step, resolved: FloatArray) -> FloatArray:
-    """When ``|v_rel|`` rises to the threshold, where the mass is released in this very step; else as `resolved` says.
+    """When ``|v_rel|`` rises to the threshold if the mass is released in this step; else the time `resolved`.
 
-    From the release on, at a needed share of one, the excess force grows straight and the relative velocity with its
-    square.
+    After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
+    relative velocity with its square.
     """
     here = (step.need0 < 1) & (step.need1 > 1)
     gain = jnp.where(here, step.need1 - step.need0, 1)
@@ -181,7 +181,7 @@ def _position(step: Step, tau: FloatArray) -> FloatArray:
 def hermite(
     tau: FloatArray, h: FloatArray, x0: FloatArray, v0: FloatArray, x1: FloatArray, v1: FloatArray
 ) -> FloatArray:
-    """The cubic with these values and slopes at 0 and `h`, at `tau`; `x0` where the step has no length."""
+    """The cubic with these values and slopes at 0 and `h`, evaluated at `tau`; `x0` for a step of no length."""
     u = jnp.where(h > 0, tau / jnp.where(h > 0, h, 1), 0)
     bend = (1 - u) * (1 - u)
     values = x0 * bend * (1 + 2 * u) + x1 * u * u * (3 - 2 * u)

@@ -1,4 +1,4 @@
-"""The sign of the relative velocity made smooth: what regularised dynamics puts in the place of `sgn`."""
+"""Smooth switches that replace the sign of the relative velocity in regularised dynamics."""
 
 import math
 
@@ -16,25 +16,24 @@ _SMOOTH = {
     "rational": lambda s: s / jnp.sqrt(1 + s * s),
 }
 SHAPES = tuple(_SMOOTH)
-_PEAK = 2.0  # widths at which a law that holds more than it rubs holds most
+_PEAK = 2.0  # widths; relative velocity at which friction reaches `static` for laws with static > kinetic
 
 
 class Switch(eqx.Module):
-    """``phi(v_rel / width)`` for ``sgn(v_rel)``; `width` in m/s, `shape` one of `SHAPES`."""
+    """Smooth switch ``phi(v_rel / width)`` in place of ``sgn(v_rel)``; `width` in m/s, `shape` one of `SHAPES`."""
 
     width: Scalar
     shape: str = eqx.field(static=True)
 
     def __call__(self, ratio: FloatArray) -> FloatArray:
-        """The smooth sign of a relative velocity given in widths."""
+        """``phi(ratio)``, the smooth sign; `ratio`: relative velocity over width."""
         return _SMOOTH[self.shape](ratio)
 
     def grip(self, friction: FrictionLaw, speed: FloatArray) -> FloatArray:
-        """The friction coefficient at relative velocity `speed` (m/s), with its sign.
+        """The signed friction coefficient at relative velocity `speed` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.
 
-        ``kinetic(|v_rel|) phi(v_rel / width)``. A law that holds more in a stick than it rubs in a slip has a hump on
-        top: a mean of the above and ``static``, whose weight rises to one at two widths, so that friction holds exactly
-        as much as the law says, and falls off beyond.
+        Where ``static`` exceeds ``kinetic``, it is a weighted mean of this and ``static``. The weight of ``static``
+        rises to one at two widths, so that the largest friction is exactly ``static``, and falls off beyond.
         """
         ratio = speed / self.width
         rubbing = friction.kinetic(jnp.abs(speed)) * self(ratio)
@@ -47,14 +46,14 @@ class Switch(eqx.Module):
         return rubbing * (1 - weight) + weight * jnp.sign(speed) * friction.static
 
     def creep(self, speed: Scalar) -> Scalar:
-        """The relative velocity (m/s) that a mass has when it is released from a stick, about.
+        """The approximate relative velocity (m/s) of a mass at its release from a stick.
 
-        Until then it creeps: friction balances the growing force at ``phi = force / largest``. A mass whose friction
-        gives way in the time ``speed / deceleration`` is released when the creep can no longer follow the balance. That
-        is where the gap ``1 - phi`` equals the time, in these units, in which the excess force brings the mass to the
-        speed of creep; it leads to these powers of the width (`speed` is the system's scale of velocity, m/s). The
-        factors are those at which exits are neither early nor late on average in the Poisson-switching system of Lima
-        and Sampaio, at widths of 1/50, 1/500 and 1/5000 of that scale.
+        Before its release the mass creeps: friction balances the growing force at ``phi = force / largest``. The
+        release is where the creep can no longer follow this balance: where the gap ``1 - phi`` equals the time, in
+        units of ``speed / deceleration``, in which the excess force brings the mass to the speed of creep. This gives
+        the powers of the width below (`speed`: the system's velocity scale, m/s; deceleration: that by friction). The
+        factors are fitted: with them exits are neither early nor late on average in the Poisson-switching system of
+        Lima and Sampaio, at widths of 1/50, 1/500 and 1/5000 of `speed`.
         """
         parts = jnp.maximum(speed / self.width, 1)
         widths = {

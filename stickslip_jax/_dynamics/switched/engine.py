@@ -1,20 +1,20 @@
-"""Exact switched motion of any system: time steps in which every switch is located to machine precision.
+"""Exact switched motion of any system: time steps in which every event is located to machine precision.
 
-A system plugs in as a `SwitchedModel`: how it moves while it slips one way or the other and while it sticks, and one
-function, the guard, that is positive while the present mode lasts. Each turn of the loop tries one step:
+A system is given as a `SwitchedModel`: its motion in a slip of either direction and in a stick, and the guard, a
+function that is positive while the current mode (stick, slip forward, slip backward) lasts. Each loop step tries one
+time step:
 
-- if the guard stays positive, the step is taken;
-- if it falls through zero inside, the step is tried again up to the guess of where it does, until it ends there within
-  `_LANDED` of the step; a last Newton step then lands on the event, and carries its derivative (the implicit function
-  theorem);
-- if it comes down near zero and turns up again, the step is tried again up to the turning point, to see which it is;
-- a step never crosses the end of a piece of the base motion or of the load: there the mode is settled afresh.
+- if the guard stays positive, the time step is accepted;
+- if the guard falls through zero inside, the step is tried again with the estimated event as its end, until it ends
+  within `_LANDED` of the event; a last Newton step then lands on the event, and carries its derivative (the implicit
+  function theorem);
+- if the guard has a minimum near zero, the step is tried again up to this minimum, to see whether it falls below;
+- a time step never crosses the end of a segment of the base motion or of the load: there the mode is found anew;
+- a time step whose error estimate is too large is tried again, shorter.
 
-- a step whose error the solver estimates as too large is tried again, shorter.
-
-What can be missed: two falls in one step between which the guard has two more extrema, which the cubic through the
-ends of a step cannot show; so steps must be short against the shortest time scale (`time_scales.py` sees to it).
-Where something less than `_NEAR_GRAZING` would have made or undone an event, that is counted (`_close_calls`).
+Two falls in one step with two more extrema of the guard between them can be missed, because the cubic through the ends
+of a step cannot have these; so steps must be short compared to the shortest time scale (`time_scales.py` checks this).
+Instants at which a change below `_NEAR_GRAZING` would create or remove an event are counted (`_close_calls`).
 """
 
 import math
@@ -36,31 +36,31 @@ from ..._systems.switched_model import NOISE_ULPS, Segments, State, SwitchedMode
 from ..._systems.system import System
 from ..._types import BoolArray, FloatArray, IntArray
 
-_LANDED = {8: 1e-8, 4: 3e-4}  # of a step; the Newton step that follows squares it
-_NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # of the guard's scale
+_LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
+_NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # fraction of the guard's scale
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
-_ERROR = {8: 1e-9, 4: 1e-5}  # of a step without a closed form, relative; its solver's estimate is far too high
+_ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
 _LEAST_ERROR = 1e-20
-_AT_ONCE = 1e-9  # of a step: a fall so early means that the mode was over when the step began
-_GRAZING = 64  # of the guard's round-off: a slip whose guard begins to change by less, in a step, begins at rest
-_EARLY, _SHORTER = 0.02, 0.25  # of a step
-_MANY_TRIES = 12  # guesses that have not landed by then are followed by halving, down to where round-off decides
+_AT_ONCE = 1e-9  # fraction of a step: an earlier fall means that the mode was over when the step began
+_GRAZING = 64  # times the guard's round-off: a slip whose guard changes by less than this in a step begins at rest
+_EARLY, _SHORTER = 0.02, 0.25  # fractions of a step
+_MANY_TRIES = 12  # after so many tries that missed the event, the step is halved instead, down to round-off
 
 
 class Lane(NamedTuple):
-    """One trajectory under way. `sign` is that of the relative velocity, 0 in a stick."""
+    """Loop state of one trajectory. `sign`: that of the relative velocity, 0 in a stick."""
 
     t: FloatArray
     y: State
     sign: FloatArray
     target: FloatArray  # length of the next step to try
-    pace: FloatArray  # the longest step that the error of those before allows
+    pace: FloatArray  # the longest step that the errors of the steps so far allow
     event: FloatArray  # time of the last event at rest
     tries: IntArray
-    steps: IntArray  # of the loop so far
+    steps: IntArray  # loop steps so far
     stick_start: FloatArray
     stick_position: FloatArray
-    slid_from: FloatArray  # position where the slip under way began, or in a stick the one before
+    slid_from: FloatArray  # position where the current slip began, or during a stick where the slip before it began
     totals: Totals
     at_start: BoolArray
     near_grazing_count: IntArray
@@ -68,7 +68,7 @@ class Lane(NamedTuple):
 
 
 class SegmentLaws(eqx.Module):
-    """The laws of all parts of the drive that come in pieces; a lane's feeds follow their order."""
+    """The laws of all parts of the excitation that consist of segments; a lane's `segment_states` have their order."""
 
     base: tuple[SegmentLaw, ...]
     ground: tuple[SegmentLaw, ...]
@@ -76,7 +76,7 @@ class SegmentLaws(eqx.Module):
 
     @classmethod
     def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
-        """The parts of drive and force that come in pieces."""
+        """The parts of excitation and force that consist of segments."""
         return cls(excitation.base, excitation.ground, system.recorded_loads)
 
     @property
@@ -84,7 +84,7 @@ class SegmentLaws(eqx.Module):
         return self.base + self.ground + self.force
 
     def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
-        """The pieces under way."""
+        """The current segments."""
         now = tuple(segment_state.segment for segment_state in segment_states)
         second, third = len(self.base), len(self.base) + len(self.ground)
         return Segments(now[:second], now[second:third], now[third:])
@@ -97,7 +97,7 @@ def start_lane(
     y0: tuple[Any, ...],
     step: FloatArray,
 ) -> Lane:
-    """The beginning of a trajectory, its mode settled."""
+    """The lane at the beginning of a trajectory, with its mode (stick or slip) found."""
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
@@ -126,15 +126,15 @@ def start_lane(
 def advance(
     model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, lane: Lane
 ) -> tuple[Lane, StickRecord]:
-    """One turn of the loop; the stick that ended in it, if any."""
+    """One loop step; returns the lane after it and the record of the stick that ended in it, if any."""
     dtype = lane.t.dtype
     inputs = model.inputs(lane.t, segment_laws.segments(lane.segment_states))
     stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
     left = stop - lane.t
-    to_stop = lane.t + lane.target >= stop  # so written, for the sum may be rounded up to it
+    to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
     h = jnp.where(to_stop, left, lane.target)
     sticking = lane.sign == 0
-    # What is not chosen must stay finite for the sake of derivatives: a slip over the long step of a stick may not.
+    # For derivatives the branch that is not chosen must be finite too: a slip over a stick's long step may overflow.
     slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
     held, error_held = model.stick_and_error(inputs, lane.y, h)
     y1, error = _where(sticking, held, slid), lax.stop_gradient(_chosen(sticking, error_held, error))
@@ -142,28 +142,28 @@ def advance(
     s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(inputs, h, y1, lane.sign)
     scale = model.guard_scale(inputs, y1, lane.sign)
-    # Round-off of the guard itself, and of the time at which it is taken.
+    # Round-off of the guard itself, and of the time at which it is evaluated.
     clock = _CLOCK_ULPS * jnp.finfo(dtype).eps * (lane.t + h)
     noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
     look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
     delta = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
     near = jnp.abs(delta) <= _LANDED[dtype.itemsize] * step + clock
     stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
-    # Released, a mass leaves its stick with no relative velocity and hardly any relative acceleration: whether it does
-    # at all is not seen from a step that ends after it has been caught again. Shorter ones show it.
+    # A released mass leaves its stick with no relative velocity and nearly no relative acceleration: a step that ends
+    # after it has stuck again cannot show whether it slipped at all. Shorter steps show it.
     hidden = look.falls & ~sticking & (s0 <= noise) & (jnp.abs(d0) * h <= _GRAZING * noise) & (look.where < _EARLY)
     early = (look.where < _AT_ONCE) & ~hidden
     at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
     landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
     again = ~landed & (look.falls | look.turns) & ~stalled
-    # A step to be tried again anyway may be too long because it goes beyond the event.
+    # The error counts only if the step is not tried again anyway: it may be large because the step passes the event.
     rough = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[dtype.itemsize])
     landed, again = landed & ~rough, again | rough
     taken = ~landed & ~again
     stretch = _Stretch(sticking, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
     touched, race = _close_calls(stretch, taken, landed & ~at_once, taken & to_stop)
 
-    # The event: a Newton step from where the step ended. Its tangent is that of the implicit function theorem.
+    # The event: a Newton step from the end of the step. Its derivative is that of the implicit function theorem.
     delta = jnp.where(landed & ~at_once, delta, 0)
     stays = again | at_once
     tau = jnp.where(stays, 0, h + delta)
@@ -186,7 +186,7 @@ def advance(
 
 
 class _Stretch(NamedTuple):
-    """What tells of a step how close things were: the guard at both ends and lowest between, and times, s."""
+    """Quantities of a step that show how close an event was: the guard at both ends and its minimum, and times, s."""
 
     sticking: BoolArray
     s0: FloatArray
@@ -200,20 +200,20 @@ class _Stretch(NamedTuple):
 
 
 def _close_calls(of: _Stretch, taken: BoolArray, landed: BoolArray, stopped: BoolArray) -> tuple[BoolArray, BoolArray]:
-    """Whether the last digits decided whether there was an event, and whether they would if the mode ended abruptly."""
+    """Whether round-off decided if there was an event, and whether it would if the mode ended abruptly."""
     few = _NEAR_GRAZING[of.s1.dtype.itemsize]
-    # Here the guard is so flat that it is near its lowest point: were that a little higher, or lower, there would be no
-    # event, or one. (The guard of a slip that has only just begun at rest has never been high.)
+    # The guard is so flat that it is close to its minimum: if the minimum were a little higher or lower, there would be
+    # no event, or one. (In a slip that has just begun at rest the guard is still small, and this says nothing.)
     flat = (jnp.abs(of.d1) * of.step < math.sqrt(2 * few) * of.scale) & (of.sticking | (of.age > of.step))
     inside = (of.lowest < few * of.scale) & (of.lowest > -of.noise) & (of.s0 > of.noise)
     touched = (taken & (inside | (flat & (of.s1 < few * of.scale)))) | (landed & flat)
-    # An event that was about to come, or had only just been.
+    # An event that was imminent, or had only just happened.
     due = (of.d1 < 0) & (of.s1 < -few * of.step * of.d1)
     return touched, stopped & (due | (of.age < few * of.step))
 
 
 def _pace(pace: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, rough: BoolArray) -> FloatArray:
-    """The longest step from here on, by the error of the one tried: with the order of the solvers used, 8 or less."""
+    """The longest step allowed from here on, by the error of the step tried (order of the solvers: 8 or less)."""
     allowed = _ERROR[h.dtype.itemsize] / jnp.maximum(error, _LEAST_ERROR)
     change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
     faster = jnp.where(taken & (h >= 0.999 * pace), pace * change, pace)
@@ -221,10 +221,10 @@ def _pace(pace: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, 
 
 
 def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
-    """Settle the mode after an event or at the end of a piece, and note the stick that ended.
+    """Find the mode after an event or at the end of a segment; returns the lane and the record of the ended stick.
 
-    Also returned: how far from the edge of the stick's band it was decided whether the mass sticks (infinity if that
-    was not decided), and whether the mode ended abruptly, by a jump of the base or the horizon.
+    Also returned: the size of the stick guard (0 at the edge of the band) where it was decided whether the mass sticks,
+    infinity elsewhere; and whether a jump of the base or the horizon ended the mode.
     """
     ended = at_stop & (lane.t < t1)
     was_stick = lane.sign == 0
@@ -234,7 +234,7 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
     on_base = model.on_base(inputs, lane.y)
     holds = model.can_stick(inputs, on_base)
     resting = model.at_rest(inputs, lane.y)
-    # A mass that is not at rest there moves on, against friction that now acts the other way.
+    # A mass that is not at rest at the event slips on, and friction reverses.
     turned = jnp.where(was_stick | resting, model.release_sign(inputs, on_base), -lane.sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
@@ -254,7 +254,7 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
     decided = (landed & ~was_stick) | (ended & jumped & resting)
     edge = jnp.abs(model.guard(inputs, jnp.zeros_like(lane.t), on_base, jnp.zeros_like(lane.sign))[0])
     edge = jnp.where(decided, edge, jnp.inf)
-    # A mass put down on the very edge of the band leaves it at once: that is no stick.
+    # A stick that starts exactly on the edge of the band ends at once: of no length, it does not count.
     no_stick = was_stick & (sign != 0) & ~over
     totals = Totals(
         sticks=lane.totals.sticks + over,
@@ -282,8 +282,8 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
 def following_segments(
     segment_laws: SegmentLaws, segment_states: tuple[SegmentState, ...], t: FloatArray, ended: BoolArray
 ) -> tuple[tuple[SegmentState, ...], BoolArray]:
-    """The pieces under way after time `t`, where a step `ended` that may have come to the end of some, and whether a
-    base velocity jumped.
+    """The current segments after time `t`, and whether a base velocity jumped there. `ended`: whether the step reached
+    the end of a segment.
     """
     following, jumped = [], jnp.zeros((), bool)
     for law, segment_state in zip(segment_laws.all, segment_states, strict=True):
@@ -295,14 +295,14 @@ def following_segments(
 
 
 def _resolve_mode(model, inputs, y, resting):
-    """The mode of a mass in the state `y`, found from nothing but whether it is at rest there."""
+    """The state and the sign of the mode of a mass in the state `y`, given whether it is `resting` on the base."""
     on_base = model.on_base(inputs, y)
     held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
     return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
 
 
 def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
-    """The `Status` of a trajectory that has ended, or will not be followed further."""
+    """The `Status` of a trajectory that has ended or is given up."""
     finite = jnp.isfinite(lane.t + t1)
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
@@ -312,7 +312,7 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
 
 
 def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
-    """Whether nothing more will happen: the horizon, the end of the base motion, a NaN, or too many turns."""
+    """Whether the trajectory has ended: by the horizon, the end of the base motion, a NaN, or too many loop steps."""
     finite = jnp.ones((), bool)
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
@@ -320,7 +320,7 @@ def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
 
 
 def is_spent(lane: Any) -> BoolArray:
-    """Whether some part of the drive has come to its end."""
+    """Whether some part of the excitation has no further segment."""
     spent = jnp.zeros((), bool)
     for segment_state in lane.segment_states:
         spent = spent | segment_state.spent
@@ -335,7 +335,7 @@ def _first(times) -> FloatArray | float:
 
 
 def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-    """One of two errors, of which None is 0."""
+    """One of two error estimates; None stands for 0, and both None give None."""
     if one is None and other is None:
         return None
     return jnp.where(first, 0 if one is None else one, 0 if other is None else other)

@@ -1,10 +1,10 @@
 """One step of fixed length of regularised dynamics, stable for any width.
 
-The singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander 1977; L-stable).
-Each stage is linear but for the friction: everything else is linearised where the stage is expected. What is left is
-one equation for the relative velocity, ``sigma + K grip(sigma) = sigma*`` (`_balance`). A step
-may be far longer than the time in which friction acts over the width: it then ends in the stick, as it should, where a
-step linearised in friction too would jump over it to and fro.
+The method is the singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander
+1977; L-stable). In each stage everything but the friction is linearised at a predicted state. One equation for the
+relative velocity remains, ``sigma + K grip(sigma) = sigma*`` (`_balance`). A step may be far longer than the time in
+which friction changes the relative velocity by one width: it then ends in the stick, as it should, where a step with
+linearised friction would overshoot it to and fro.
 """
 
 import math
@@ -23,7 +23,7 @@ _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
 def implicit_step(model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray) -> State:
-    """The state after the time `h`."""
+    """The state after one step of length `h` (s) from the state `y`."""
     grip = switch.grip(model.friction, model.relative_velocity(inputs, jnp.zeros_like(h), y))
     start = model.rates_under(inputs, jnp.zeros_like(h), y, grip)
     expected = _moved(y, _GAMMA * h, start)
@@ -42,7 +42,7 @@ def _stage(
     expected: State,
     weight: FloatArray,
 ) -> tuple[State, State]:
-    """Solve ``Y = base + weight f(tau, Y)``, linearised at `expected` but for friction: Y and f(tau, Y)."""
+    """Solve the stage ``Y = base + weight f(tau, Y)``, linear at `expected` but for friction; returns Y, f(tau, Y)."""
 
     def free(state):
         return model.rates_under(inputs, tau, state, jnp.zeros_like(tau))
@@ -68,11 +68,11 @@ def _stage(
 
 
 def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """The friction coefficient with its sign, where ``sigma + stiffness grip(sigma) = speed``.
+    """The signed friction coefficient ``grip(sigma)`` at the root of ``sigma + stiffness grip(sigma) = speed``.
 
     Newton's method from below, on the magnitude: `grip` is concave up to its largest value, so that no iterate
-    overshoots. Where a law that holds more in a stick leaves several solutions to a long step, that is the one of the
-    stick. The last step carries the derivative of the implicit function.
+    overshoots. With ``mu_static > mu`` a long step may have several roots: the one found is the stick. The last Newton
+    step carries the derivative of the implicit function.
     """
     size, sign = jnp.abs(speed), jnp.where(speed < 0, -1.0, 1.0)
 
@@ -94,8 +94,8 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
 def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:
     """Solve small linear systems by elimination.
 
-    Without pivoting, which steps short against the time scales do not need: the matrix is near the identity, or has a
-    large positive diagonal where something decays fast.
+    Without pivoting, which steps shorter than the time scales do not need: the matrix is near the identity, or has a
+    large positive diagonal where a state decays fast.
     """
     rows = [[*line, *(side[i] for side in sides)] for i, line in enumerate(matrix)]
     size = len(rows)

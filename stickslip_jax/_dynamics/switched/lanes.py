@@ -1,4 +1,4 @@
-"""Lanes of the switched engine: a step is a time step, taken or tried."""
+"""Lanes of the switched engine: a step is a time step, accepted or rejected."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from .run import lane_at_start
 
 
 class Shared(NamedTuple):
-    """What all steps need: the laws of the excitation's segments, the horizon and the time step (s)."""
+    """Quantities that all steps share: the laws of the excitation's segments, the horizon and the time step (s)."""
 
     segment_laws: SegmentLaws
     t1: Array
@@ -24,10 +24,10 @@ class Shared(NamedTuple):
 
 
 class SwitchedEngine(Engine):
-    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), by time steps of `step` s.
+    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), in time steps.
 
-    A sample that takes more than `most_steps` steps, tries included, is given up. What stays throughout a sample is the
-    smooth part of its excitation.
+    A sample that needs more than `most_steps` steps, rejected ones included, is given up. The constant of a sample is
+    the smooth part of its excitation.
     """
 
     system: Any

@@ -1,4 +1,4 @@
-"""One trajectory in time steps with located switches, and the state along it."""
+"""One trajectory in time steps with located events, and the state along it."""
 
 from contextlib import suppress
 from functools import partial
@@ -19,12 +19,12 @@ from ..time_scales import max_steps_advice
 from ..validation import checked_step
 from .run import Beginnings, base_velocity_at, run_trajectory, state_at, steps_for
 
-_MOST_KEPT = 2**25  # turns of the loop whose states are kept: about 3 GB
-_MOST_DOUBLINGS = 6  # of the turns of the loop, before a trajectory is given up
+_MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
+_MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given up
 
 
 class StepPath(Path):
-    """The states at the beginnings of time steps."""
+    """Path given by the states at the beginnings of time steps."""
 
     system: Any
     excitation: Excitation
@@ -43,7 +43,7 @@ class StepPath(Path):
 
 
 def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
-    """One trajectory in time steps with located switches; again with more steps where they did not suffice."""
+    """Simulate one trajectory in time steps with located events, again with twice the steps while they are too few."""
     excitation, step = checked_step(system, base, method, t1)
     try:
         steps = steps_for(system, excitation, t1, step) if method.max_steps is None else method.max_steps
@@ -67,7 +67,7 @@ def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[An
 
 
 def _is_short(run: Run) -> bool:
-    """Whether steps did not suffice, of a single trajectory or in a batch, if that is known."""
+    """Whether a trajectory, or one of a batch, ran out of steps; False where the status is traced."""
     with suppress(NotKnown):
         return largest(run.status == Status.OUT_OF_STEPS) > 0
     return False

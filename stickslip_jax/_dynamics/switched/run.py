@@ -1,4 +1,4 @@
-"""One whole trajectory of the switched engine, and its state at any time."""
+"""One trajectory of the switched engine, and its state at any time."""
 
 import math
 from typing import Any, NamedTuple
@@ -17,11 +17,11 @@ from ..._types import Array, FloatArray, Scalar
 from ..blocks import few_sizes, scan_in_blocks
 from .engine import Lane, SegmentLaws, advance, has_ended, start_lane, status_of_lane
 
-MOST_STEPS = 2**30  # they are counted in 32 bits
+MOST_STEPS = 2**30  # steps are counted in 32 bits
 
 
 class Beginnings(NamedTuple):
-    """Where each turn of the loop began, arrays (turns,): time (s), state, sign, and the pieces under way."""
+    """The beginning of each loop step, arrays (steps,): time (s), state, sign of the mode, and the current segments."""
 
     t: Array
     y: tuple[Array, ...]
@@ -30,7 +30,7 @@ class Beginnings(NamedTuple):
 
 
 class Trajectory(eqx.Module):
-    """What one trajectory leaves: its last `Lane`, a `StickRecord` for each turn of the loop, and where each began."""
+    """Result of one trajectory: its last `Lane`, a `StickRecord` for each loop step, and the beginning of each."""
 
     lane: Lane
     status: Array
@@ -41,7 +41,7 @@ class Trajectory(eqx.Module):
 def lane_at_start(
     system: Any, excitation: Excitation, key_data: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any
 ) -> Lane:
-    """The beginning of the trajectory that `key_data` choose."""
+    """The lane at the beginning of the trajectory that `key_data` choose."""
     dtype = step.dtype
     segment_laws = SegmentLaws.of(system, excitation)
     model = system.switched_model(excitation.realised(key_data, dtype), solver)
@@ -61,7 +61,7 @@ def run_trajectory(
     steps: int,
     dtype: Any,
 ) -> Trajectory:
-    """Follow one realisation for up to `steps` turns of the loop; where it ends earlier, the loop idles."""
+    """Simulate one realisation in at most `steps` loop steps; the loop idles once the trajectory has ended."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
     segment_laws, model = SegmentLaws.of(system, excitation), system.switched_model(excitation.signal, solver)
     start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver)
@@ -84,9 +84,9 @@ def run_trajectory(
 
 
 def state_at(system: Any, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
-    """The state at one `time`, from the beginning of the turn that holds it."""
+    """The state at one `time`, from the beginning of the step that contains it."""
     model = system.switched_model(excitation.signal, solver)
-    # Among turns that begin together (tries of the same step), the last: it is the one that was taken.
+    # Of loop steps with the same beginning (tries of one time step), the last is the one that was accepted.
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     t, y, sign, segments = jax.tree.map(lambda values: values[index], beginnings)
     inputs, h = model.inputs(t, segments), time - t
@@ -95,7 +95,7 @@ def state_at(system: Any, excitation: Excitation, solver: Any, beginnings: Begin
 
 
 def base_velocity_at(excitation: Excitation, beginnings: Beginnings, time: FloatArray) -> FloatArray:
-    """The base velocity at one `time`, m/s; 0 where nothing but a voltage or the ground's acceleration drives."""
+    """The base velocity at one `time`, m/s; 0 where the excitation is only a voltage or a ground acceleration."""
     index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
     velocity = jnp.zeros_like(time)
     if excitation.signal is not None and not isinstance(excitation.signal, SourceVoltage):
@@ -107,11 +107,10 @@ def base_velocity_at(excitation: Excitation, beginnings: Beginnings, time: Float
 
 
 def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> int:
-    """How many turns of the loop nearly every trajectory needs: a few for every step's worth of time and piece.
+    """Number of loop steps that suffices for nearly every trajectory: by the time steps and segments until `t1`.
 
-    Rounded up to one of few sizes, so that neighbouring lengths share a compilation; the loop stops when a trajectory
-    ends. Raises NotKnown where a number that it depends on is not known yet, ValueError if they are too many to be
-    counted in 32 bits.
+    Rounded up by `few_sizes`, so that similar lengths share a compilation; the loop stops when the trajectory ends.
+    Raises NotKnown where a number that it depends on is traced, ValueError for more steps than 32 bits can count.
     """
     horizon, shortest = largest(t1), smallest(step)
     segments = sum(law.segments(horizon) for law in SegmentLaws.of(system, excitation).all)
@@ -119,6 +118,6 @@ def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> 
     if steps > MOST_STEPS:
         raise ValueError(
             f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
-            "pieces of the motion."
+            "segments of the motion."
         )
     return few_sizes(math.ceil(steps))
