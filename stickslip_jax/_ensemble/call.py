@@ -186,8 +186,6 @@ class _Plan(NamedTuple):
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
-        # In a small run further lanes would be idle.
-        lanes = min(lanes, max(256, 1 << (-(-samples // threads) - 1).bit_length()))
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)
