@@ -15,7 +15,7 @@ FAST := $(addprefix tests/,package/test_fresh_process.py simulation/test_derivat
 # Processes of their own are not seen.
 MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics excitation package/test_bad_input.py \
 	sensitivity/test_bad_input.py statistics/test_statistics.py statistics/test_stick_sums.py \
-	statistics/test_labelled.py plot/test_trajectories.py plot/test_statistics.py study/test_sections.py \
+	statistics/test_labeled.py plot/test_trajectories.py plot/test_statistics.py study/test_sections.py \
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 

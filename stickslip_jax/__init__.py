@@ -20,7 +20,7 @@ from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
 from ._sensitivity import (
-    RealisationMeanDuration,
+    RealizationMeanDuration,
     Sensitivities,
     Sensitivity,
     StickDuration,
@@ -118,7 +118,7 @@ __all__ = [
     "Quantity",
     "RandomPhase",
     "RandomSteps",
-    "RealisationMeanDuration",
+    "RealizationMeanDuration",
     "Recorded",
     "Regularized",
     "Sensitivities",

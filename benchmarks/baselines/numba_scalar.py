@@ -28,16 +28,16 @@ def _arrival(z, u, w):
         below = z > 0.0
     else:
         below = u < w
-    centre = 1.0 if below else -1.0
-    d = z - centre
+    center = 1.0 if below else -1.0
+    d = z - center
     excess = d * d + (u * u - w * w)
     if excess <= 0.0:
         return z, math.inf
-    offset = -centre * math.sqrt(excess)
+    offset = -center * math.sqrt(excess)
     angle = math.atan2(u * offset - d * w, d * offset + u * w)
     if angle <= 0.0:
         angle += 2.0 * math.pi
-    return centre + offset, angle
+    return center + offset, angle
 
 
 @njit(cache=False, fastmath=False, nogil=True)
@@ -64,9 +64,9 @@ def _interval(z, u, w, duration):
                 elif landing == 1.0:
                     mode = RELEASED
                 continue
-        centre = 1.0 if (u < w or mode == RELEASED or (u == w and z > 0.0)) else -1.0
-        s, c, d = math.sin(duration), math.cos(duration), z - centre
-        return centre + d * c + u * s, u * c - d * s, sticks, stick_time
+        center = 1.0 if (u < w or mode == RELEASED or (u == w and z > 0.0)) else -1.0
+        s, c, d = math.sin(duration), math.cos(duration), z - center
+        return center + d * c + u * s, u * c - d * s, sticks, stick_time
 
 
 @njit(cache=False, fastmath=False, nogil=True)

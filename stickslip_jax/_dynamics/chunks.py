@@ -20,9 +20,9 @@ from .regularized import lanes as regularized_lanes
 
 
 class Chunks(NamedTuple):
-    """`lanes.summarise`, `lanes.open_lanes` and `lanes.record`, compiled."""
+    """`lanes.summarize`, `lanes.open_lanes` and `lanes.record`, compiled."""
 
-    summarise: Callable[..., Any]
+    summarize: Callable[..., Any]
     open: Callable[..., tuple[Any, ...]]
     record: Callable[..., tuple[tuple[Any, ...], lanes.Records, lanes.Blocks]]
 
@@ -40,7 +40,7 @@ def _compiled(is_own: bool) -> Chunks:
     compiled = partial(CompiledNatively, compiler_options=_WIDE) if is_own else jax.jit
     options = _WIDE if is_own else None
     return Chunks(
-        compiled(lanes.summarise, static_argnames=("lanes", "rows", "dtype")),
+        compiled(lanes.summarize, static_argnames=("lanes", "rows", "dtype")),
         jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
         compiled(lanes.record, static_argnames=("layout", "lanes", "blocks", "dtype")),
     )

@@ -1,7 +1,7 @@
 """Simulation of many samples side by side in lanes, one block of steps at a time.
 
 A lane simulates one sample after the other: when a sample has ended, it starts its next one after the block. The
-excitation of a sample is drawn while simulating, so no realisation is ever too short and none is stored. `summarise`
+excitation of a sample is drawn while simulating, so no realisation is ever too short and none is stored. `summarize`
 keeps totals; `record` returns every stick, a few blocks at a time. An `Engine` defines how ONE lane begins, takes a
 step and ends; everything about many lanes is here.
 """
@@ -126,7 +126,7 @@ class Job(NamedTuple):
     used_rows: AnyInteger
 
 
-def summarise(job: Job, *, lanes: int, rows: int, dtype) -> Any:
+def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
     """Simulate the whole job; returns the engine's results, arrays (rows, lanes). `job.used_rows` is at most `rows`.
 
     Forward-mode differentiable only, because the loop has no fixed length; for reverse mode use `simulate` under

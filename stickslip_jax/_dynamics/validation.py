@@ -43,7 +43,7 @@ def state_of(system: System, y0: Any, *, may_be_random: bool = False) -> tuple[A
     return tuple(y0)
 
 
-def one_realisation(system: System, base: Any, t1: Scalar) -> Any:
+def one_realization(system: System, base: Any, t1: Scalar) -> Any:
     """`base` as a motion without randomness that covers ``[0, t1]``. Raises ValueError if it is not one."""
     if isinstance(base, VelocitySteps) and base.durations.ndim != 1:
         raise ValueError(

@@ -58,7 +58,7 @@ def simulate_ensemble(
     """Simulate `samples` independent realisations of the excitation `law`.
 
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
-    the chunk size or the threads; ``many.realisation(i)`` returns its base motion and initial state.
+    the chunk size or the threads; ``many.realization(i)`` returns its base motion and initial state.
 
     - `system`: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
     - `law`: the random excitation, such as `PoissonSwitching` or `KanaiTajimi`, or any excitation that `simulate`
@@ -229,11 +229,11 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleA
 def _streamer(run: _Run, plan: _Plan) -> _Simulate:
     """The same as `_simulator`, for ``keep="totals"``."""
     assert isinstance(run.engine, Engine)
-    summarise = chunks_of(run.engine).summarise
+    summarize = chunks_of(run.engine).summarize
 
     def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes))
-        results = summarise(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
         return Part(_first_samples(results, number))
 
     return simulate

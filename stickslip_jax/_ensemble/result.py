@@ -15,7 +15,7 @@ from .. import _checks
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Sticks
 from .._excitation.excitation import is_random
-from .._excitation.random import realised_state
+from .._excitation.random import realized_state
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
@@ -127,7 +127,7 @@ class Ensemble:
         """Number of samples that reached ``t1``."""
         return self.status_counts[Status.FINISHED]
 
-    def realisation(self, number: int) -> tuple[Any, tuple[float, ...]]:
+    def realization(self, number: int) -> tuple[Any, tuple[float, ...]]:
         """The base motion and the initial state of sample `number`; `simulate` repeats the sample with them.
 
         Raises ValueError unless ``0 <= number < samples``.
@@ -138,7 +138,7 @@ class Ensemble:
             return self.law, self.y0
         key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32)), number)
         base = self.law.sample(key, self.t1) if is_random(self.law) else self.law
-        y0 = realised_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
+        y0 = realized_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
         return base, tuple(float(value) for value in y0)
 
     def to_xarray(self) -> "xarray.Dataset":

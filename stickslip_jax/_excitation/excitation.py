@@ -99,10 +99,10 @@ class Excitation(eqx.Module):
         assert not isinstance(self.smooth, RandomPhase)
         return self.smooth
 
-    def realised(self, key_data: KeyData, dtype) -> Signal | None:
+    def realized(self, key_data: KeyData, dtype) -> Signal | None:
         """The smooth part of the realisation that `key_data` draw."""
         if isinstance(self.smooth, RandomPhase):
-            return self.smooth.realised(_part(key_data, 1) if self.parts_differ else key_data, dtype)
+            return self.smooth.realized(_part(key_data, 1) if self.parts_differ else key_data, dtype)
         return self.signal
 
     def segment_key_data(self, key_data: KeyData) -> KeyData:

@@ -35,9 +35,9 @@ class RandomPhase(eqx.Module):
 
     def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
         """The signal with phases drawn by `key`, from ``jax.random.key(seed)``; `t1` is not used."""
-        return self.realised(key_data_of(key), jnp.result_type(float))
+        return self.realized(key_data_of(key), jnp.result_type(float))
 
-    def realised(self, key_data: KeyData, dtype) -> Signal:
+    def realized(self, key_data: KeyData, dtype) -> Signal:
         """The signal with phases drawn by `key_data`."""
         if isinstance(self.signal, SumOfHarmonics):
             first = jnp.asarray(_FIRST_PHASE, jnp.uint32)
@@ -68,7 +68,7 @@ InitialState: TypeAlias = Sequence[Scalar | int | np.number | Uniform] | AnyArra
 """An initial state: a number for each coordinate of the system, or in ensembles a `Uniform` drawn for every sample."""
 
 
-def realised_state(y0: tuple[Any, ...], key_data: KeyData, dtype) -> tuple[Array, ...]:
+def realized_state(y0: tuple[Any, ...], key_data: KeyData, dtype) -> tuple[Array, ...]:
     """The initial state that `key_data` draw."""
 
     def draw(index, value):

@@ -19,8 +19,8 @@ class Moments(NamedTuple):
         if len(rows) == 0:
             return cls(0, np.zeros(rows.shape[1]), np.zeros((rows.shape[1],) * 2))
         mean = rows.mean(axis=0)
-        centred = rows - mean
-        return cls(len(rows), mean, centred.T @ centred)
+        centered = rows - mean
+        return cls(len(rows), mean, centered.T @ centered)
 
     def merge(self, other: "Moments") -> "Moments":
         """Moments of both sets of vectors together."""

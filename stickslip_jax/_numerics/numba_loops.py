@@ -138,9 +138,9 @@ def _count(row, scale, bin_of, place, counts):
 @no_type_check
 def _sum(row, a, mean, scatter, third):
     """Subtract the mean, and add squares and cubes of the deviations."""
-    centre, square, cube = mean[a], 0.0, 0.0
+    center, square, cube = mean[a], 0.0, 0.0
     for i in range(len(row)):
-        step = row[i] - centre
+        step = row[i] - center
         row[i] = step
         square += step * step
         cube += step * step * step

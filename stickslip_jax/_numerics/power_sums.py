@@ -32,7 +32,7 @@ class PowerSums(NamedTuple):
         # In blocks, so that intermediate results stay in the cache; without matrix products, whose threads would
         # compete with those of the simulation.
         for first in range(0, number, _BLOCK):
-            rows = [column[first : first + _BLOCK] - centre for column, centre in zip(columns, mean, strict=True)]
+            rows = [column[first : first + _BLOCK] - center for column, center in zip(columns, mean, strict=True)]
             for a, row in enumerate(rows):
                 square = row * row
                 scatter[a, a] += square.sum()

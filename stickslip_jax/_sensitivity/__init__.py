@@ -4,7 +4,7 @@ from .call import sensitivity
 from .differentiable import differentiable
 from .estimate import Sensitivities, Sensitivity
 from .statistic import (
-    RealisationMeanDuration,
+    RealizationMeanDuration,
     StickDuration,
     StickFunctional,
     StickSequence,
@@ -13,7 +13,7 @@ from .statistic import (
 )
 
 __all__ = [
-    "RealisationMeanDuration",
+    "RealizationMeanDuration",
     "Sensitivities",
     "Sensitivity",
     "StickDuration",

@@ -54,7 +54,7 @@ def sensitivity(
     corrected.
 
     - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
-      `StickStatistic`: `RealisationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
+      `StickStatistic`: `RealizationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
       "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
       ambiguous. One pass over the trajectories gives all derivatives.

@@ -16,7 +16,7 @@ from .._dynamics.interval.lanes import is_over
 from .._dynamics.lanes import Engine
 from .._events.sticks import start_totals
 from .._excitation.laws import BangBangLaw, PoissonSwitching
-from .._excitation.random import realised_state
+from .._excitation.random import realized_state
 from .._systems.mass_spring import MassSpring
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .edges import Edges, IntervalLane, cross_with_edges
@@ -83,7 +83,7 @@ class IntervalCounting(Engine):
     fixed_start: bool = eqx.field(static=True)
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, _Motion]:
-        x, velocity = realised_state(self.y0, key_data, dtype)
+        x, velocity = realized_state(self.y0, key_data, dtype)
         motion = start_motion(self.shared(dtype), (x, velocity))
         lane = IntervalLane(self.law.begin(key_data, dtype), motion, start_totals(dtype), jnp.zeros((), dtype))
         return key_data, _Motion(lane, Flux.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._dynamics.lanes import Job, summarise
+from .._dynamics.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._status import Status
@@ -124,7 +124,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
         if varied is not None:
             here = with_numbers(here, by, varied)
         job = Job(here, problem.key_data, np.uint32(0), np.int32(rows))
-        counted = summarise(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
+        counted = summarize(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
         sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
         totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]

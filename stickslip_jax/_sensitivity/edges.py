@@ -157,8 +157,8 @@ def _first_arc(
     p, q = forward * motion.p * scales.omega, jnp.abs(velocity)
     D = (forward * motion.x - scales.half_width) * scales.omega
     is_below = p < q
-    centre = jnp.where(is_below, 0, 2 * scales.half_width * scales.omega)  # from +a to the arc's
-    offset = D + centre
+    center = jnp.where(is_below, 0, 2 * scales.half_width * scales.omega)  # from +a to the arc's
+    offset = D + center
     excess = offset * offset + (p - q) * (p + q)
     # Clockwise from (D, p) to the top, (0, R).
     back, up = lax.stop_gradient(D), lax.stop_gradient(p)

@@ -210,7 +210,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
 
     def values(engine: Engine, first: int, number: int) -> Any:
         job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)))
-        results = chunks_of(engine).summarise(job, lanes=lanes, rows=rows, dtype=problem.dtype)
+        results = chunks_of(engine).summarize(job, lanes=lanes, rows=rows, dtype=problem.dtype)
         totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
         return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._dynamics.lanes import Job, summarise
+from .._dynamics.lanes import Job, summarize
 from .._numerics.compiling import CompiledNatively
 from .._numerics.moments import Moments
 from .._status import Status
@@ -122,7 +122,7 @@ def _count(
 
     def run(values):
         job = Job(with_numbers(engine, paths, values), key_data, first, used_rows)
-        counted = summarise(job, lanes=lanes, rows=rows, dtype=dtype)
+        counted = summarize(job, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
 
     (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)

@@ -79,7 +79,7 @@ class OfTotals(StickStatistic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RealisationMeanDuration(StickStatistic):
+class RealizationMeanDuration(StickStatistic):
     """The mean over realisations of the mean stick duration of each, s; realisations without a stick do not count."""
 
     name = "mean stick duration (of realisation means)"

@@ -6,7 +6,7 @@ import jax
 from .. import _checks
 from .._dynamics.engine_choice import engine_for
 from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import check_method, one_realisation, state_of, working_dtype
+from .._dynamics.validation import check_method, one_realization, state_of, working_dtype
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._systems.system import System, require_system
@@ -40,7 +40,7 @@ def simulate(
     check_method(method)
     _checks.positive("t1", t1, "s")
     y0 = state_of(system, y0)
-    base = one_realisation(system, base, t1)
+    base = one_realization(system, base, t1)
     dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(base) if eqx.is_inexact_array(leaf)))
     method, run = engine_for(system, base, method, t1).follow(y0, dtype)
     return Simulation(system, base, t1, method, *run)

@@ -29,10 +29,10 @@ def anderson_darling(groups: list[np.ndarray]) -> tuple[float, float]:
         mid = (np.searchsorted(values, pooled, "left") + np.searchsorted(values, pooled, "right")) / 2
         squares.append(float(weight @ (number * mid - len(group) * below) ** 2) / len(group))
     total = (number - 1) / number * sum(squares)  # A^2_akN of eq. (7)
-    normalised = (total - degrees) / math.sqrt(_variance(np.array([len(group) for group in groups])))
+    normalized = (total - degrees) / math.sqrt(_variance(np.array([len(group) for group in groups])))
     # The limit is sum_j X_j / (j (j + 1)), X_j chi-square of k - 1 degrees: mean k - 1, variance below.
     limit_deviation = math.sqrt(2 * degrees * (math.pi**2 / 3 - 3))
-    return normalised, limit_tail(degrees + normalised * limit_deviation, degrees)
+    return normalized, limit_tail(degrees + normalized * limit_deviation, degrees)
 
 
 def _variance(sizes: np.ndarray) -> float:

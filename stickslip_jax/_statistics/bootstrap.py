@@ -50,7 +50,7 @@ def bootstrap_interval(
     number = len(totals)
     if number < 2 or not whole.standard_error > 0:
         return math.nan, math.nan
-    centre = statistic(dataclasses.replace(ensemble, moments=Moments.of(totals))).value
+    center = statistic(dataclasses.replace(ensemble, moments=Moments.of(totals))).value
     rng = np.random.default_rng(_checks.whole_number("seed", seed, minimum=0))
     at_once = max(1, _AT_ONCE // number)
     scores = np.empty(resamples)
@@ -58,7 +58,7 @@ def bootstrap_interval(
         weights = rng.multinomial(number, np.full(number, 1 / number), size=min(at_once, resamples - first))
         for index, moments in enumerate(_weighted_moments(totals, weights), first):
             one = statistic(dataclasses.replace(ensemble, moments=moments))
-            scores[index] = (one.value - centre) / one.standard_error if one.standard_error > 0 else math.nan
+            scores[index] = (one.value - center) / one.standard_error if one.standard_error > 0 else math.nan
     if not np.any(np.isfinite(scores)):  # all samples are the same
         return math.nan, math.nan
     low, high = np.nanquantile(scores, ((1 + level) / 2, (1 - level) / 2))
@@ -70,11 +70,11 @@ def _weighted_moments(totals: np.ndarray, weights: np.ndarray) -> list[Moments]:
 
     `weights` (resamples, samples): how often each resample holds each row.
     """
-    number, centre = len(totals), totals.mean(axis=0)
-    rows = totals - centre
+    number, center = len(totals), totals.mean(axis=0)
+    rows = totals - center
     products = (rows[:, :, None] * rows[:, None, :]).reshape(number, -1)
     means, squares = weights @ rows / number, weights @ products
     return [
-        Moments(number, centre + mean, square.reshape(len(mean), -1) - number * np.outer(mean, mean))
+        Moments(number, center + mean, square.reshape(len(mean), -1) - number * np.outer(mean, mean))
         for mean, square in zip(means, squares, strict=True)
     ]

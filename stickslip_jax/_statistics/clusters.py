@@ -15,13 +15,13 @@ class Clusters:
     """Values of the retained realisations of an ensemble.
 
     - `values`: (number,). `owner`: the realisation of each value, (number,).
-    - `realisations`: number of retained ones, those without any value included.
+    - `realizations`: number of retained ones, those without any value included.
     - `of_all`: number of realisations that the statistic is from. Errors are measured on the retained ones and scaled.
     """
 
-    def __init__(self, values: np.ndarray, owner: np.ndarray, realisations: int, of_all: int):
+    def __init__(self, values: np.ndarray, owner: np.ndarray, realizations: int, of_all: int):
         self.values = np.asarray(values, np.float64)
-        self.owner, self.realisations, self.of_all = owner, realisations, of_all
+        self.owner, self.realizations, self.of_all = owner, realizations, of_all
 
     @property
     def scale(self) -> float:
@@ -29,15 +29,15 @@ class Clusters:
 
         NaN for fewer than two realisations or values.
         """
-        if self.realisations < 2 or len(self.values) < 2:
+        if self.realizations < 2 or len(self.values) < 2:
             return math.nan
-        return self.realisations / len(self.values) / math.sqrt(self.of_all)
+        return self.realizations / len(self.values) / math.sqrt(self.of_all)
 
     def error(self, influence: np.ndarray) -> float:
         """The standard error of a statistic with these influence values, (number,)."""
         if math.isnan(self.scale):
             return math.nan
-        sums = np.bincount(self.owner, weights=influence, minlength=self.realisations)
+        sums = np.bincount(self.owner, weights=influence, minlength=self.realizations)
         return float(sums.std(ddof=1)) * self.scale
 
     def errors_of_shares(self, bins: np.ndarray, number: int) -> np.ndarray:
@@ -47,7 +47,7 @@ class Clusters:
         """
         if math.isnan(self.scale):
             return np.full(number, math.nan)
-        each = np.bincount(self.owner, minlength=self.realisations).astype(float)
+        each = np.bincount(self.owner, minlength=self.realizations).astype(float)
         inside = bins >= 0
         cells, counts = np.unique(self.owner[inside] * number + bins[inside], return_counts=True)
         cell, owner = cells % number, cells // number
@@ -58,7 +58,7 @@ class Clusters:
         )
         share = total / len(self.values)
         spread = square - 2 * share * product + share**2 * (each @ each)  # sum of (c - share n)^2, whose mean is 0
-        return np.sqrt(np.maximum(spread, 0) / (self.realisations - 1)) * self.scale
+        return np.sqrt(np.maximum(spread, 0) / (self.realizations - 1)) * self.scale
 
     @cached_property
     def ordered(self) -> np.ndarray:

@@ -128,13 +128,13 @@ def histogram_convergence(
     Raises ValueError for arguments outside these bounds, and for an ensemble of fewer than 4 retained samples.
     """
     joint = require_ensemble(ensemble).statistics.joint(x, y)
-    realisations = joint.x.realisations
-    if realisations < 4:
-        raise ValueError(f"Argument ensemble must hold 4 finished samples or more, but it has {realisations}.")
+    realizations = joint.x.realizations
+    if realizations < 4:
+        raise ValueError(f"Argument ensemble must hold 4 finished samples or more, but it has {realizations}.")
     _checks.whole_number("points", points, minimum=2)
     cell, number = joint.cells_of_retained(bins)
     owner = joint.x.owner
-    numbers = np.unique(np.geomspace(1, realisations // 2, points).round().astype(int))
+    numbers = np.unique(np.geomspace(1, realizations // 2, points).round().astype(int))
     distances = np.full(len(numbers), math.nan)
     for index, half in enumerate(numbers):
         one, other = (np.bincount(cell[(owner % 2 == side) & (owner < 2 * half)], minlength=number) for side in (0, 1))

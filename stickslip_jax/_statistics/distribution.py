@@ -37,7 +37,7 @@ class Histogram:
     unit: str
 
     @property
-    def centres(self) -> np.ndarray:
+    def centers(self) -> np.ndarray:
         """The middle of each bin, (bins,)."""
         return (self.edges[1:] + self.edges[:-1]) / 2
 
@@ -191,7 +191,7 @@ class Distribution:
         with np.errstate(divide="ignore"):
             value = float(stats.differential_entropy(values))
         surprise = self._surprise(*self._joined(DEFAULT_BINS))[0][chosen]
-        own = Clusters(values, self.clusters.owner[chosen], self.clusters.realisations, self.clusters.realisations)
+        own = Clusters(values, self.clusters.owner[chosen], self.clusters.realizations, self.clusters.realizations)
         return self._estimate(name, value, own.error(surprise - surprise.mean()), "nat")
 
     @cached_property

@@ -18,7 +18,7 @@ from .clusters import Clusters
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
-from .labelled import dataset_of_statistics
+from .labeled import dataset_of_statistics
 from .registry import (
     BY_NAME,
     FIRST_TWO,

@@ -111,7 +111,7 @@ class JointDistribution:
             value = pearson_of(PowerSums.of(self.x.values, self.y.values), 0, 1)
         if math.isnan(value) or self.retained < 2:
             return self._estimate("Pearson correlation", value, math.nan)
-        x, y = (_standardised(column.values) for column in (self.x, self.y))
+        x, y = (_standardized(column.values) for column in (self.x, self.y))
         return self._estimate("Pearson correlation", value, self.x.error(x * y - value / 2 * (x**2 + y**2)))
 
     @property
@@ -222,7 +222,7 @@ def _after_name(estimate: Estimate) -> str:
     return str(estimate)[len(estimate.name) :]
 
 
-def _standardised(values: np.ndarray) -> np.ndarray:
+def _standardized(values: np.ndarray) -> np.ndarray:
     spread = values.std()
     return (values - values.mean()) / spread if spread > 0 else np.zeros_like(values)
 

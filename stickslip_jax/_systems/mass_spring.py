@@ -162,7 +162,7 @@ class MassSpring(System):
         return "mass"
 
     @property
-    def slip_centre(self) -> Scalar | None:
+    def slip_center(self) -> Scalar | None:
         if not self.friction.constant or self.force is not None:
             return None
         return self.friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
@@ -182,8 +182,8 @@ class MassSpring(System):
         load = force - self.mass * (acceleration + ground)
         if self.damping is not None:
             load = load - self.damping * velocity
-        centre = load / self.stiffness
-        return centre - self.stick_half_width, centre + self.stick_half_width
+        center = load / self.stiffness
+        return center - self.stick_half_width, center + self.stick_half_width
 
 
 class OscillatorInputs(NamedTuple):

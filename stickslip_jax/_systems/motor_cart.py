@@ -225,8 +225,8 @@ class CartModel(SwitchedModel):
     def slip_sign(self, inputs: CartInputs, y: State) -> FloatArray:
         sine, cosine = sincos(y[0])
         # Exactly at dead centre, what comes next: r' = cos(alpha) alpha'^2.
-        at_dead_centre = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
-        return jnp.where(at_dead_centre, jnp.sign(cosine), jnp.sign(sine * y[1]))
+        at_dead_center = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
+        return jnp.where(at_dead_center, jnp.sign(cosine), jnp.sign(sine * y[1]))
 
     def guard(self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
         sine, cosine = sincos(y[0])

@@ -38,9 +38,9 @@ class Coordinate(NamedTuple):
     @property
     def label(self) -> str:
         """Label of an axis: "position $x$ (m)"."""
-        return self.labelled("")
+        return self.labeled("")
 
-    def labelled(self, more: str) -> str:
+    def labeled(self, more: str) -> str:
         """Label of an axis with `more` words: "position $x$ where the stick begins (m)"."""
         symbol, unit = f" ${self.symbol}$" if self.symbol else "", f" ({self.unit})" if self.unit != "1" else ""
         return f"{self.name}{symbol}{more}{unit}"
@@ -159,7 +159,7 @@ class System(Checked):
         return "system"
 
     @property
-    def slip_centre(self) -> Scalar | None:
+    def slip_center(self) -> Scalar | None:
         """Distance from 0 of the two points about which slips oscillate on a base without acceleration; None if there
         are none.
         """

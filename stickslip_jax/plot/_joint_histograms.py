@@ -150,10 +150,10 @@ def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> N
     """The mean of the ordinate in each bin of the abscissa that holds a pair."""
     means = joint.conditional_mean(bins)
     known = means.counts > 0
-    centres = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
+    centers = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
     label = f"mean {joint.labels[1]} given the {joint.labels[0]}"
     main.errorbar(
-        centres, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
+        centers, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
         label=label,
         **_parts.ERROR_LOOK,
     )  # fmt: skip

@@ -85,10 +85,10 @@ def _checked(x: Numbers, y: Numbers, values: Numbers | Sequence[Numbers]) -> tup
     return np.asarray(x, float), np.asarray(y, float), array
 
 
-def _edges(centres: np.ndarray) -> np.ndarray:
+def _edges(centers: np.ndarray) -> np.ndarray:
     """The edges of cells: half way between neighbouring centres, and as far beyond the first and the last."""
-    middle = (centres[1:] + centres[:-1]) / 2
-    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
+    middle = (centers[1:] + centers[:-1]) / 2
+    return np.concatenate([[2 * centers[0] - middle[0]], middle, [2 * centers[-1] - middle[-1]]])
 
 
 def _draw_unknown(ax: Axes, x_edges: np.ndarray, y_edges: np.ndarray, unknown: np.ndarray) -> None:

@@ -82,11 +82,11 @@ def draw_histogram(
     ax.stairs(heights, edges, color=color, lw=_style.SLIP_WIDTH, orientation=orientation, label=label)
     known = np.isfinite(errors) & (heights > 0)
     if np.any(known):
-        centres = ((edges[1:] + edges[:-1]) / 2)[known]
+        centers = ((edges[1:] + edges[:-1]) / 2)[known]
         if upright:
-            ax.errorbar(centres, heights[known], yerr=errors[known], ls="none", **ERROR_LOOK)
+            ax.errorbar(centers, heights[known], yerr=errors[known], ls="none", **ERROR_LOOK)
         else:
-            ax.errorbar(heights[known], centres, xerr=errors[known], ls="none", **ERROR_LOOK)
+            ax.errorbar(heights[known], centers, xerr=errors[known], ls="none", **ERROR_LOOK)
 
 
 def rectangles(left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray) -> list[np.ndarray]:

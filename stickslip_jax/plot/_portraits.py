@@ -97,14 +97,14 @@ def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: st
             starts = ends + 1 - [len(segment.times) for segment in chosen]
             marked = np.union1d(starts, ends).tolist()
             ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
-    centre = one.system.slip_centre
-    if centre is not None and not isinstance(one.base, GroundMotion):
+    center = one.system.slip_center
+    if center is not None and not isinstance(one.base, GroundMotion):
         look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
-        ax.plot(scale * float(centre) * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
+        ax.plot(scale * float(center) * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
     whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
     scaled = f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)"
-    ax.set_xlabel(scaled if abscissa == _SCALED else first.labelled(whose))
-    ax.set_ylabel(second.labelled(whose))
+    ax.set_xlabel(scaled if abscissa == _SCALED else first.labeled(whose))
+    ax.set_ylabel(second.labeled(whose))
     if abscissa == _SCALED:
         ax.set_aspect("equal", adjustable="datalim")
 
@@ -124,7 +124,7 @@ def _draw_periodic(ax: Axes, segments: list[Segment], first: Coordinate, second:
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
     name = _style.angle_axis(ax, period)
-    ax.set_xlabel(first.labelled(f" modulo {name}"))
+    ax.set_xlabel(first.labeled(f" modulo {name}"))
     ax.set_ylabel(second.label)
 
 

@@ -99,10 +99,10 @@ def finish(ax: Axes, sticks: PlacedSticks) -> None:
         _parts.note(ax, sticks.label)
     first = sticks.system.coordinates[0]
     if sticks.period is None:
-        ax.set_xlabel(first.labelled(" where the stick begins"))
+        ax.set_xlabel(first.labeled(" where the stick begins"))
     else:
         name = _style.angle_axis(ax, sticks.period)
-        ax.set_xlabel(first.labelled(f" of the stick, modulo {name}"))
+        ax.set_xlabel(first.labeled(f" of the stick, modulo {name}"))
     ax.set_ylabel(_parts.quantity_label("stick duration", "s"))
     ax.set_ylim(bottom=0)
 

@@ -130,8 +130,8 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
 
     from stickslip_jax._dynamics.chunks import chunks_of  # noqa: PLC0415 - the cache under test
 
-    summarise, begin, record = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
-    chunks = (summarise.native, begin, record.native)
+    summarize, begin, record = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
+    chunks = (summarize.native, begin, record.native)
     run(1.0, 1.0, 0, 10, 5.0)
     before = [compiled._cache_size() for compiled in chunks]
     run(0.3, 2.5, 1, 200, 9.0)
@@ -264,7 +264,7 @@ def test_derivative_of_the_streamed_totals():
         key_data = jax.random.key_data(KEY)
         engine = IntervalEngine(system, POISSON, 20.0, (0.0, 1.0))
         job = lanes.Job(engine, key_data, np.uint32(0), np.int32(2))
-        return lanes.summarise(job, lanes=32, rows=2, dtype=jnp.result_type(float)).stick_time
+        return lanes.summarize(job, lanes=32, rows=2, dtype=jnp.result_type(float)).stick_time
 
     _, tangent = jax.jit(lambda mu: jax.jvp(stick_time, (mu,), (1.0,)))(1.0)
     step = 1e-6
@@ -317,7 +317,7 @@ def test_tracing_an_ensemble_is_refused_in_words(transform):
         transform(fraction)(jnp.ones(2) if transform is jax.vmap else 1.0)
 
 
-def test_labelled_arrays_hold_every_stick(kept):
+def test_labeled_arrays_hold_every_stick(kept):
     data = kept.to_xarray()
     assert data.stick_count.sum() == data.sizes["stick"] == len(kept.flat_sticks.start)
     assert all("units" in variable.attrs and "long_name" in variable.attrs for variable in data.data_vars.values())

@@ -150,7 +150,7 @@ def pieces(law, count, dtype):
     return tuple(np.asarray(part) for part in drawn)
 
 
-class TestRealisation:
+class TestRealization:
     def test_pieces_are_the_sample(self):
         sample = LAW.sample(KEY, 3.0)
         times, values = np.asarray(sample.times), np.asarray(sample.accelerations)
@@ -182,7 +182,7 @@ class TestRealisation:
         assert np.asarray(long.times)[:size].tolist() == np.asarray(short.times).tolist()
         assert np.asarray(long.accelerations)[:size] == pytest.approx(np.asarray(short.accelerations), abs=1e-13)
 
-    def test_same_key_same_realisation(self):
+    def test_same_key_same_realization(self):
         one, same, legacy = (LAW.sample(key, 3.0) for key in (KEY, jax.random.key(0), jax.random.PRNGKey(0)))
         other = LAW.sample(jax.random.key(1), 3.0)
         assert one.accelerations.tolist() == same.accelerations.tolist() == legacy.accelerations.tolist()

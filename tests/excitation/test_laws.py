@@ -49,7 +49,7 @@ class TestPoissonSwitching:
         gaps, _ = samples(self.law, DRAWS, 8)
         assert stats.kstest(gaps[:, number], stats.expon(scale=1 / 2.5).cdf).pvalue > CHANCE
 
-    def test_neighbouring_gaps_are_independent(self):
+    def test_neighboring_gaps_are_independent(self):
         gaps, _ = sample(self.law, 3)
         lagged = stats.spearmanr(gaps[:-1], gaps[1:])
         assert lagged.pvalue > CHANCE
@@ -100,7 +100,7 @@ class TestPoissonSwitching:
         assert np.all(gaps > 0)
         assert stats.kstest(gaps, stats.expon(scale=1 / 2.5).cdf).pvalue > CHANCE
 
-    def test_default_capacity_covers_every_realisation_tried(self):
+    def test_default_capacity_covers_every_realization_tried(self):
         keys = jax.random.split(jax.random.key(8), 5000)
         reached = jax.jit(jax.vmap(lambda key: self.law.sample(key, 20.0).durations.sum()))(keys)
         assert float(reached.min()) >= 20.0
@@ -132,7 +132,7 @@ class TestRandomSteps:
         for level, chance in zip((-2.0, 0.0, 3.0), self.odds, strict=True):
             assert self.geometric_pvalue(counts[velocities == level], chance) > CHANCE
 
-    def test_neighbouring_velocities_differ(self):
+    def test_neighboring_velocities_differ(self):
         for law in (self.coin, self.three):
             _, velocities = samples(law, 20, 200)
             assert np.all(velocities[:, 1:] != velocities[:, :-1])
@@ -207,7 +207,7 @@ class TestGivenMotions:
         assert np.asarray(base.durations).tolist() == [np.inf, 0.0, 0.0]
         assert np.asarray(base.velocity(jnp.array([0.0, 1e9]))).tolist() == [-0.3, -0.3]
 
-    def test_piecewise_constant_merges_equal_neighbours(self):
+    def test_piecewise_constant_merges_equal_neighbors(self):
         law = ss.PiecewiseConstant(jnp.array([0.0, 1.0, 1.5, 4.0, 5.0]), jnp.array([1.0, 1.0, 0.0, 0.0, 1.0]))
         base = law.sample(None, 9.0)
         assert np.asarray(base.durations).tolist() == [1.5, 3.5, np.inf, 0.0, 0.0]
@@ -251,7 +251,7 @@ class TestEveryRandomLaw:
             duration, velocity, memory = law.next_interval(memory, drawn, jnp.float64)
             assert (float(duration), float(velocity)) == pytest.approx(expected, rel=1e-15)
 
-    def test_same_key_same_realisation(self, law):
+    def test_same_key_same_realization(self, law):
         assert_same_base(law.sample(jax.random.key(1), 9.0), law.sample(jax.random.key(1), 9.0))
 
     def test_different_keys_differ(self, law):

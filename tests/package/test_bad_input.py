@@ -187,7 +187,7 @@ def test_random_law_must_be_sampled_first(law):
         run(base=law)
 
 
-def test_one_realisation_only():
+def test_one_realization_only():
     batch = jax.vmap(lambda key: ss.PoissonSwitching(1.0, 2.0).sample(key, 5.0))(jax.random.split(KEY, 3))
     with pytest.raises(ValueError, match=r"\AArgument base must be one realisation, .*shape \(3, \d+\).*\.\Z"):
         run(base=batch)

@@ -68,5 +68,5 @@ def test_the_forced_mass_sticks_where_it_is_known_to(executed):
     assert "['9.48337858', '26.13168182']" in printed(executed)
 
 
-def test_the_labelled_arrays_are_shown(executed):
+def test_the_labeled_arrays_are_shown(executed):
     assert any("stick_start" in output.get("data", {}).get("text/plain", "") for output in outputs(executed))

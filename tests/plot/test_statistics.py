@@ -71,7 +71,7 @@ def test_histogram_draws_density_errors_and_mean(many):
     assert ax.get_xlim() == (edges[0], edges[-1])
 
 
-def test_histogram_of_whole_numbers_is_centred_on_them(many):
+def test_histogram_of_whole_numbers_is_centered_on_them(many):
     ax = plot.histogram(many.statistics.stick_count)
     heights, edges = steps(ax)
     count = many.finished_sticks().count

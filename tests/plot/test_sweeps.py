@@ -91,7 +91,7 @@ def test_convergence_leaves_out_what_is_not_defined():
     assert [text.get_text() for text in ax.texts] == ["no distance is known"]
 
 
-def test_stick_fraction_curve_of_distributions_has_a_band_of_realisations(many, none):
+def test_stick_fraction_curve_of_distributions_has_a_band_of_realizations(many, none):
     ax = plot.stick_fraction_curve([2.0, 1.0], [none.statistics.stick_fraction, many.statistics.stick_fraction])
     fraction = many.finished_sticks().duration.sum() / 200 / T1
     assert line(ax, "mean").get_xdata().tolist() == [1, 2]
@@ -122,7 +122,7 @@ def test_stick_fraction_curve_of_estimates_has_a_band_of_the_mean(many, single):
     assert line(ax, "few").get_color() != line(ax, "Poisson").get_color()
 
 
-def test_parameter_map_has_its_cells_between_the_neighbours():
+def test_parameter_map_has_its_cells_between_the_neighbors():
     x, y = [1.0, 2.0, 4.0, 5.0], [0.0, 1.0, 3.0]
     values = np.arange(12.0).reshape(4, 3)
     values[2, 1] = np.nan

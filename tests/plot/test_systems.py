@@ -280,7 +280,7 @@ def test_portrait_is_the_trajectory(one):
 
 
 @of("recorded", "motor")
-def test_portrait_centres_and_abscissae(one, annotations_unchecked):
+def test_portrait_centers_and_abscissae(one, annotations_unchecked):
     if isinstance(one.system, ss.MotorCart):
         with pytest.raises(ValueError, match="Argument abscissa must be 'position' for a MotorCart, but"):
             plot.phase_portrait(one, abscissa="position_times_omega")

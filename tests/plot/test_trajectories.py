@@ -155,7 +155,7 @@ def test_portrait_draws_sticks_at_the_base_velocity(one, abscissa, scale):
     assert line(ax, "stick").get_color() == _style.STICK
 
 
-def test_portrait_slips_are_circles_about_the_centres(one):
+def test_portrait_slips_are_circles_about_the_centers(one):
     """Gray and black arcs keep their distance from the centre on their side (conference paper, eq. 3)."""
     ax = plot.phase_portrait(one, abscissa="position_times_omega")
     for label, sign in (("slip, base forward", 1), ("slip, base backward", -1)):
@@ -168,7 +168,7 @@ def test_portrait_slips_are_circles_about_the_centres(one):
                 assert np.abs(np.diff(radius))[pairs] == pytest.approx(0, abs=1e-12)
 
 
-def test_portrait_crosses_mark_the_centres(one):
+def test_portrait_crosses_mark_the_centers(one):
     ax = plot.phase_portrait(one)
     crosses = line(ax, r"centres, $x = \pm \mu n/k$")
     assert crosses.get_xdata().tolist() == [-0.25, 0.25]
@@ -245,7 +245,7 @@ def test_samples_that_did_not_finish_are_left_out(one):
     assert ax.get_legend().get_texts()[0].get_text().startswith(f"{number} sticks")
 
 
-def test_no_sticks_is_a_labelled_empty_figure():
+def test_no_sticks_is_a_labeled_empty_figure():
     slipping = simulate(ss.Constant(5.0).sample(None, 3.0), 3.0, (0.0, 0.0))
     ax = plot.histogram(slipping)
     assert [text.get_text() for text in ax.texts] == ["no sticks"]

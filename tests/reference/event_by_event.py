@@ -126,7 +126,7 @@ class _Interval:
 
 def simulate_reference(**arguments) -> ReferenceRun:
     """Simulate on ``[0, t1]`` one event at a time; keyword arguments as in :func:`trace_reference`."""
-    return _summarise(trace_reference(**arguments))
+    return _summarize(trace_reference(**arguments))
 
 
 def trace_reference(
@@ -191,9 +191,9 @@ def event_time_derivatives(
         if parameter not in arguments:
             raise ValueError(f"unknown parameter {parameter!r}; choose from {sorted(arguments)}")
         signs = [value / speed if speed else mpf(0) for value in velocities]
-        centre = mpf(arguments[parameter])
-        step = mpf(relative_step) * (abs(centre) or 1)
-        if parameter in ("mu", "speed") and centre == 0:
+        center = mpf(arguments[parameter])
+        step = mpf(relative_step) * (abs(center) or 1)
+        if parameter in ("mu", "speed") and center == 0:
             raise ValueError(f"no central difference exists at {parameter} = 0")
 
         def run(value: mpf) -> list[ReferenceSegment]:
@@ -203,7 +203,7 @@ def event_time_derivatives(
             fixed = {"normal_force": normal_force, "velocity0": velocity0, "t1": t1, "digits": digits}
             return trace_reference(durations=durations, velocities=moved, **fixed, **changed)
 
-        return _central_difference(run(centre - step), run(centre + step), step)
+        return _central_difference(run(center - step), run(center + step), step)
 
 
 def _central_difference(
@@ -216,7 +216,7 @@ def _central_difference(
 
     if sequence(before) != sequence(after):
         raise EventSequenceChangedError("the perturbed runs go through different events")
-    low, high = _summarise(before), _summarise(after)
+    low, high = _summarize(before), _summarize(after)
 
     def quotient(one: mpf, two: mpf) -> mpf:
         return (two - one) / (2 * step)
@@ -231,7 +231,7 @@ def _central_difference(
     )
 
 
-def _summarise(segments: list[ReferenceSegment]) -> ReferenceRun:
+def _summarize(segments: list[ReferenceSegment]) -> ReferenceRun:
     """Pick the sticks, the final state and the number of pass-throughs out of a trajectory."""
     return ReferenceRun(
         sticks=[
@@ -353,10 +353,10 @@ def _move(oscillator: _Oscillator, side: int, position: mpf, velocity: mpf, elap
     """State after ``elapsed`` in a stick (``side`` 0) or on a slip arc."""
     if side == 0:
         return position + velocity * elapsed, velocity
-    omega, centre = oscillator.omega, side * oscillator.half_width
+    omega, center = oscillator.omega, side * oscillator.half_width
     cosine, sine = mp.cos_sin(omega * elapsed)
-    a, b = position - centre, velocity / omega
-    return centre + a * cosine + b * sine, omega * (b * cosine - a * sine)
+    a, b = position - center, velocity / omega
+    return center + a * cosine + b * sine, omega * (b * cosine - a * sine)
 
 
 def _time_to_base_velocity(oscillator: _Oscillator, side: int, position: mpf, velocity: mpf, base: mpf) -> mpf:
@@ -365,8 +365,8 @@ def _time_to_base_velocity(oscillator: _Oscillator, side: int, position: mpf, ve
     With ``x'(t) = P cos(theta)``, ``theta = omega t + phase``, an arc below the base meets it where this
     rises (``theta = -acos(v / P)`` modulo a turn), an arc above it where it falls (``+acos(v / P)``).
     """
-    omega, centre = oscillator.omega, side * oscillator.half_width
-    across = omega * (position - centre)
+    omega, center = oscillator.omega, side * oscillator.half_width
+    across = omega * (position - center)
     peak = mp.hypot(velocity, across)
     tiny = mpf(10) ** (-oscillator.digits - GUARD_DIGITS // 2)
     if peak - abs(base) <= tiny * peak:
@@ -382,7 +382,7 @@ def _time_to_base_velocity(oscillator: _Oscillator, side: int, position: mpf, ve
         residual = speed - base
         if abs(residual) <= tiny * peak:
             break
-        time -= residual / (-omega * omega * (x - centre))
+        time -= residual / (-omega * omega * (x - center))
     halfway = _move(oscillator, side, position, velocity, time / 2)[1]
     residual = _move(oscillator, side, position, velocity, time)[1] - base
     if not (time > 0 and abs(residual) < tolerance and side * (base - halfway) > 0):

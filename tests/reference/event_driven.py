@@ -256,8 +256,8 @@ def _run_piece(run: Run, system: _Oscillator, t: float, end: float, state: np.nd
 def _collocation(inductance: float, resistance: float, k_e: float, length: float):
     """Of a step: nodes, integrals of a rate once and twice, rates of the current, its part in the Jacobian, series."""
     points, weights = legendre.leggauss(NODES)
-    analyse = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(points, NODES - 1).T * weights
-    primitive = length / 2 * legendre.legint(np.eye(NODES), lbnd=-1, axis=0) @ analyse
+    analyze = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(points, NODES - 1).T * weights
+    primitive = length / 2 * legendre.legint(np.eye(NODES), lbnd=-1, axis=0) @ analyze
     integral = legendre.legvander(points, NODES) @ primitive
     places = chebyshev.chebpts1(NODES + 1)
     series = chebyshev.chebfit(places, legendre.legvander(places, NODES), NODES) @ primitive

@@ -67,17 +67,17 @@ def test_energy_balance_along_slip_arcs():
 def test_no_arrival_is_missed_inside_an_arc():
     segments = trace_reference(**PARAMETERS, **random_schedule(2, 60), position0=2.0, velocity0=0.3)
     omega = (PARAMETERS["stiffness"] / PARAMETERS["mass"]) ** 0.5
-    centre = PARAMETERS["mu"] * PARAMETERS["normal_force"] / PARAMETERS["stiffness"]
+    center = PARAMETERS["mu"] * PARAMETERS["normal_force"] / PARAMETERS["stiffness"]
     for item in segments:
         for part in range(1, 40):
             angle = omega * float(item.end - item.start) * part / 40
-            a = float(item.start_position) - item.side * centre
+            a = float(item.start_position) - item.side * center
             speed = float(item.start_velocity) * mp.cos(angle) - omega * a * mp.sin(angle)
             x = float(item.start_position + item.start_velocity * (item.end - item.start) * part / 40)
             if item.side:
                 assert item.side * (item.base_velocity - speed) > -1e-12
             else:
-                assert abs(x) <= centre * (1 + 1e-12)
+                assert abs(x) <= center * (1 + 1e-12)
 
 
 @pytest.mark.parametrize(("ratio", "percent"), [(1.0, 15.83), (1.2, 36.43), (1.22, 38.67), (1.42, 0)])

@@ -270,7 +270,7 @@ def test_values_are_those_of_the_ensemble(first_durations):
 
 
 @pytest.mark.slow
-def test_user_functional_and_realisation_means():
+def test_user_functional_and_realization_means():
     """The number of sticks as a user's functional is the number of sticks; realisation means against differences."""
     case = poisson(1.4, 1.0, 12.0)
     system, law = case.pop("system"), case.pop("law")
@@ -280,7 +280,7 @@ def test_user_functional_and_realisation_means():
     counted = ss.sensitivity(ss.mean_stick_count, system, law, key=jax.random.key(4), **options)
     assert abs(z_score(recorded, counted)) < AGREE
     assert recorded.pathwise == 0
-    mean = ss.RealisationMeanDuration()
+    mean = ss.RealizationMeanDuration()
     corrected = ss.sensitivity(mean, system, law, key=jax.random.key(3), estimator="corrected", **options)
     differences = ss.sensitivity(mean, system, law, key=jax.random.key(5), **options)
     assert abs(z_score(corrected, differences)) < AGREE

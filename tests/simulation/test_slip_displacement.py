@@ -63,7 +63,7 @@ def test_a_force_drop_in_closed_form():
     assert got[0] == 0  # it begins in a stick
 
 
-def test_regularised_dynamics_come_close():
+def test_regularized_dynamics_come_close():
     base = LAW.sample(jax.random.key(3), T1)
     exact, smooth = (
         columns(ss.simulate(SYSTEM, base, t1=T1, y0=Y0, method=method).sticks)
@@ -105,7 +105,7 @@ def test_derivatives_are_those_of_the_ends(method):
 
 def test_ensembles_and_their_tables_hold_it(tmp_path):
     many = ss.simulate_ensemble(SYSTEM, LAW, t1=T1, samples=300, key=jax.random.key(1), y0=Y0, keep="sticks")
-    base, y0 = many.realisation(17)
+    base, y0 = many.realization(17)
     one = ss.simulate(SYSTEM, base, t1=T1, y0=y0)
     own = many.flat_sticks.sample == 17
     np.testing.assert_allclose(many.flat_sticks.slip_displacement[own], columns(one.sticks)[3], rtol=0, atol=1e-11)

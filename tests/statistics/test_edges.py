@@ -63,7 +63,7 @@ def test_no_sticks_at_all(samples):
         assert all_nan(asked["stick_count"])
 
 
-def test_one_realisation_has_values_and_no_errors():
+def test_one_realization_has_values_and_no_errors():
     statistics = statistics_of(sticks_from([[(1.0, 2.0, 0.5, 0), (3.0, 6.0, -0.5, 1), (99.0, 100.0, 0.1, CUT)]]))
     asked = everything_of(statistics)
     assert statistics.duration.mean.value == pytest.approx(5 / 3)

@@ -100,7 +100,7 @@ def test_errors_of_pooled_moments_by_jackknife(statistics, sticks, name):
     assert getattr(statistics.duration, name).standard_error == pytest.approx(expected, rel=close)
 
 
-def test_errors_treat_realisations_not_sticks_as_independent(statistics, sticks):
+def test_errors_treat_realizations_not_sticks_as_independent(statistics, sticks):
     """The sticks of a sample share a factor, so errors as if they were independent would be too small."""
     naive = np.std(sticks.duration, ddof=1) / math.sqrt(len(sticks.duration))
     assert statistics.duration.mean.standard_error > 1.3 * naive

@@ -82,11 +82,11 @@ def test_sums_of_parts_merge_to_those_of_the_whole(parts):
         return
     values = np.array(joined(parts), float)
     scale = np.abs(values).max() + 1e-300  # sums of so many numbers of this size: their round-off
-    centred = values - values.mean(axis=0)
+    centered = values - values.mean(axis=0)
     for one in (whole, found):
         np.testing.assert_allclose(one.mean, values.mean(axis=0), rtol=0, atol=1e-13 * scale)
-        np.testing.assert_allclose(one.scatter, centred.T @ centred, rtol=0, atol=1e-12 * number * scale**2)
-        np.testing.assert_allclose(one.third, (centred**3).sum(axis=0), rtol=0, atol=1e-11 * number * scale**3)
+        np.testing.assert_allclose(one.scatter, centered.T @ centered, rtol=0, atol=1e-12 * number * scale**2)
+        np.testing.assert_allclose(one.third, (centered**3).sum(axis=0), rtol=0, atol=1e-11 * number * scale**3)
         np.testing.assert_array_equal(one.smallest, values.min(axis=0))
         np.testing.assert_array_equal(one.largest, values.max(axis=0))
 

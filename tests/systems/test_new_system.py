@@ -104,7 +104,7 @@ def test_sticks_of_the_limit_cycle(one):
     np.testing.assert_allclose(one.evaluate(one.sticks.end[later])[0], edge, atol=1e-9)
 
 
-def test_regularised_agrees():
+def test_regularized_agrees():
     """Regularised dynamics has no static friction of its own: with equal coefficients, up to the first release."""
     system, how = DuffingBelt(mu_static=0.5), {"t1": 3.0, "y0": (0.6, 0.0)}
     exact = ss.simulate(system, ss.Constant(SPEED), **how)
@@ -114,7 +114,7 @@ def test_regularised_agrees():
 
 
 def test_ensemble_is_the_simulations(many):
-    base, y0 = many.realisation(7)
+    base, y0 = many.realization(7)
     alone = ss.simulate(SYSTEM, base, t1=20.0, y0=y0)
     kept = np.asarray(many.sticks.start[7])[np.asarray(many.sticks.mask[7])]
     np.testing.assert_array_equal(kept, np.asarray(alone.sticks.start)[np.asarray(alone.sticks.mask)])

@@ -57,12 +57,12 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     first_side, first_offset, first_p, excess, first_h, angle, arrived_first = first
     side, h, entered, arrived = _follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
     position, left, released, stuck = _stick(side, h, entered, arrived, q, a, span)
-    centre, offset, p_start, angle = _last_arc(
+    center, offset, p_start, angle = _last_arc(
         side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p
     )
     sine, cosine = sincos(angle)
     # A radius whose square overflows would miss its arrivals: 0 * infinity makes the state NaN (`NOT_FINITE`).
-    x_end = centre + offset * cosine + p_start * sine + 0 * excess
+    x_end = center + offset * cosine + p_start * sine + 0 * excess
     p_end = p_start * cosine - offset * sine
     return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
 
@@ -92,10 +92,10 @@ def _last_arc(side, h, entered, arrived, q, a, span, position, left, released, a
     crossed = arrived_first & ~arrived
     offset = jnp.where(crossed, side * h, first_offset)
     offset = jnp.where(arrived, jnp.where(released, 0, position + q * (span - entered) - a), offset)
-    centre = jnp.where(arrived, a, side * a)
+    center = jnp.where(arrived, a, side * a)
     p_start = jnp.where(arrived_first, q, first_p)
     angle = jnp.where(arrived, span - left, span - jnp.where(crossed, entered, 0))
-    return centre, offset, p_start, angle
+    return center, offset, p_start, angle
 
 
 def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> BoolArray:
@@ -119,14 +119,14 @@ def _first_arc(x, p, q, a, span):
     Returns its side, its offset from the centre and p; ``R^2 - q^2`` and its square root h, the distance from the
     centre at which the arc meets the base velocity; the angle at which it does, and whether this is within the span.
     """
-    at_rest, side, D, p = _seen_from_centre(x, p, q, a)
+    at_rest, side, D, p = _seen_from_center(x, p, q, a)
     excess, reaches, h = _meeting(at_rest, D, p, q, a)
     angle = _angle_to_meeting(D, p, q, h, side)
     return side, side * D, p, excess, h, angle, reaches & (angle < span)
 
 
 @computed_once
-def _seen_from_centre(x, p, q, a):
+def _seen_from_center(x, p, q, a):
     at_rest = _rests(x, p, q, a)
     x, p = jnp.where(at_rest, jnp.clip(x, -a, a), x), jnp.where(at_rest, 0, p)
     above = (p > q) | ((p == q) & (x < -a))

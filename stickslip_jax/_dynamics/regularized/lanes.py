@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from ..._events.sticks import StickRecord, count_slips, no_stick
 from ..._excitation.excitation import Excitation
-from ..._excitation.random import realised_state
+from ..._excitation.random import realized_state
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
@@ -47,8 +47,8 @@ class FixedEngine(Engine):
     most_steps: AnyInteger
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
-        smooth = _realised(self.excitation, key_data, dtype)
-        y0 = realised_state(self.y0, key_data, dtype)
+        smooth = _realized(self.excitation, key_data, dtype)
+        y0 = realized_state(self.y0, key_data, dtype)
         segment_laws, own = (
             SegmentLaws.of(self.system, self.excitation),
             self.excitation.segment_key_data(key_data),
@@ -111,10 +111,10 @@ def solve_batch(
 
     def one(place):
         own = random_words(key_data, jnp.asarray(first, jnp.uint32) + place)
-        smooth = _realised(batch.excitation, own, dtype)
+        smooth = _realized(batch.excitation, own, dtype)
         tables = Tables.of(batch.system, batch.excitation, own, sizes, dtype)
         field, criterion = field_of(batch.system, smooth, method), criterion_of(method)
-        y0, until = realised_state(batch.y0, own, dtype), jnp.where(place < used, t1, 0)
+        y0, until = realized_state(batch.y0, own, dtype), jnp.where(place < used, t1, 0)
         solution = solve_adaptive(field, tables, until, y0, Solver.of(method), most)
 
         def one_step(detector, index):
@@ -147,8 +147,8 @@ def criterion_of(method: Regularized) -> Criterion:
     return Criterion(method.threshold, method.minimum_duration)
 
 
-def _realised(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
-    return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realised(key_data, dtype))
+def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
+    return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
 
 
 def _results(detector: StickDetector, status: IntArray) -> LaneResults:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from ..._events.sticks import StickRecord, count_slips
 from ..._excitation.excitation import Excitation
-from ..._excitation.random import realised_state
+from ..._excitation.random import realized_state
 from ..._excitation.smooth import Signal
 from ..._types import AnyInteger, Array, BoolArray, Scalar
 from ..lanes import Engine, LaneResults
@@ -39,10 +39,10 @@ class SwitchedEngine(Engine):
     most_steps: AnyInteger
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
-        y0 = realised_state(self.y0, key_data, dtype)
+        y0 = realized_state(self.y0, key_data, dtype)
         step = jnp.asarray(self.step_length, dtype)
         lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver)
-        smooth = self.excitation.realised(key_data, dtype)
+        smooth = self.excitation.realized(key_data, dtype)
         return jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth), lane
 
     def shared(self, dtype) -> Shared:

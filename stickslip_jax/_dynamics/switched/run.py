@@ -44,7 +44,7 @@ def lane_at_start(
     """The lane at the beginning of the trajectory that `key_data` choose."""
     dtype = step.dtype
     segment_laws = SegmentLaws.of(system, excitation)
-    model = system.switched_model(excitation.realised(key_data, dtype), solver)
+    model = system.switched_model(excitation.realized(key_data, dtype), solver)
     own = excitation.segment_key_data(key_data)
     segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
     return start_lane(model, segment_laws, segment_states, y0, step)
