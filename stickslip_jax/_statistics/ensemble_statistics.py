@@ -28,7 +28,7 @@ from .registry import (
     STICK_QUANTITIES,
     STREAMED_PAIRS,
     TOTALS,
-    Quantity,
+    SampledQuantity,
     StickValue,
     ordinal,
 )
@@ -99,7 +99,7 @@ class EnsembleStatistics(_ByQuantity):
         """The largest number that `order` takes."""
         return self.numbering.orders
 
-    def unit_of(self, quantity: Quantity) -> str:
+    def unit_of(self, quantity: SampledQuantity) -> str:
         """The unit of a quantity for this system."""
         return self.position_unit if quantity.unit is None else quantity.unit
 
@@ -259,7 +259,7 @@ class EnsembleStatistics(_ByQuantity):
         return self._distribution(SAMPLE_QUANTITIES[index], self.accumulator.samples, bins, clusters, index=index)
 
     def _distribution(
-        self, quantity: Quantity, sums: PowerSums, bins: DyadicCounts, clusters: Clusters, *, index: int = 0,
+        self, quantity: SampledQuantity, sums: PowerSums, bins: DyadicCounts, clusters: Clusters, *, index: int = 0,
         label: str = "",
     ) -> Distribution:  # fmt: skip
         """The distribution of a quantity whose sums are those of column `index`, under another `label` if given."""
@@ -298,7 +298,7 @@ class OrderStatistics(_ByQuantity):
     distributions: Mapping[str, Distribution]
 
 
-def _stick_value(argument: str, value: Any) -> tuple[Quantity, int | None]:
+def _stick_value(argument: str, value: Any) -> tuple[SampledQuantity, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
     name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
     if not (isinstance(name, str) and name in BY_NAME):
@@ -311,5 +311,5 @@ def _stick_value(argument: str, value: Any) -> tuple[Quantity, int | None]:
     return BY_NAME[name], number
 
 
-def _name(quantity: Quantity, number: int | None) -> str:
+def _name(quantity: SampledQuantity, number: int | None) -> str:
     return quantity.short_label if number is None else quantity.axis_label(number)

@@ -16,7 +16,7 @@ from .source import EnsembleLike, require_ensemble
 
 
 @dataclasses.dataclass(frozen=True)
-class Quantity:
+class SampledQuantity:
     """A number that each stick, each slip or each sample has.
 
     - `name`: in code and in files. `label`: in tables and figures, in the singular; that of a stick's quantity says
@@ -54,15 +54,15 @@ def ordinal(number: int) -> str:
     return f"{number}{ending}"
 
 
-START = Quantity("start", "stick start", "s")
-DURATION = Quantity("duration", "stick duration", "s")
-POSITION = Quantity("position", "stick position", None)
-SLIP_BEFORE = Quantity("slip_before", "slip before the stick", "s")
-SLIP_DURATION = Quantity("slip_duration", "slip duration", "s")
-STICK_COUNT = Quantity("stick_count", "number of sticks", "1", is_whole=True)
-SLIP_COUNT = Quantity("slip_count", "number of slips", "1", is_whole=True)
-STICK_FRACTION = Quantity("stick_fraction", "stick fraction", "1")
-OWN_MEAN_DURATION = Quantity("own_mean_duration", "mean stick duration of a sample", "s")
+START = SampledQuantity("start", "stick start", "s")
+DURATION = SampledQuantity("duration", "stick duration", "s")
+POSITION = SampledQuantity("position", "stick position", None)
+SLIP_BEFORE = SampledQuantity("slip_before", "slip before the stick", "s")
+SLIP_DURATION = SampledQuantity("slip_duration", "slip duration", "s")
+STICK_COUNT = SampledQuantity("stick_count", "number of sticks", "1", is_whole=True)
+SLIP_COUNT = SampledQuantity("slip_count", "number of slips", "1", is_whole=True)
+STICK_FRACTION = SampledQuantity("stick_fraction", "stick fraction", "1")
+OWN_MEAN_DURATION = SampledQuantity("own_mean_duration", "mean stick duration of a sample", "s")
 
 STICK_QUANTITIES = (START, DURATION, POSITION)
 """Quantities of each stick that are summed over all sticks, and by order, while the sticks stream by.

@@ -42,7 +42,7 @@ def check_simulation(result: Simulation) -> None:
     if not isinstance(result, Simulation):
         raise ValueError(
             f"Argument result must be a result of simulate, but {_checks.show(result)} was given; sample i of an "
-            "ensemble is simulated with its base motion and initial state, ensemble.realisation(i)."
+            "ensemble is simulated with its base motion and initial state, ensemble.realization(i)."
         )
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(result)):
         raise ValueError(
