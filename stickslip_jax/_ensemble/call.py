@@ -217,10 +217,10 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleA
         results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
-        columns = [np.asarray(column).T for column in records]
+        *numbers, ending = (np.asarray(column).T for column in records)
         sticks = StickCollector()
         sticks.restart(number)
-        sticks.add(np.stack(columns[:3], axis=1), columns[3], np.arange(plan.samples_per_task)[None, :])
+        sticks.add(np.stack(numbers, axis=1), ending, np.arange(plan.samples_per_task)[None, :])
         return Part.of(results, sticks, run.t1, run.numbering, accumulator.wants_sticks)
 
     return simulate

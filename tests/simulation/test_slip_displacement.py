@@ -103,6 +103,18 @@ def test_derivatives_are_those_of_the_ends(method):
     assert float(back) == pytest.approx(got.sum(), rel=1e-9)
 
 
+@pytest.mark.parametrize("options", [{"step": 4e-3}, {"rtol": 1e-6}])
+def test_regularised_ensembles_hold_it(options):
+    method = ss.Regularized(1e-2, max_steps=16_384, **options)
+    how = {"t1": 40.0, "y0": Y0, "method": method}
+    many = ss.simulate_ensemble(SYSTEM, LAW, samples=3, key=jax.random.key(1), keep="sticks", **how)
+    base, y0 = many.realization(2)
+    one = ss.simulate(SYSTEM, base, **how | {"y0": y0})
+    own = many.flat_sticks.sample == 2
+    assert own.sum() > 3
+    np.testing.assert_allclose(many.flat_sticks.slip_displacement[own], columns(one.sticks)[3], rtol=0, atol=1e-8)
+
+
 def test_ensembles_and_their_tables_hold_it(tmp_path):
     many = ss.simulate_ensemble(SYSTEM, LAW, t1=T1, samples=300, key=jax.random.key(1), y0=Y0, keep="sticks")
     base, y0 = many.realization(17)
