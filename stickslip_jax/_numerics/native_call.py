@@ -36,6 +36,7 @@ def _as_native(*args: Any, closed: ClosedJaxpr) -> list[Any]:
 
     # Tagging the results tags the call that they come from. (The context manager of the same name would tag every
     # operation inside it too, and none of those would then be fused.)
+    args = lax.optimization_barrier(args)
     return lax.optimization_barrier(set_xla_metadata(jax.jit(reading_all)(*args), **NATIVE))[0]
 
 

@@ -274,3 +274,21 @@ def test_nothing_is_told_of_the_time_after_the_base_ran_out():
     np.testing.assert_allclose(x[:2], whole.evaluate(times[:2])[0], atol=1e-14)
     assert float(short.slip_time + short.stick_time) == pytest.approx(reached, abs=1e-14)
     assert float(np.nanmax(np.asarray(short.slips.end))) <= reached
+
+
+@pytest.mark.parametrize("number", [1, 7, 256, 300])
+def test_base_motions_may_be_constants_of_a_compiled_function(number):
+    """Arrays that a function closes over are constants in it; XLA aborted where a native loop read constants alone."""
+    law = ss.PoissonSwitching(1.0, 1.0)
+    capacity = law.capacity(10.0)
+    keys = jax.random.split(jax.random.key(1), number)
+    bases = jax.vmap(lambda key: law.sample(key, 10.0, capacity=capacity))(keys)
+
+    def mean_time(mu, bases):
+        system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
+        return jnp.mean(jax.vmap(lambda base: ss.simulate(system, base, t1=10.0, y0=(0.0, 1.0)).stick_time)(bases))
+
+    constant = jax.jit(jax.value_and_grad(lambda mu: mean_time(mu, bases)))(0.9)
+    np.testing.assert_allclose(constant, jax.jit(jax.value_and_grad(mean_time))(0.9, bases), rtol=1e-12)
+    whole = jax.jit(lambda: mean_time(0.9, bases))()
+    np.testing.assert_allclose(whole, constant[0], rtol=1e-12)
