@@ -39,7 +39,7 @@ def stick_raster(result: Ensemble, *, samples: int = 100, window: Window | None 
     if number:
         row = sticks.sample[shown]
         corners = _parts.rectangles(sticks.start[shown], sticks.end[shown], row - _HEIGHT / 2, row + _HEIGHT / 2)
-        label = f"{_parts.counted(number, 'stick')} in {rows:,} of {_parts.counted(result.samples, 'realization')}"
+        label = f"{_parts.counted(number, 'stick')} in {rows:,} of {_parts.counted(result.samples, 'realisation')}"
         ax.add_collection(
             PolyCollection(corners, facecolor=_style.STICK, lw=0, rasterized=number > _MANY, label=label), autolim=False
         )
