@@ -34,9 +34,10 @@ def _as_native(*args: Any, closed: ClosedJaxpr) -> list[Any]:
         firsts = [jnp.ravel(jnp.asarray(array))[0].astype(float) for array in args if jnp.size(array)]
         return jaxpr_as_fun(closed)(*args), sum(firsts)
 
+    # No argument may be a constant to XLA: beside others that are none, it aborts the process (jaxlib 0.10.2).
+    args = lax.optimization_barrier(args)
     # Tagging the results tags the call that they come from. (The context manager of the same name would tag every
     # operation inside it too, and none of those would then be fused.)
-    args = lax.optimization_barrier(args)
     return lax.optimization_barrier(set_xla_metadata(jax.jit(reading_all)(*args), **NATIVE))[0]
 
 

@@ -20,13 +20,6 @@ def many():
     return simulate(200)
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    plt.close("all")
-    yield
-    plt.close("all")
-
-
 @pytest.mark.parametrize("draw", FIGURES)
 def test_figures_are_called_alike(draw):
     """First the result, or the parameter's values; last, by keyword, where to draw, which need not be given."""

@@ -22,13 +22,6 @@ def result(parameter="mu", value=1.0, derivative=0.3, error=0.01, pathwise=0.5, 
     return ss.Sensitivity(**(given | more))
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    plt.close("all")
-    yield
-    plt.close("all")
-
-
 def test_curve_is_in_order_with_bands():
     points = [result(value=1.2, derivative=0.2), result(value=0.8, derivative=0.4, pathwise=0.7), result()]
     ax = plot.sensitivity_curve(points)

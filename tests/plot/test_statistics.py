@@ -16,31 +16,6 @@ from stickslip_jax._statistics.convergence import convergence, histogram_converg
 from stickslip_jax.plot import _style
 
 
-@pytest.fixture(scope="module")
-def many():
-    return simulate(200)
-
-
-@pytest.fixture(scope="module")
-def single():
-    return simulate(1)
-
-
-@pytest.fixture(scope="module")
-def none():
-    """On a base so fast that the mass never comes up to it."""
-    slipping = simulate(3, speed=50.0)
-    assert slipping.statistics.duration.number == 0
-    return slipping
-
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    plt.close("all")
-    yield
-    plt.close("all")
-
-
 def error_of_share(inside, owner, samples):
     """The standard error of the share of values inside, by the spread of (inside - share all) over the samples."""
     own = np.bincount(owner, weights=inside, minlength=samples)

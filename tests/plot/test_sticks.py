@@ -36,13 +36,6 @@ def one():
     return ss.simulate(MASS, law.sample(jax.random.key(3), t1), t1=t1, y0=(0.0, 1.0))
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    plt.close("all")
-    yield
-    plt.close("all")
-
-
 def line(ax, label):
     (found,) = [drawn for drawn in ax.lines if drawn.get_label() == label]
     return found

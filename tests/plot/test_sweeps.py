@@ -3,38 +3,14 @@
 import math
 
 import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from support.plot import MAP_LABELS, T1, band_of, line, mesh, only, simulate, texts
+from support.plot import MAP_LABELS, T1, band_of, line, mesh, only, texts
 
 import stickslip_jax as ss
 from stickslip_jax import plot
 from stickslip_jax._statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
 from stickslip_jax._statistics.estimate import Estimate
-
-
-@pytest.fixture(scope="module")
-def many():
-    return simulate(200)
-
-
-@pytest.fixture(scope="module")
-def single():
-    return simulate(1)
-
-
-@pytest.fixture(scope="module")
-def none():
-    """On a base so fast that the mass never comes up to it."""
-    return simulate(3, speed=50.0)
-
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    plt.close("all")
-    yield
-    plt.close("all")
 
 
 def test_convergence_draws_estimates_band_and_final_value(many):

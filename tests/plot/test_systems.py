@@ -13,6 +13,7 @@ import pytest
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+from support.plot import segments
 
 import stickslip_jax as ss
 from stickslip_jax import plot
@@ -72,23 +73,9 @@ def of(*names):
     return pytest.mark.parametrize("one", names, indirect=True)
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    plt.close("all")
-    yield
-    plt.close("all")
-
-
 def line(ax, label):
     (found,) = [drawn for drawn in ax.lines if drawn.get_label() == label]
     return found
-
-
-def segments(drawn):
-    """The segments of a line between its NaNs, arrays (points, 2)."""
-    points = np.column_stack(drawn.get_data())
-    missing = np.isnan(points[:, 0])
-    return [piece[~np.isnan(piece[:, 0])] for piece in np.split(points, np.flatnonzero(missing))]
 
 
 def filled(simulation, name):

@@ -11,6 +11,7 @@ import pytest
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+from support.plot import segments
 
 import stickslip_jax as ss
 from stickslip_jax import plot
@@ -44,26 +45,9 @@ def ensemble():
     )
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    """No figure outlives its test, and none is made where axes are given."""
-    plt.close("all")
-    yield
-    plt.close("all")
-
-
 def line(ax, label):
     (found,) = [drawn for drawn in ax.lines if drawn.get_label() == label]
     return found
-
-
-def segments(drawn):
-    """The segments of a line between its NaNs, arrays (points, 2)."""
-    points = np.column_stack(drawn.get_data())
-    missing = np.isnan(points[:, 0])
-    if np.all(missing):
-        return []
-    return [piece[~np.isnan(piece[:, 0])] for piece in np.split(points, np.flatnonzero(missing))]
 
 
 def filled(simulation, name):

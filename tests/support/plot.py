@@ -54,6 +54,15 @@ def mesh(ax):
     return drawn.get_array().T, corners[0, :, 0], corners[:, 0, 1]
 
 
+def segments(drawn):
+    """The segments of a line between its NaNs, arrays (points, 2)."""
+    points = np.column_stack(drawn.get_data())
+    missing = np.isnan(points[:, 0])
+    if np.all(missing):
+        return []
+    return [piece[~np.isnan(piece[:, 0])] for piece in np.split(points, np.flatnonzero(missing))]
+
+
 def texts(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 

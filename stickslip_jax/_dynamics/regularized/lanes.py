@@ -49,10 +49,7 @@ class FixedEngine(Engine):
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realized(self.excitation, key_data, dtype)
         y0 = realized_state(self.y0, key_data, dtype)
-        segment_laws, own = (
-            SegmentLaws.of(self.system, self.excitation),
-            self.excitation.segment_key_data(key_data),
-        )
+        own, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
         segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
         field = field_of(self.system, smooth, self.method)
         return smooth, start_fixed(field, segment_laws, criterion_of(self.method), segment_states, y0, dtype)
