@@ -2,6 +2,8 @@
 
 from importlib import import_module
 
+from ._distributions.families import Beta, Discrete, Exponential, LogNormal, Normal, Triangular, Uniform, Weibull
+from ._distributions.random_number import RandomNumber, Truncated
 from ._dynamics.method import Exact, Regularized
 from ._ensemble.call import simulate_ensemble
 from ._ensemble.parts import Keep
@@ -12,7 +14,7 @@ from ._excitation.ground import GroundAcceleration
 from ._excitation.kanai_tajimi import KanaiTajimi
 from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.piecewise import VelocitySteps
-from ._excitation.random import InitialState, RandomPhase, Uniform
+from ._excitation.random import InitialState, RandomPhase
 from ._excitation.reading import read_acceleration_csv, read_at2, read_recorded_csv
 from ._excitation.recorded import Recorded
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
@@ -87,17 +89,20 @@ def __dir__() -> list[str]:
 __all__ = [
     "BangBangLaw",
     "BaseMotion",
+    "Beta",
     "ConditionalMeans",
     "Constant",
     "Convergence",
     "Coordinate",
     "Coulomb",
+    "Discrete",
     "Distribution",
     "Ending",
     "Ensemble",
     "EnsembleStatistics",
     "Estimate",
     "Exact",
+    "Exponential",
     "FirstSticks",
     "FrictionCurve",
     "FrictionLaw",
@@ -110,12 +115,15 @@ __all__ = [
     "JointHistogram",
     "KanaiTajimi",
     "Keep",
+    "LogNormal",
     "MassSpring",
     "MotorCart",
+    "Normal",
     "OrderStatistics",
     "PiecewiseConstant",
     "PoissonSwitching",
     "Quantity",
+    "RandomNumber",
     "RandomPhase",
     "RandomSteps",
     "RealizationMeanDuration",
@@ -142,9 +150,12 @@ __all__ = [
     "SwitchedSystem",
     "System",
     "TestedQuantity",
+    "Triangular",
+    "Truncated",
     "Uniform",
     "VelocitySteps",
     "VelocityWeakening",
+    "Weibull",
     "WithJumps",
     "bootstrap_interval",
     "convergence",

@@ -5,9 +5,10 @@ The constructors check their arguments by them, and a study's file takes its key
 
 import dataclasses
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Any, ClassVar, get_type_hints
 
 import equinox as eqx
+import numpy as np
 
 from . import _checks
 
@@ -20,7 +21,8 @@ class Quantity:
             length: Annotated[float, ss.Quantity("m", above=0)]
 
     ``Pendulum(length=-1.0)`` then raises ValueError: "Argument length must be positive (in m), but -1.0 was given."
-    Numbers that JAX traces pass unchecked. A field whose default is None may be None.
+    Numbers that JAX traces pass unchecked. A field whose default is None may be None. For `simulate_ensemble` a single
+    number may also be an array with one for each sample, or a distribution, whose draws are checked there.
 
     - `unit`: the SI unit; "" for a number without one.
     - `meaning`: what the field's name does not say by itself, one line.
@@ -51,10 +53,33 @@ class Quantity:
 
     def check(self, name: str, value: Any) -> None:
         """Check `value`, the argument `name`. Raises ValueError for anything but a finite number within the bounds."""
+        if not self.ndim and is_distribution(value):
+            return
+        # Of many numbers, one for each sample, name the first that does not fit.
+        if not self.ndim and not _checks.is_traced(value) and np.ndim(value) == 1:
+            value, wrong = np.asarray(value), self.outside(value)
+            if not len(value) or np.any(wrong):
+                at = int(np.argmax(wrong)) if len(value) else 0
+                self.check(f"{name}[{at}]" if len(value) else name, value[at].item() if len(value) else None)
+            return
         _checks.bounded(
             name, value, self.unit, above=self.above, at_least=self.at_least, below=self.below, ndim=self.ndim,
             hint=self.hint,
         )  # fmt: skip
+
+    def outside(self, values: Any) -> np.ndarray:
+        """Which of `values` are no finite numbers within the bounds, (values,)."""
+        try:
+            values = np.asarray(values, float)
+        except (TypeError, ValueError):
+            return np.ones(np.shape(values), bool)
+        wrong = ~np.isfinite(values)
+        if 0 in (self.above, self.at_least):
+            wrong |= (values != 0) & ~((values >= _checks.SMALLEST) & (values <= _checks.LARGEST))
+        for holds, bound in ((np.greater, self.above), (np.greater_equal, self.at_least), (np.less, self.below)):
+            if bound is not None:
+                wrong |= ~holds(values, bound)
+        return wrong
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +99,18 @@ class Choice:
         if not isinstance(value, str) or value not in self.options:
             options = _checks.one_of(map(repr, self.options))
             raise ValueError(f"Argument {name} must be {options}, but {_checks.show(value)} was given.")
+
+
+def is_distribution(value: Any) -> bool:
+    """Whether `value` is a distribution: of stickslip_jax, frozen of scipy.stats, or with a method ``sample(key)``."""
+    return any(callable(getattr(value, name, None)) for name in ("icdf", "ppf", "sample"))
+
+
+def varies(value: Any, about: "Quantity | Choice") -> bool:
+    """Whether the field `about` holds more than one number: a distribution, or an array with one for each sample."""
+    if isinstance(about, Choice) or about.ndim or _checks.is_traced(value):
+        return False
+    return is_distribution(value) or np.ndim(value) == 1
 
 
 @cache
@@ -101,13 +138,25 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
 
 
 class Checked(eqx.Module):
-    """A module whose constructor checks every field against its `Quantity` or `Choice`."""
+    """A module whose constructor checks every field against its `Quantity` or `Choice`.
+
+    `may_be_random`: whether its single numbers may differ from sample to sample.
+    """
+
+    may_be_random: ClassVar[bool] = True
 
     def __check_init__(self):
+        vary = False
         for name, about, may_be_none in _to_check(type(self)):
             value = getattr(self, name)
-            if value is not None or not may_be_none:
-                about.check(name, value)
+            if value is None and may_be_none:
+                continue
+            vary = vary or varies(value, about)
+            if vary and not self.may_be_random:
+                _checks.numeric(name, value)
+            about.check(name, value)
+        if vary:  # what several fields must satisfy together is checked for what is drawn
+            return
         type(self).check_relations(self)  # bound, it would be a module of its own, and cost as much as all checks
 
     def check_relations(self) -> None:

@@ -1,6 +1,6 @@
 """Names of types for annotations: shapes are in the annotations, units in the docstrings."""
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import diffrax
 import numpy as np
@@ -8,6 +8,9 @@ from jaxtyping import Array, Bool, Float, Int, Real, UInt32
 
 Scalar: TypeAlias = Real[Array, ""] | float
 """A single real number: a Python float or a zero-dimensional array (traced or not)."""
+
+Number: TypeAlias = Any
+"""A real number; for `simulate_ensemble` also an array with one for each sample, or a distribution."""
 
 AnyArray: TypeAlias = Array | np.ndarray
 """An array of JAX or, in results that have left JAX, of NumPy."""
@@ -40,6 +43,7 @@ __all__ = [
     "Int",
     "IntArray",
     "KeyData",
+    "Number",
     "Scalar",
     "Solver",
     "State",

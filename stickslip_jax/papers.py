@@ -12,8 +12,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from . import _checks
+from ._distributions.families import Uniform
 from ._excitation.laws import BangBangLaw, RandomSteps, SquareWave
-from ._excitation.random import RandomPhase, Uniform
+from ._excitation.random import RandomPhase
 from ._excitation.voltage import SourceVoltage
 from ._simulation.call import simulate
 from ._systems.friction import Coulomb

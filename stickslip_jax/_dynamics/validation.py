@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from .. import _checks
+from .._distributions.families import Uniform
 from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_random, longest_time
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
-from .._excitation.random import Uniform
 from .._excitation.smooth import UserMotion
 from .._numerics.known import plain
 from .._systems.system import System

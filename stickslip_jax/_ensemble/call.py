@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._distributions.families import Uniform
 from .._dynamics.chunks import chunks_of, solve_chunk
 from .._dynamics.engine_choice import lanes_for
 from .._dynamics.lanes import BLOCK, Engine, Job, LaneResults
@@ -24,7 +25,7 @@ from .._dynamics.regularized.solve import table_sizes
 from .._dynamics.validation import check_method, state_of, working_dtype
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion, is_random, key_data_for
-from .._excitation.random import InitialState, Uniform
+from .._excitation.random import InitialState
 from .._fast_cpu import cores
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering

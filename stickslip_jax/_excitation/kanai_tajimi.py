@@ -14,7 +14,7 @@ from .. import _checks
 from .._fields import Quantity
 from .._numerics.elementary import log, sincos
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, Scalar
+from .._types import AnyArray, Array, FloatArray, Number, Scalar
 from .ground import GroundAcceleration, GroundMotion
 
 LARGEST_NUMBER_OF_POINTS = 2**31
@@ -50,15 +50,15 @@ class KanaiTajimi(GroundMotion):
     Raises ValueError for numbers outside these bounds.
     """
 
-    rms: Annotated[Scalar, Quantity("m/s^2", "standard deviation of the ground's acceleration at its height", above=0)]
-    ground_frequency: Annotated[Scalar, Quantity("rad/s", "of the layer", above=0)] = 5 * math.pi
+    rms: Annotated[Number, Quantity("m/s^2", "standard deviation of the ground's acceleration at its height", above=0)]
+    ground_frequency: Annotated[Number, Quantity("rad/s", "of the layer", above=0)] = 5 * math.pi
     ground_damping: Annotated[
-        Scalar, Quantity(meaning="its damping ratio", above=0, below=1, hint="firm soil has about 0.6")
+        Number, Quantity(meaning="its damping ratio", above=0, below=1, hint="firm soil has about 0.6")
     ] = 0.6
-    rise: Annotated[Scalar, Quantity("s", "of the envelope", above=0)] = 4.0
-    plateau: Annotated[Scalar, Quantity("s", "of the envelope", at_least=0)] = 11.0
-    decay: Annotated[Scalar, Quantity("1/s", "of the envelope", at_least=0)] = 0.1
-    interval: Annotated[Scalar, Quantity("s", "between samples", above=0)] = 0.01
+    rise: Annotated[Number, Quantity("s", "of the envelope", above=0)] = 4.0
+    plateau: Annotated[Number, Quantity("s", "of the envelope", at_least=0)] = 11.0
+    decay: Annotated[Number, Quantity("1/s", "of the envelope", at_least=0)] = 0.1
+    interval: Annotated[Number, Quantity("s", "between samples", above=0)] = 0.01
     is_random = True
 
     def check_relations(self) -> None:

@@ -20,7 +20,7 @@ from jax.errors import ConcretizationTypeError
 from .. import _checks
 from .._fields import Choice, Quantity
 from .._numerics.random_bits import exponential, key_data_of, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
+from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
 from .piecewise import VelocitySteps
 from .segments import SegmentLaw
 
@@ -132,7 +132,7 @@ class Constant(BangBangLaw):
     `speed`: the velocity, m/s, of either sign; 0 for a base at rest. Raises ValueError if it is not finite.
     """
 
-    speed: Annotated[Scalar, Quantity("m/s", "signed")]
+    speed: Annotated[Number, Quantity("m/s", "signed")]
     is_random = False
 
     def begin(self, key_data, dtype):
@@ -157,8 +157,8 @@ class SquareWave(BangBangLaw):
     Raises ValueError if a number is not positive and finite. Source: Lima and Sampaio, conference paper, eq. 4.
     """
 
-    speed: Annotated[Scalar, Quantity("m/s", above=0)]
-    period: Annotated[Scalar, Quantity("s", above=0)]
+    speed: Annotated[Number, Quantity("m/s", above=0)]
+    period: Annotated[Number, Quantity("s", above=0)]
     is_random = False
 
     def begin(self, key_data, dtype):
@@ -184,8 +184,8 @@ class PoissonSwitching(BangBangLaw):
     Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
     """
 
-    speed: Annotated[Scalar, Quantity("m/s", above=0)]
-    rate: Annotated[Scalar, Quantity("1/s", "mean number of switches per second", above=0)]
+    speed: Annotated[Number, Quantity("m/s", above=0)]
+    rate: Annotated[Number, Quantity("1/s", "mean number of switches per second", above=0)]
     first_sign: Annotated[
         str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
     ] = eqx.field(static=True, default="random")
@@ -224,8 +224,8 @@ class RandomSteps(BangBangLaw):
     the probabilities of the others. Raises ValueError for numbers outside these bounds.
     """
 
-    speed: Annotated[Scalar, Quantity("m/s", above=0)]
-    interval: Annotated[Scalar, Quantity("s", "time between draws of the velocity", above=0)]
+    speed: Annotated[Number, Quantity("m/s", above=0)]
+    interval: Annotated[Number, Quantity("s", "time between draws of the velocity", above=0)]
     levels: Annotated[tuple[float, ...], Quantity(meaning="the velocities are speed times these", ndim=1)] = eqx.field(
         static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v)
     )

@@ -1,14 +1,14 @@
 """Random phases and random initial states."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._fields import Checked, Quantity
+from .._distributions.families import Uniform
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, KeyData, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
@@ -46,22 +46,6 @@ class RandomPhase(eqx.Module):
             return SumOfHarmonics(self.signal.amplitudes, self.signal.angular_frequencies, phases, self.signal.offset)
         phase = _angle(random_words(key_data, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
-
-
-class Uniform(Checked):
-    """A random initial value, uniform on ``[low, high]`` and independent in every sample of an ensemble.
-
-    `low`, `high`: the lowest and the highest value, in the unit of the initial value.
-
-    Raises ValueError unless `low` and `high` are finite and ``low < high``.
-    """
-
-    low: Annotated[Scalar, Quantity(meaning="the lowest value")]
-    high: Annotated[Scalar, Quantity(meaning="the highest value")]
-
-    def check_relations(self) -> None:
-        if not (_checks.is_traced(self.low) or _checks.is_traced(self.high)) and not self.low < self.high:
-            raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
 
 
 InitialState: TypeAlias = Sequence[Scalar | int | np.number | Uniform] | AnyArray

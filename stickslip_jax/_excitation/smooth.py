@@ -15,7 +15,7 @@ from jax import lax
 from .. import _checks
 from .._fields import Checked, Quantity
 from .._numerics.sharing import sincos
-from .._types import AnyArray, FloatArray, Scalar
+from .._types import AnyArray, FloatArray, Number, Scalar
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -126,10 +126,10 @@ class Harmonic(_Tones):
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
 
-    amplitude: Annotated[Scalar, Quantity(SIGNAL_UNIT)]
-    angular_frequency: Annotated[Scalar, Quantity("rad/s", above=0)]
-    phase: Annotated[Scalar, Quantity("rad")] = 0.0
-    offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
+    amplitude: Annotated[Number, Quantity(SIGNAL_UNIT)]
+    angular_frequency: Annotated[Number, Quantity("rad/s", above=0)]
+    phase: Annotated[Number, Quantity("rad")] = 0.0
+    offset: Annotated[Number, Quantity(SIGNAL_UNIT)] = 0.0
 
     @property
     def tones(self) -> Tones:
@@ -162,7 +162,7 @@ class SumOfHarmonics(_Tones):
     phases: Annotated[AnyArray | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
         default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v)
     )
-    offset: Annotated[Scalar, Quantity(SIGNAL_UNIT)] = 0.0
+    offset: Annotated[Number, Quantity(SIGNAL_UNIT)] = 0.0
 
     def check_relations(self) -> None:
         shapes = [np.shape(self.amplitudes), np.shape(self.angular_frequencies)]

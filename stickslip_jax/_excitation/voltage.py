@@ -6,7 +6,7 @@ from typing import Annotated
 import jax.numpy as jnp
 
 from .._fields import Quantity
-from .._types import FloatArray, Scalar
+from .._types import FloatArray, Number, Scalar
 from .smooth import Signal
 
 
@@ -19,10 +19,10 @@ class SourceVoltage(Signal):
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
 
-    mean: Annotated[Scalar, Quantity("V")] = 1.0
-    amplitude: Annotated[Scalar, Quantity("V")] = 0.5
-    angular_frequency: Annotated[Scalar, Quantity("rad/s", above=0)] = 10.0
-    phase: Annotated[Scalar, Quantity("rad")] = 0.0
+    mean: Annotated[Number, Quantity("V")] = 1.0
+    amplitude: Annotated[Number, Quantity("V")] = 0.5
+    angular_frequency: Annotated[Number, Quantity("rad/s", above=0)] = 10.0
+    phase: Annotated[Number, Quantity("rad")] = 0.0
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.mean + self.amplitude * jnp.sin(self.angular_frequency * t + self.phase)

@@ -5,12 +5,12 @@ from typing import Any
 import jax.numpy as jnp
 
 from .. import _checks
+from .._distributions.families import Uniform
 from .._dynamics.method import EXACT, Exact
 from .._dynamics.validation import state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._excitation.excitation import is_random, key_data_for
-from .._excitation.random import Uniform
 from .._fast_cpu import cores
 from .._systems.system import require_system
 from .parameters import parameters_of

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+from .._distributions.families import Uniform
 from .._dynamics.engine_choice import ByIntervals, engine_for
 from .._dynamics.lanes import BLOCK, Engine
 from .._dynamics.method import EXACT
@@ -10,7 +11,7 @@ from .._dynamics.validation import checked_step
 from .._excitation.excitation import WithJumps
 from .._excitation.ground import GroundMotion
 from .._excitation.laws import BangBangLaw
-from .._excitation.random import RandomPhase, Uniform
+from .._excitation.random import RandomPhase
 from .._excitation.smooth import Signal
 from .._types import Array
 from .parameters import Parameter, Path

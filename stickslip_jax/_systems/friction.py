@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._fields import Checked, Quantity
-from .._types import FloatArray, Scalar
+from .._types import FloatArray, Number, Scalar
 
 _STATIC = "friction coefficient of a stick"
 
@@ -57,8 +57,8 @@ class Coulomb(FrictionLaw):
     Source: Lima and Sampaio 2015, eq. 2.
     """
 
-    mu: Annotated[Scalar, Quantity(meaning="friction coefficient", at_least=0)]
-    mu_static: Annotated[Scalar | None, Quantity(meaning=f"{_STATIC}, at least mu; not given: mu", at_least=0)] = None
+    mu: Annotated[Number, Quantity(meaning="friction coefficient", at_least=0)]
+    mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}, at least mu; not given: mu", at_least=0)] = None
     constant = True
 
     def check_relations(self) -> None:
@@ -85,8 +85,8 @@ class VelocityWeakening(FrictionLaw):
     Raises ValueError for numbers outside these bounds.
     """
 
-    mu_static: Annotated[Scalar, Quantity(meaning=_STATIC, at_least=0)]
-    weakening: Annotated[Scalar, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
+    mu_static: Annotated[Number, Quantity(meaning=_STATIC, at_least=0)]
+    weakening: Annotated[Number, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
 
     @property
     def holds_more(self) -> bool:
@@ -116,13 +116,13 @@ class Stribeck(FrictionLaw):
     Raises ValueError for numbers outside these bounds.
     """
 
-    mu: Annotated[Scalar, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
-    mu_static: Annotated[Scalar, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
-    stribeck_speed: Annotated[Scalar, Quantity("m/s", above=0)]
+    mu: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
+    mu_static: Annotated[Number, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
+    stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
     exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
         static=True, default=1.0
     )
-    viscous: Annotated[Scalar, Quantity("s/m", "times the speed", at_least=0)] = 0.0
+    viscous: Annotated[Number, Quantity("s/m", "times the speed", at_least=0)] = 0.0
 
     def check_relations(self) -> None:
         _static_at_least("mu", self.mu, self.mu_static)
@@ -162,7 +162,7 @@ class FrictionCurve(FrictionLaw):
     """
 
     curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
-    mu_static: Annotated[Scalar | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
+    mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
     def check_relations(self) -> None:
         if not callable(self.curve):

@@ -22,7 +22,7 @@ from .._fields import Quantity
 from .._numerics.rotation import damped_rotation
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._numerics.sharing import sincos
-from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
+from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .own import is_own
 from .resonance import check_no_resonance
@@ -47,12 +47,12 @@ class MassSpring(System):
     Raises ValueError if a number is out of its range or not finite, or `friction` or `force` is of another kind.
     """
 
-    mass: Annotated[Scalar, Quantity("kg", above=0)]
-    stiffness: Annotated[Scalar, Quantity("N/m", above=0)]
-    normal_force: Annotated[Scalar, Quantity("N", above=0)]
+    mass: Annotated[Number, Quantity("kg", above=0)]
+    stiffness: Annotated[Number, Quantity("N/m", above=0)]
+    normal_force: Annotated[Number, Quantity("N", above=0)]
     friction: FrictionLaw
     # None rather than zero: an undamped system is then another pytree, known as undamped when numbers are traced.
-    damping: Annotated[Scalar | None, Quantity("N s/m", at_least=0)] = eqx.field(
+    damping: Annotated[Number | None, Quantity("N s/m", at_least=0)] = eqx.field(
         default=None, converter=lambda v: None if _is_zero(v) else v
     )
     force: Signal | Recorded | None = None

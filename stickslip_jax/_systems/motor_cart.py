@@ -27,7 +27,7 @@ from .._fields import Choice, Quantity
 from .._numerics.elementary import sincos_of_small
 from .._numerics.runge_kutta import runge_kutta_step
 from .._numerics.sharing import sincos
-from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
+from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
@@ -59,15 +59,15 @@ class MotorCart(System):
     Raises ValueError for numbers out of range and for another `equation`.
     """
 
-    mu: Annotated[Scalar, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
-    cart_mass: Annotated[Scalar, Quantity("kg", above=0)] = 5.0
-    eccentricity: Annotated[Scalar, Quantity("m", "of the pin on the disk", above=0)] = 0.01
-    gravity: Annotated[Scalar, Quantity("m/s^2", above=0)] = 9.81
-    motor_inertia: Annotated[Scalar, Quantity("kg m^2", above=0)] = 1.21e-4
-    motor_damping: Annotated[Scalar, Quantity("N m s/rad", at_least=0)] = 1.545e-4
-    motor_constant: Annotated[Scalar, Quantity("V s/rad", "of voltage and torque; also N m/A", above=0)] = 5.33e-2
-    resistance: Annotated[Scalar, Quantity("ohm", above=0)] = 0.307
-    inductance: Annotated[Scalar, Quantity("H", above=0)] = 1.88e-4
+    mu: Annotated[Number, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
+    cart_mass: Annotated[Number, Quantity("kg", above=0)] = 5.0
+    eccentricity: Annotated[Number, Quantity("m", "of the pin on the disk", above=0)] = 0.01
+    gravity: Annotated[Number, Quantity("m/s^2", above=0)] = 9.81
+    motor_inertia: Annotated[Number, Quantity("kg m^2", above=0)] = 1.21e-4
+    motor_damping: Annotated[Number, Quantity("N m s/rad", at_least=0)] = 1.545e-4
+    motor_constant: Annotated[Number, Quantity("V s/rad", "of voltage and torque; also N m/A", above=0)] = 5.33e-2
+    resistance: Annotated[Number, Quantity("ohm", above=0)] = 0.307
+    inductance: Annotated[Number, Quantity("H", above=0)] = 1.88e-4
     equation: Annotated[
         str, Choice(("physical", "printed"), "physical, or as printed in the paper (its units do not match)")
     ] = eqx.field(static=True, default="physical")

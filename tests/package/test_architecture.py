@@ -27,6 +27,7 @@ ROWS = (
     "_fast_cpu",
     "_compilation_cache",
     "_numerics",
+    "_distributions",
     "_excitation",
     "_systems",
     "_events",

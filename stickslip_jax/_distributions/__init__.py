@@ -1,0 +1,1 @@
+"""Distributions of random numbers: what differs from sample to sample of an ensemble."""

@@ -1,0 +1,288 @@
+"""The distributions of a random number: uniform, normal, log-normal, beta, triangular, exponential, and others."""
+
+import math
+from functools import partial
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import betainc, ndtr, ndtri
+
+from .. import _checks
+from .._fields import Quantity
+from .._types import FloatArray, Scalar
+from .random_number import RandomNumber
+
+
+class Uniform(RandomNumber):
+    """A random number, uniform on ``[low, high]`` and independent in every sample of an ensemble.
+
+    `low`, `high`: the lowest and the highest value, in the unit of the number.
+
+    Raises ValueError unless `low` and `high` are finite and ``low < high``.
+    """
+
+    low: Annotated[Scalar, Quantity(meaning="the lowest value")]
+    high: Annotated[Scalar, Quantity(meaning="the highest value")]
+
+    def check_relations(self) -> None:
+        _check_order(low=self.low, high=self.high)
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        return self.low + (self.high - self.low) * u
+
+    def cdf(self, x: Any) -> FloatArray:
+        return jnp.clip((x - self.low) / (self.high - self.low), 0, 1)
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return self.low, self.high
+
+
+class Normal(RandomNumber):
+    """A normally distributed number. A few draws lie far from the mean: take `Truncated` for what has bounds.
+
+    `mean`, and the standard deviation `std`, positive: in the unit of the number.
+
+    Raises ValueError for numbers outside these bounds.
+    """
+
+    mean: Annotated[Scalar, Quantity(meaning="the mean")]
+    std: Annotated[Scalar, Quantity(meaning="the standard deviation", above=0)]
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        return self.mean + self.std * ndtri(u)
+
+    def cdf(self, x: Any) -> FloatArray:
+        return ndtr(jnp.asarray((x - self.mean) / self.std, float))
+
+
+class LogNormal(RandomNumber):
+    """A positive number whose logarithm is normally distributed: ``median exp(log_std z)``.
+
+    - `median`, positive, in the unit of the number: half of the draws lie below.
+    - `log_std`, positive: the standard deviation of the natural logarithm; for small ones about the coefficient of
+      variation.
+
+    Raises ValueError for numbers outside these bounds.
+    """
+
+    median: Annotated[Scalar, Quantity(meaning="half of the draws lie below", above=0)]
+    log_std: Annotated[Scalar, Quantity(meaning="standard deviation of the logarithm", above=0)]
+
+    @classmethod
+    def from_moments(cls, mean: Scalar, std: Scalar) -> "LogNormal":
+        """The one with this mean and this standard deviation, both positive. Raises ValueError for others."""
+        _checks.positive("mean", mean)
+        _checks.positive("std", std)
+        spread = jnp.log1p((std / mean) ** 2)
+        return cls(mean * jnp.exp(-spread / 2), jnp.sqrt(spread))
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        return self.median * jnp.exp(self.log_std * ndtri(u))
+
+    def cdf(self, x: Any) -> FloatArray:
+        x = jnp.asarray(x, float)
+        z = jnp.log(jnp.where(x > 0, x, self.median) / self.median) / self.log_std
+        return jnp.where(x > 0, ndtr(z), 0.0)
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return 0.0, math.inf
+
+
+class Beta(RandomNumber):
+    """A number on ``[low, high]`` with a beta distribution: density proportional to ``z^(a-1) (1-z)^(b-1)``.
+
+    - `a`, `b`: the shape, positive. `low`, `high`: in the unit of the number; by default 0 and 1.
+
+    Raises ValueError for numbers outside these bounds, or unless ``low < high``.
+    """
+
+    a: Annotated[Scalar, Quantity(meaning="first shape number", above=0)]
+    b: Annotated[Scalar, Quantity(meaning="second shape number", above=0)]
+    low: Annotated[Scalar, Quantity(meaning="the lowest value")] = 0.0
+    high: Annotated[Scalar, Quantity(meaning="the highest value")] = 1.0
+
+    def check_relations(self) -> None:
+        _check_order(low=self.low, high=self.high)
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        return self.low + (self.high - self.low) * _beta_quantile(self.a, self.b, u)
+
+    def cdf(self, x: Any) -> FloatArray:
+        share = jnp.clip(jnp.asarray((x - self.low) / (self.high - self.low), float), 0, 1)
+        return betainc(jnp.asarray(self.a, float), jnp.asarray(self.b, float), share)
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return self.low, self.high
+
+    @property
+    def in_lanes(self) -> bool:
+        return False
+
+
+class Triangular(RandomNumber):
+    """A number on ``[low, high]`` whose density rises linearly up to `mode` and falls linearly after it.
+
+    All in the unit of the number. Raises ValueError unless ``low <= mode <= high`` and ``low < high``.
+    """
+
+    low: Annotated[Scalar, Quantity(meaning="the lowest value")]
+    mode: Annotated[Scalar, Quantity(meaning="the most likely value")]
+    high: Annotated[Scalar, Quantity(meaning="the highest value")]
+
+    def check_relations(self) -> None:
+        _check_order(low=self.low, high=self.high)
+        if any(_checks.is_traced(value) for value in (self.low, self.mode, self.high)):
+            return
+        if not self.low <= self.mode <= self.high:
+            raise ValueError(
+                f"Argument mode must lie between low = {self.low} and high = {self.high}, but {self.mode} was given."
+            )
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        width, left, right = self.high - self.low, self.mode - self.low, self.high - self.mode
+        rising = u * width < left
+        root = jnp.sqrt(width * jnp.where(rising, u * left, (1 - u) * right))
+        return jnp.where(rising, self.low + root, self.high - root)
+
+    def cdf(self, x: Any) -> FloatArray:
+        width, left, right = self.high - self.low, self.mode - self.low, self.high - self.mode
+        x = jnp.clip(jnp.asarray(x, float), self.low, self.high)
+        rising = x < self.mode
+        part = jnp.where(rising, x - self.low, self.high - x) ** 2
+        part = part / (width * jnp.where(rising, jnp.where(left > 0, left, 1), jnp.where(right > 0, right, 1)))
+        return jnp.where(rising, part, 1 - part)
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return self.low, self.high
+
+
+class Exponential(RandomNumber):
+    """A positive number with density ``exp(-x / mean) / mean``. `mean`: positive, in the unit of the number.
+
+    Raises ValueError for another mean.
+    """
+
+    mean: Annotated[Scalar, Quantity(meaning="the mean", above=0)]
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        return -self.mean * jnp.log1p(-u)
+
+    def cdf(self, x: Any) -> FloatArray:
+        return -jnp.expm1(-jnp.maximum(jnp.asarray(x, float), 0) / self.mean)
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return 0.0, math.inf
+
+
+class Weibull(RandomNumber):
+    """A positive number ``x`` that exceeds any value with probability ``exp(-(x / scale)^shape)``.
+
+    `scale`: positive, in the unit of the number. `shape`: positive. Raises ValueError for others.
+    """
+
+    scale: Annotated[Scalar, Quantity(meaning="37 % of the draws exceed it", above=0)]
+    shape: Annotated[Scalar, Quantity(meaning="the exponent", above=0)]
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        return self.scale * (-jnp.log1p(-u)) ** (1 / self.shape)
+
+    def cdf(self, x: Any) -> FloatArray:
+        return -jnp.expm1(-((jnp.maximum(jnp.asarray(x, float), 0) / self.scale) ** self.shape))
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return 0.0, math.inf
+
+
+class Discrete(RandomNumber):
+    """A number that takes one of several values.
+
+    - `values`: (values,), increasing, in the unit of the number.
+    - `probabilities`: that of each, zero or positive, with sum 1; by default all the same.
+
+    Raises ValueError for values that do not increase, or probabilities that do not fit.
+    """
+
+    values: Annotated[Any, Quantity(meaning="the values", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "values")
+    )
+    probabilities: Annotated[Any, Quantity(meaning="of the values; not given: equal", ndim=1, at_least=0)] = eqx.field(
+        default=None, converter=lambda v: None if v is None else _checks.real_array("probabilities", v)
+    )
+
+    def check_relations(self) -> None:
+        if not _checks.is_traced(self.values) and (len(self.values) == 0 or np.any(np.diff(self.values) <= 0)):
+            raise ValueError(
+                f"Argument values must hold increasing numbers, but {_checks.show(self.values)} was given."
+            )
+        given = self.probabilities
+        if given is None or _checks.is_traced(given):
+            return
+        if len(given) != len(self.values) or abs(float(np.sum(given)) - 1) > 1e-9:
+            raise ValueError(
+                f"Argument probabilities must hold one number for each of the {len(self.values)} values, with sum 1, "
+                f"but {_checks.show(given)} was given."
+            )
+
+    def _cumulative(self) -> FloatArray:
+        """The probability of each value or one below it."""
+        number = len(self.values)
+        if self.probabilities is None:
+            return jnp.arange(1, number + 1) / number
+        return jnp.cumsum(jnp.asarray(self.probabilities, float))
+
+    def icdf(self, u: FloatArray) -> FloatArray:
+        place = jnp.sum(jnp.asarray(u)[..., None] > self._cumulative()[(None,) * jnp.ndim(u)], axis=-1)
+        return jnp.asarray(self.values, float)[jnp.minimum(place, len(self.values) - 1)]
+
+    def cdf(self, x: Any) -> FloatArray:
+        below = jnp.searchsorted(jnp.asarray(self.values, float), jnp.asarray(x, float), side="right")
+        return jnp.concatenate([jnp.zeros(1), self._cumulative()])[below]
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return self.values[0], self.values[-1]
+
+
+def _check_order(**limits: Any) -> None:
+    (_, low), (name, high) = limits.items()
+    if not (_checks.is_traced(low) or _checks.is_traced(high)) and not low < high:
+        raise ValueError(f"Argument {name} must be above low = {low}, but {high} was given.")
+
+
+@jax.custom_jvp
+def _beta_quantile(a: Any, b: Any, u: Any) -> FloatArray:
+    """The inverse of the regularised incomplete beta function, which JAX does not have."""
+    a, b, u = (jnp.asarray(value, float) for value in (a, b, u))
+    shape = jax.ShapeDtypeStruct(jnp.broadcast_shapes(a.shape, b.shape, u.shape), u.dtype)
+    return jax.pure_callback(_scipy_quantile, shape, a, b, u, vmap_method="broadcast_all")
+
+
+def _scipy_quantile(a: Any, b: Any, u: Any) -> np.ndarray:
+    from scipy.special import betaincinv  # noqa: PLC0415 - loaded when used
+
+    found = betaincinv(*(np.asarray(value, np.float64) for value in (a, b, u)))
+    return np.asarray(found, np.asarray(u).dtype)
+
+
+@_beta_quantile.defjvp
+def _(primals, tangents):
+    a, b, u = primals
+    x = _beta_quantile(a, b, u)
+    log_density = (a - 1) * jnp.log(x) + (b - 1) * jnp.log1p(-x) - jax.scipy.special.betaln(a, b)
+    slope = tangents[2] * jnp.exp(-log_density)
+    # No formula for the derivatives by the shape numbers: central differences, exact to about ten digits.
+    step = np.cbrt(np.finfo(x.dtype).eps)
+    for number, tangent in ((0, tangents[0]), (1, tangents[1])):
+        shifts = [tuple(v * (1 + s * step) if i == number else v for i, v in enumerate((a, b))) for s in (1, -1)]
+        up, down = (_beta_quantile(*shifted, u) for shifted in shifts)
+        slope = slope + tangent * (up - down) / (2 * step * (a, b)[number])
+    return x, slope
