@@ -7,6 +7,7 @@ import numpy as np
 from .._excitation.excitation import excitation_of
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
+from .._numerics.known import largest
 from .._systems.system import System
 from .._types import Scalar
 from .interval.lanes import IntervalEngine
@@ -17,6 +18,7 @@ from .path import Run
 from .regularized.lanes import AdaptiveBatch, FixedEngine
 from .regularized.path import follow_regularized
 from .regularized.settings import fixed_steps, resolved
+from .regularized.solve import table_sizes
 from .switched.lanes import SwitchedEngine
 from .switched.path import follow_steps
 from .switched.run import steps_for
@@ -87,7 +89,8 @@ class Smoothed(NamedTuple):
         check_length(system, self.base, t1)
         method = resolved(system, excitation, self.method, dtype)
         if method.step is None:
-            return AdaptiveBatch(system, excitation, method, t1, y0)
+            sizes = table_sizes(system, excitation, largest(t1))
+            return AdaptiveBatch(system, excitation, method, t1, y0, tuple(np.int32(size) for size in sizes))
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
         return FixedEngine(

@@ -88,6 +88,10 @@ class Engine(eqx.Module):
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, Any]:
         """The constants of the sample that `key_data` choose, and its motion at t = 0."""
 
+    def begin_own(self, key_data: tuple[Array, Array], own: tuple[Array, ...], dtype) -> tuple[Any, Any]:
+        """As `begin`, with the `own` leaves of the sample, for engines whose samples differ in more than key data."""
+        raise NotImplementedError
+
     @abc.abstractmethod
     def shared(self, dtype) -> Any:
         """Quantities that all steps of all samples share, computed once per block."""
@@ -117,13 +121,14 @@ class Job(NamedTuple):
     """Samples to simulate: ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `key_data`.
 
     Lane i simulates samples ``first_sample + i + lanes * row``, one after the other; no lane waits for the slowest one
-    after each row.
+    after each row. `own`: of an engine whose samples differ, the leaves of each, arrays (samples, ...).
     """
 
     engine: Engine
     key_data: Array
     first_sample: AnyInteger
     used_rows: AnyInteger
+    own: tuple[AnyArray, ...] = ()
 
 
 def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
@@ -139,7 +144,7 @@ def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
         following, ended, new = _following(job, now, after, dtype)
         return following, _note(results, now.row, ended, new)
 
-    now = lanes_at_start(job.engine, job.key_data, job.first_sample, lanes, dtype)
+    now = lanes_at_start(job, lanes, dtype)
     shapes = jax.eval_shape(partial(_results, job.engine), now)
     results = jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)
     return lax.while_loop(lambda carry: jnp.any(carry[0].row < job.used_rows), advance, (now, results))[1]
@@ -147,7 +152,7 @@ def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
 
 def open_lanes(job: Job, *, lanes: int, dtype) -> tuple[Array, ...]:
     """All lanes at the beginning of their first sample, `packed` as `record` takes them."""
-    return packed(lanes_at_start(job.engine, job.key_data, job.first_sample, lanes, dtype))
+    return packed(lanes_at_start(job, lanes, dtype))
 
 
 def record(
@@ -159,7 +164,7 @@ def record(
     lanes for the next call, the records, and a report of each block.
     """
     task = unpacked(job, layout)
-    start = partial(lanes_at_start, task.engine, task.key_data, task.first_sample, lanes, dtype)
+    start = partial(lanes_at_start, task, lanes, dtype)
     begun = unpacked(now, Layout.of(jax.eval_shape(start)))
 
     def goes_on(carry):
@@ -215,24 +220,30 @@ def follow_block(
     return lanes._replace(number=lanes.number + np.uint32(BLOCK), motion=motions), traces if stacked else records
 
 
-def lanes_at_start(engine: Engine, key_data: Any, first_sample: AnyInteger, lanes: int, dtype) -> Lanes:
+def lanes_at_start(job: Job, lanes: int, dtype) -> Lanes:
     """All lanes at the beginning of their first sample."""
-    return _start_row(engine, key_data, first_sample, jnp.zeros(lanes, jnp.int32), dtype)
+    return _start_row(job, jnp.zeros(lanes, jnp.int32), dtype)
 
 
-def _start_row(engine: Engine, key_data: Any, first_sample: AnyInteger, row: IntArray, dtype) -> Lanes:
+def _start_row(job: Job, row: IntArray, dtype) -> Lanes:
     """Every lane at t = 0 of its sample in row `row`, (lanes,)."""
-    lanes = len(row)
+    engine, lanes = job.engine, len(row)
     lane = jnp.arange(lanes, dtype=jnp.uint32)
-    own = stored_words(key_data, first_sample + lane + row.astype(jnp.uint32) * np.uint32(lanes))
-    sample, motion = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*own)
+    place = lane + row.astype(jnp.uint32) * np.uint32(lanes)
+    words = stored_words(job.key_data, job.first_sample + place)
+    if job.own:
+        own = tuple(jnp.asarray(column)[jnp.minimum(place, len(column) - 1)] for column in job.own)
+        begin = jax.vmap(lambda high, low, own: engine.begin_own((high, low), own, dtype))
+        sample, motion = begin(*words, own)
+    else:
+        sample, motion = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*words)
     return Lanes(row, jnp.zeros(lanes, jnp.uint32), sample, motion)
 
 
 def _following(job: Job, before: Lanes, after: Lanes, dtype) -> tuple[Lanes, BoolArray, Any]:
     """The lanes after a block, ended samples replaced by the next; which had ended, and the results of all lanes."""
     ended = jax.vmap(job.engine.ended)(after.motion, before.motion) & (before.row < job.used_rows)
-    fresh = _start_row(job.engine, job.key_data, job.first_sample, before.row + ended, dtype)
+    fresh = _start_row(job, before.row + ended, dtype)
 
     def pick(new, old):
         return jnp.where(ended.reshape(ended.shape + (1,) * (new.ndim - 1)), new, old)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._excitation.excitation import Excitation
-from .._numerics.known import NotKnown, plain, smallest
+from .._numerics.known import NotKnown, largest, plain, smallest
 from .._systems.system import OWN_TIME, System
 from .._types import Scalar
 from .blocks import few_sizes
@@ -34,13 +34,14 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
             return jnp.min(jnp.stack([jnp.asarray(step, float) for step in steps]))
         return min(float(step) for step in steps)
     step = plain(method.step)
-    if not _checks.is_traced(step):
-        for name, (time, count) in known.items():
-            if not _checks.is_traced(time) and step > time / count.least * (1 + 1e-9):
-                longest, share = float(time) / count.least, 1 / count.least
+    for name, (time, count) in known.items():
+        with suppress(NotKnown):
+            shortest, given = smallest(time), largest(step)
+            longest, share = shortest / count.least, 1 / count.least
+            if given > longest * (1 + 1e-9):
                 raise ValueError(
-                    f"Argument step must be at most {longest:.4g} s, {share:.2g} times the {name} of {float(time):.4g} "
-                    f"s, but {step} was given; between longer steps sticks could be missed."
+                    f"Argument step must be at most {longest:.4g} s, {share:.2g} times the {name} of {shortest:.4g} "
+                    f"s, but {given} was given; between longer steps sticks could be missed."
                 )
     return step
 

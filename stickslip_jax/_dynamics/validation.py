@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from .. import _checks
-from .._distributions.families import Uniform
 from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_random, longest_time
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
 from .._excitation.smooth import UserMotion
+from .._inputs.inputs import varying
+from .._inputs.numbers import shown
 from .._numerics.known import plain
 from .._systems.system import System
 from .._types import AnyArray, Scalar
@@ -27,20 +28,22 @@ def check_method(method: Any) -> None:
         )
 
 
-def state_of(system: System, y0: Any, *, may_be_random: bool = False) -> tuple[Any, ...]:
+def state_of(system: System, y0: Any) -> tuple[Any, ...]:
     """The initial state `y0` of `system`, checked; zeros if `y0` is None."""
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
-    numbers = y0 = (0.0,) * len(meaning) if y0 is None else y0
-    if isinstance(y0, (tuple, list)) and any(isinstance(value, Uniform) for value in y0):
-        if not may_be_random:
-            raise ValueError(
-                f"Argument y0 must be numbers, but {_checks.show(y0)} was given; only simulate_ensemble draws initial "
-                "states."
-            )
-        numbers = tuple(value.low if isinstance(value, Uniform) else value for value in y0)
-    numbers = _checks.state("y0", numbers, meaning)
+    numbers = _checks.state("y0", (0.0,) * len(meaning) if y0 is None else y0, meaning)
     system.check_state(numbers)
-    return tuple(y0)
+    return numbers
+
+
+def check_fixed(**arguments: Any) -> None:
+    """Check that no argument holds a distribution, or an array where a number belongs. Raises ValueError otherwise."""
+    for name, value in arguments.items():
+        for path, source, _ in varying(value, (name,)):
+            raise ValueError(
+                f"Argument {shown(path)} must be one number here, but {_checks.show(source)} was given; "
+                "simulate_ensemble takes distributions, and arrays with one number for each sample."
+            )
 
 
 def one_realization(system: System, base: Any, t1: Scalar) -> Any:
@@ -81,9 +84,9 @@ def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str
     system.check_excitation(excitation)
     system.check_solver(method.solver)
     step, horizon = step_for(system, excitation, method), plain(t1)
-    return excitation, step if _checks.is_traced(step) or _checks.is_traced(horizon) else min(
-        float(step), float(horizon)
-    )
+    if _checks.is_traced(step) or _checks.is_traced(horizon):
+        return excitation, jnp.minimum(step, horizon)
+    return excitation, min(float(step), float(horizon))
 
 
 def working_dtype(*arrays: AnyArray, stacklevel: int = 3):

@@ -7,34 +7,31 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._distributions.families import Uniform
 from .._dynamics.chunks import chunks_of, solve_chunk
-from .._dynamics.engine_choice import lanes_for
-from .._dynamics.lanes import BLOCK, Engine, Job, LaneResults
+from .._dynamics.lanes import BLOCK, Engine, LaneResults
 from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
+from .._dynamics.regularized.lanes import AdaptiveBatch
 from .._dynamics.regularized.settings import as_arrays
-from .._dynamics.regularized.solve import table_sizes
-from .._dynamics.validation import check_method, state_of, working_dtype
 from .._events.stick_stream import StickCollector
-from .._excitation.excitation import BaseMotion, is_random, key_data_for
+from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._fast_cpu import cores
+from .._inputs.inputs import Model
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
-from .._systems.system import System, require_system
+from .._systems.system import System
 from .._types import Array
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .result import Ensemble
+from .run import MOST_SAMPLES, Run
 
-_MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
 _ADAPTIVE_LANES = 256  # of a batch: enough to hide the cost of a call, few enough not to wait long for slow ones
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
@@ -77,7 +74,8 @@ def simulate_ensemble(
     Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
     Raises ValueError for arguments outside these bounds.
     """
-    run = _Run.checked(system, law, t1, samples, key, y0, method, keep, _numbering(orders, count_initial_rest))
+    numbering = _numbering(orders, count_initial_rest)
+    run = Run.checked(Model(system, law, y0), t1, samples, key, method, keep, numbering)
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     accumulator, started = EnsembleAccumulator(samples, keep), time.perf_counter()
@@ -86,12 +84,10 @@ def simulate_ensemble(
     compiled = time.perf_counter()
     _simulate_all(simulate, plan, samples, accumulator, progress)
     return Ensemble(
-        system=system,
-        law=law,
+        inputs=run.inputs,
         t1=float(t1),
         method=run.method,
         numbering=run.numbering,
-        y0=run.y0,
         samples=samples,
         key_data=tuple(int(word) for word in np.asarray(run.key_data)) if run.is_random else None,
         dtype=str(np.dtype(run.dtype)),
@@ -102,7 +98,7 @@ def simulate_ensemble(
     )
 
 
-def _compile(simulate: _Simulate, run: "_Run", keep: Keep) -> None:
+def _compile(simulate: _Simulate, run: Run, keep: Keep) -> None:
     """Compile before the threads start, so that not each of them compiles the same code."""
     with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
         prepared = pool.submit(prepare, run.dtype) if keep != "totals" else None
@@ -118,50 +114,6 @@ def _simulate_all(
         for number, part in _in_order(simulate, plan, samples):
             accumulator.add(part)
             advance(number)
-
-
-class _Run(NamedTuple):
-    """The checked arguments, which all chunks share."""
-
-    engine: Engine | AdaptiveBatch
-    method: Exact | Regularized
-    key_data: Array
-    y0: tuple[Any, ...]
-    is_random: bool
-    dtype: Any
-    t1: float
-    numbering: Numbering
-
-    @classmethod
-    def checked(cls, system, law, t1, samples, key, y0, method, keep, numbering) -> "_Run":
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, law, t1, key, y0, method))):
-            raise ValueError(
-                "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
-                "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."
-            )
-        require_system(system)
-        check_method(method)
-        _checks.positive("t1", t1, "s")
-        _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
-        if keep not in get_args(Keep):
-            allowed = ", ".join(map(repr, get_args(Keep)))
-            raise ValueError(f"Argument keep must be one of {allowed}, but {_checks.show(keep)} was given.")
-        y0 = state_of(system, y0, may_be_random=True)
-        dtype = working_dtype(stacklevel=4)
-        engine = lanes_for(system, law, method, t1, y0, dtype)
-        if isinstance(engine, (FixedEngine, AdaptiveBatch)):
-            method = engine.method  # with every option filled in
-        random = is_random(law) or any(isinstance(value, Uniform) for value in y0)
-        if random and key is None:
-            raise ValueError(
-                "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
-            )
-        return cls(engine, method, key_data_for(law, key), y0, random, dtype, float(t1), numbering)
-
-    def job(self, first: int, used_rows: int) -> Job:
-        """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes."""
-        assert isinstance(self.engine, Engine)
-        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows))
 
 
 def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
@@ -183,7 +135,7 @@ class _Plan(NamedTuple):
         lanes, rows = 256, 32
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
-            chunk = min(_checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES), max(samples, 4096))
+            chunk = min(_checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             rows = -(-chunk // lanes)
             return cls(lanes, rows, min(chunk, lanes * rows), threads)
@@ -194,27 +146,29 @@ class _Plan(NamedTuple):
     @classmethod
     def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
         """The plan for adaptive steps, where every sample of a task has its own lane."""
-        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=_MOST_SAMPLES)
+        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
         lanes = min(most, -(-samples // threads) if chunk is None else samples)
         return cls(lanes, 1, lanes, threads)
 
 
-def _simulator(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _simulator(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """A function that simulates samples ``first .. first + number - 1`` and records what `accumulator` keeps."""
     if isinstance(run.engine, AdaptiveBatch):
         return _solver(run, run.engine, plan, accumulator)
     return _streamer(run, plan) if accumulator.keep == "totals" else _recorder(run, plan, accumulator)
 
 
-def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, for adaptive steps."""
-    sizes, dtype = table_sizes(batch.system, batch.excitation, batch.t1), run.dtype
-    system, excitation, t1, y0 = as_arrays((batch.system, batch.excitation, batch.t1, batch.y0), dtype)
-    arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0)
-    how = {"samples": plan.samples_per_task, "sizes": sizes, "keep": accumulator.keep != "totals", "dtype": dtype}
+    dtype, sizes = run.dtype, tuple(int(size) for size in batch.sizes)
+    system, excitation, _, t1, y0, _ = as_arrays(batch._replace(sizes=()), dtype)
+    arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0, ())
+    how = {"samples": plan.samples_per_task, "places": run.places, "sizes": sizes,
+           "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 
     def simulate(first: int, number: int) -> Part:
-        results, records = solve_chunk(arrays, run.key_data, jnp.uint32(first), jnp.uint32(number), **how)
+        own = tuple(jnp.asarray(column) for column in run.own_leaves(first, plan.samples_per_task))
+        results, records = solve_chunk(arrays, own, run.key_data, jnp.uint32(first), jnp.uint32(number), **how)
         results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
@@ -227,20 +181,20 @@ def _solver(run: _Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleA
     return simulate
 
 
-def _streamer(run: _Run, plan: _Plan) -> _Simulate:
+def _streamer(run: Run, plan: _Plan) -> _Simulate:
     """The same as `_simulator`, for ``keep="totals"``."""
     assert isinstance(run.engine, Engine)
     summarize = chunks_of(run.engine).summarize
 
     def simulate(first: int, number: int) -> Part:
-        job = run.job(first, -(-number // plan.lanes))
+        job = run.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
         results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
         return Part(_first_samples(results, number))
 
     return simulate
 
 
-def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(run.engine, Engine)
     _, begin, record = chunks_of(run.engine)
@@ -252,7 +206,7 @@ def _recorder(run: _Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simu
         if not hasattr(own, "sticks"):
             own.sticks = StickCollector()
         rows = -(-number // plan.lanes)
-        job = jax.tree.map(jnp.asarray, run.job(first, rows))
+        job = jax.tree.map(jnp.asarray, run.job(first, rows, plan.lanes * plan.rows))
         now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
         own.sticks.restart(number)
         ended, unfinished = [], True

@@ -15,7 +15,7 @@ from .. import _checks
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Sticks
 from .._excitation.excitation import is_random
-from .._excitation.random import realized_state
+from .._inputs.inputs import Inputs, Model
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
@@ -52,6 +52,7 @@ class Ensemble:
     """The result of `simulate_ensemble`: many simulated samples.
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: the arguments and the floating dtype.
+    - `inputs`: the numbers of these that differ from sample to sample; `input_values` gives them.
     - `method`: the simulation method; a `Regularized` method has its options filled in.
     - `numbering`: which stick of a sample is the 1st, 2nd, ...
     - `moments`: number of finished samples, mean and covariance of their `TOTALS` (stick time in s, number of sticks,
@@ -66,12 +67,10 @@ class Ensemble:
     - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
 
-    system: System
-    law: Any
+    inputs: Inputs
     t1: float
     method: Exact | Regularized
     numbering: Numbering
-    y0: tuple[Any, ...]
     samples: int
     key_data: tuple[int, ...] | None
     dtype: str
@@ -85,6 +84,26 @@ class Ensemble:
     threads: int
     compile_seconds: float
     run_seconds: float
+
+    @property
+    def system(self) -> System:
+        """The system as it was given, with its distributions and arrays."""
+        return self.inputs.model.system
+
+    @property
+    def law(self) -> Any:
+        """The law of the excitation as it was given."""
+        return self.inputs.model.law
+
+    @property
+    def y0(self) -> tuple[Any, ...]:
+        """The initial state as it was given."""
+        return self.inputs.model.y0
+
+    @cached_property
+    def input_values(self) -> dict[str, np.ndarray]:
+        """The values of the numbers that differ from sample to sample, by name, arrays (samples,)."""
+        return self.inputs.values(jnp.dtype(self.dtype))
 
     @cached_property
     def statistics(self) -> EnsembleStatistics:
@@ -127,19 +146,19 @@ class Ensemble:
         """Number of samples that reached ``t1``."""
         return self.status_counts[Status.FINISHED]
 
-    def realization(self, number: int) -> tuple[Any, tuple[float, ...]]:
-        """The base motion and the initial state of sample `number`; `simulate` repeats the sample with them.
+    def realization(self, number: int) -> Model:
+        """The system, the base motion and the initial state of sample `number`, which `simulate` repeats the sample
+        with: ``system, base, y0 = many.realization(3)``.
 
         Raises ValueError unless ``0 <= number < samples``.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
-        if self.key_data is None:
-            return self.law, self.y0
+        system, law, y0 = self.inputs.of_sample(number, jnp.dtype(self.dtype))
+        if self.key_data is None or not is_random(law):
+            return Model(system, law, y0)
         key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32)), number)
-        base = self.law.sample(key, self.t1) if is_random(self.law) else self.law
-        y0 = realized_state(self.y0, jax.random.key_data(key), jnp.dtype(self.dtype))
-        return base, tuple(float(value) for value in y0)
+        return Model(system, law.sample(key, self.t1), y0)
 
     def to_xarray(self) -> "xarray.Dataset":
         """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.

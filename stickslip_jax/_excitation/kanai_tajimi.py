@@ -13,6 +13,7 @@ from jax.errors import ConcretizationTypeError
 from .. import _checks
 from .._fields import Quantity
 from .._numerics.elementary import log, sincos
+from .._numerics.known import NotKnown, largest, smallest
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Number, Scalar
 from .ground import GroundAcceleration, GroundMotion
@@ -100,7 +101,7 @@ class KanaiTajimi(GroundMotion):
         return growth**2 * jnp.exp(-self.decay * jnp.maximum(t - self.rise - self.plateau, 0))
 
     def segments(self, t1) -> int:
-        return math.ceil(float(t1) / float(self.interval)) + 1
+        return math.ceil(largest(t1) / smallest(self.interval)) + 1
 
     def begin(self, key_data, dtype) -> Memory:
         return *_normal_pair(key_data, jnp.asarray(_BEGINNING), dtype), jnp.zeros((), dtype)
@@ -143,8 +144,8 @@ class KanaiTajimi(GroundMotion):
 
     def _points(self, t1: Scalar) -> int:
         try:
-            samples = float(t1) / float(self.interval)
-        except ConcretizationTypeError:
+            samples = largest(t1) / smallest(self.interval)
+        except (ConcretizationTypeError, NotKnown):
             raise ValueError(
                 "Argument points must be given when t1 or the law's interval is traced by a JAX transformation (their "
                 "values are not known then); about t1 / interval + 2 are enough."

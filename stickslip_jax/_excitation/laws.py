@@ -19,6 +19,7 @@ from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._fields import Choice, Quantity
+from .._numerics.known import NotKnown, largest, smallest
 from .._numerics.random_bits import exponential, key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
 from .piecewise import VelocitySteps
@@ -119,7 +120,7 @@ class BangBangLaw(SegmentLaw):
     def _capacity_or_explain(self, t1: Scalar) -> int:
         try:
             return self.checked_capacity(t1)
-        except ConcretizationTypeError:
+        except (ConcretizationTypeError, NotKnown):
             raise ValueError(
                 "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
                 f"(their values are not known then); find one with {type(self).__name__}(...).capacity(t1)."
@@ -171,7 +172,7 @@ class SquareWave(BangBangLaw):
         return jnp.asarray(self.period / 2, dtype), memory * self.speed, -memory
 
     def capacity(self, t1: Scalar) -> int:
-        return math.ceil(2 * float(t1) / float(self.period)) + 1
+        return math.ceil(2 * largest(t1) / smallest(self.period)) + 1
 
 
 class PoissonSwitching(BangBangLaw):
@@ -209,7 +210,7 @@ class PoissonSwitching(BangBangLaw):
 
     def capacity(self, t1: Scalar) -> int:
         # Six standard deviations above the Poisson mean; the last term covers the skewness of small means.
-        mean = float(self.rate) * float(t1)
+        mean = largest(self.rate) * largest(t1)
         return math.ceil(mean + 6 * math.sqrt(mean) + 12)
 
 
@@ -267,7 +268,7 @@ class RandomSteps(BangBangLaw):
         return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
 
     def capacity(self, t1: Scalar) -> int:
-        return math.ceil(float(t1) / float(self.interval)) + 1
+        return math.ceil(largest(t1) / smallest(self.interval)) + 1
 
 
 class PiecewiseConstant(BangBangLaw):

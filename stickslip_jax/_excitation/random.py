@@ -1,20 +1,19 @@
-"""Random phases and random initial states."""
+"""Random phases; the type of initial states."""
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._distributions.families import Uniform
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, KeyData, Scalar
+from .._types import AnyArray, Array, KeyData, Number, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
-_FIRST_PHASE, _FIRST_STATE = 0xFFFFFF00, 0xFFFFFE00  # numbers of the random words that they are drawn from
+_FIRST_PHASE = 0xFFFFFF00  # number of the random word that the first phase is drawn from
 
 
 class RandomPhase(eqx.Module):
@@ -48,20 +47,10 @@ class RandomPhase(eqx.Module):
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
 
 
-InitialState: TypeAlias = Sequence[Scalar | int | np.number | Uniform] | AnyArray
-"""An initial state: a number for each coordinate of the system, or in ensembles a `Uniform` drawn for every sample."""
-
-
-def realized_state(y0: tuple[Any, ...], key_data: KeyData, dtype) -> tuple[Array, ...]:
-    """The initial state that `key_data` draw."""
-
-    def draw(index, value):
-        if not isinstance(value, Uniform):
-            return jnp.asarray(value, dtype)
-        high, _ = random_words(key_data, jnp.asarray(_FIRST_STATE + index, jnp.uint32))
-        return value.low + (value.high - value.low) * uniform(high, dtype)
-
-    return tuple(draw(index, value) for index, value in enumerate(y0))
+InitialState: TypeAlias = Sequence[Number] | AnyArray
+"""An initial state: a number for each coordinate of the system; in ensembles also an array (samples,) or a distribution
+of it, or an array (samples, coordinates) of all.
+"""
 
 
 def _angle(key_data: Array, dtype) -> Array:

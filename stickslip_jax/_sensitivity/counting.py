@@ -16,7 +16,6 @@ from .._dynamics.interval.lanes import is_over
 from .._dynamics.lanes import Engine
 from .._events.sticks import start_totals
 from .._excitation.laws import BangBangLaw, PoissonSwitching
-from .._excitation.random import realized_state
 from .._systems.mass_spring import MassSpring
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .edges import Edges, IntervalLane, cross_with_edges
@@ -69,7 +68,7 @@ class _Motion(NamedTuple):
 class IntervalCounting(Engine):
     """Engine that counts sticks of a `MassSpring` on a base that follows `law`, up to `t1`, from `y0`.
 
-    `y0`: numbers, or `Uniform` values. `bandwidths` (windows,): relative bandwidths of the kernels (see
+    `bandwidths` (windows,): relative bandwidths of the kernels (see
     `kernels.crossing`). `fixed_start`: whether all samples begin in the same state: then the outcome of the first arc
     has no density.
     """
@@ -83,7 +82,7 @@ class IntervalCounting(Engine):
     fixed_start: bool = eqx.field(static=True)
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, _Motion]:
-        x, velocity = realized_state(self.y0, key_data, dtype)
+        x, velocity = self.y0
         motion = start_motion(self.shared(dtype), (x, velocity))
         lane = IntervalLane(self.law.begin(key_data, dtype), motion, start_totals(dtype), jnp.zeros((), dtype))
         return key_data, _Motion(lane, Flux.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))

@@ -11,13 +11,13 @@ from jax import lax
 from .._dynamics.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
+from .._inputs.numbers import Path, with_numbers
 from .._status import Status
 from .._systems.system import System
 from .._types import Array
 from .counting import IntervalCounting
 from .estimators import RATE, counting_engine, counting_paths
 from .first_look import problem_of, relative_bandwidth_of, require_precision
-from .parameters import Path, with_numbers
 from .problem import Pilot, Problem, buffer_sizes_for
 from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import OfTotals

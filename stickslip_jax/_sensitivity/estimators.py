@@ -9,10 +9,10 @@ from .._dynamics.chunks import chunks_of
 from .._dynamics.lanes import Engine, Job
 from .._dynamics.switched.lanes import SwitchedEngine
 from .._excitation.laws import PoissonSwitching
+from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
 from .._systems.own import is_own
 from .counting import IntervalCounting, Likelihood
-from .parameters import Parameter, Path, check_numbers, with_numbers
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
 from .runs import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
 from .sequences import BufferSizes

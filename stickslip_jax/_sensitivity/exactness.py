@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.interval.engine import scales_of, start_motion
+from .._inputs.numbers import Path, number_at, with_numbers
 from .._numerics.random_bits import random_words
 from .._types import Array
 from .edges import relative_excess
-from .parameters import Path, number_at, with_numbers
 from .problem import Problem
 
 _LANES = 64  # enough to draw every first velocity that is not rare

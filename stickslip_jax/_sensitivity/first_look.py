@@ -5,15 +5,15 @@ from typing import Any
 import jax.numpy as jnp
 
 from .. import _checks
-from .._distributions.families import Uniform
 from .._dynamics.method import EXACT, Exact
 from .._dynamics.validation import state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._excitation.excitation import is_random, key_data_for
 from .._fast_cpu import cores
+from .._fields import is_distribution
+from .._inputs.numbers import parameters_of
 from .._systems.system import require_system
-from .parameters import parameters_of
 from .problem import Pilot, Problem
 from .statistic import statistic_of
 
@@ -100,8 +100,8 @@ def _pilot(
 
 def _checked_start(system: Any, law: Any, y0: Any) -> tuple[Any, ...]:
     """The initial state. Raises ValueError where nothing is random."""
-    start = state_of(system, y0, may_be_random=True)
-    if not is_random(law) and not any(isinstance(value, Uniform) for value in start):
+    start = state_of(system, y0)
+    if not is_random(law) and not any(is_distribution(value) for value in start):
         raise ValueError(
             "Argument law must be random, or y0 hold a Uniform value: without chance the number of sticks is a step "
             "function of the parameters, and has no derivative to correct. Differentiate simulate(...) with jax.jvp."

@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-from .._distributions.families import Uniform
 from .._dynamics.engine_choice import ByIntervals, engine_for
 from .._dynamics.lanes import BLOCK, Engine
 from .._dynamics.method import EXACT
@@ -13,8 +12,9 @@ from .._excitation.ground import GroundMotion
 from .._excitation.laws import BangBangLaw
 from .._excitation.random import RandomPhase
 from .._excitation.smooth import Signal
+from .._fields import is_distribution
+from .._inputs.numbers import Parameter, Path
 from .._types import Array
-from .parameters import Parameter, Path
 from .sequences import BufferSizes
 from .statistic import OfTotals, StickStatistic
 
@@ -49,7 +49,7 @@ class Problem(NamedTuple):
     @property
     def fixed_start(self) -> bool:
         """Whether all samples begin in the same state."""
-        return not any(isinstance(value, Uniform) for value in self.y0)
+        return not any(is_distribution(value) for value in self.y0)
 
     @property
     def by_intervals(self) -> bool:

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.lanes import Job, summarize
+from .._inputs.numbers import Path, number_at, with_numbers
 from .._numerics.compiling import CompiledNatively
 from .._numerics.moments import Moments
 from .._status import Status
 from .._types import AnyInteger, Array
 from .counting import IntervalCounting
-from .parameters import Path, number_at, with_numbers
 from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import StickStatistic
 from .step_counting import StepCounting

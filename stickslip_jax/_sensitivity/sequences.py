@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from .._dynamics.lanes import follow_block, lanes_at_start
+from .._dynamics.lanes import Job, follow_block, lanes_at_start
 from .._status import Ending
 from .._types import AnyArray, Array, IntArray
 from .edges import Edges
@@ -63,7 +64,7 @@ def record_sequences(
 ) -> Recorded:
     """Simulate samples ``first .. first + lanes - 1`` for up to `buffer.blocks` blocks, and keep sticks and edges."""
     engine = dataclasses.replace(engine, with_edges=buffer.edges > 0)
-    start = lanes_at_start(engine, key_data, first, lanes, dtype)
+    start = lanes_at_start(Job(engine, key_data, first, np.int32(1)), lanes, dtype)
 
     def advance(carry):
         # A lane that has ended idles: nothing happens after the horizon.

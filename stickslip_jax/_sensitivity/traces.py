@@ -12,7 +12,7 @@ from .._dynamics.lanes import Engine
 from .._dynamics.switched.engine import Lane, SegmentLaws, advance
 from .._dynamics.switched.lanes import Shared, SwitchedEngine
 from .._events.sticks import StickRecord, start_totals
-from .._excitation.random import RandomPhase, realized_state
+from .._excitation.random import RandomPhase
 from .._types import Array, BoolArray, FloatArray, IntArray
 from .edges import Edges, IntervalLane, cross_with_edges
 from .step_edges import Moment, crossed_at, edges_of_moment, may_be_near
@@ -48,7 +48,7 @@ class TracedIntervals(Engine):
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, IntervalLane]:
         law, zero = self.engine.law, jnp.zeros((), dtype)
-        x, velocity = realized_state(self.engine.y0, key_data, dtype)
+        x, velocity = self.engine.y0
         motion = start_motion(self.shared(dtype), (x, velocity))
         memory = law.begin(key_data, dtype)
         first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)

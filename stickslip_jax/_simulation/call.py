@@ -6,7 +6,7 @@ import jax
 from .. import _checks
 from .._dynamics.engine_choice import engine_for
 from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import check_method, one_realization, state_of, working_dtype
+from .._dynamics.validation import check_fixed, check_method, one_realization, state_of, working_dtype
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._systems.system import System, require_system
@@ -36,6 +36,7 @@ def simulate(
     Returns a `Simulation`; check its `status`. Its arrays have slots for all sticks that can happen. Raises ValueError
     for arguments outside these bounds, and for a step too long for the shortest time scale.
     """
+    check_fixed(system=system, base=base, y0=y0)
     require_system(system)
     check_method(method)
     _checks.positive("t1", t1, "s")

@@ -72,8 +72,8 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
     method = dataclasses.replace(config.run.method(), max_steps=None)
     for covered in (t1, 2 * t1, 4 * t1):
         # A base motion drawn for a shorter time begins in the same way: the beginning is enough, if it covers t1.
-        base, y0 = dataclasses.replace(ensemble, t1=covered).realization(0)
-        one = simulate(ensemble.system, base, t1=t1, y0=y0, method=method)
+        system, base, y0 = dataclasses.replace(ensemble, t1=covered).realization(0)
+        one = simulate(system, base, t1=t1, y0=y0, method=method)
         if int(one.status) != Status.BASE_TOO_SHORT:
             break
     return one

@@ -30,6 +30,7 @@ ROWS = (
     "_distributions",
     "_excitation",
     "_systems",
+    "_inputs",
     "_events",
     "_dynamics",
     "_simulation",

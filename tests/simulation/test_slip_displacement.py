@@ -108,7 +108,7 @@ def test_regularised_ensembles_hold_it(options):
     method = ss.Regularized(1e-2, max_steps=16_384, **options)
     how = {"t1": 40.0, "y0": Y0, "method": method}
     many = ss.simulate_ensemble(SYSTEM, LAW, samples=3, key=jax.random.key(1), keep="sticks", **how)
-    base, y0 = many.realization(2)
+    _, base, y0 = many.realization(2)
     one = ss.simulate(SYSTEM, base, **how | {"y0": y0})
     own = many.flat_sticks.sample == 2
     assert own.sum() > 3
@@ -117,7 +117,7 @@ def test_regularised_ensembles_hold_it(options):
 
 def test_ensembles_and_their_tables_hold_it(tmp_path):
     many = ss.simulate_ensemble(SYSTEM, LAW, t1=T1, samples=300, key=jax.random.key(1), y0=Y0, keep="sticks")
-    base, y0 = many.realization(17)
+    _, base, y0 = many.realization(17)
     one = ss.simulate(SYSTEM, base, t1=T1, y0=y0)
     own = many.flat_sticks.sample == 17
     np.testing.assert_allclose(many.flat_sticks.slip_displacement[own], columns(one.sticks)[3], rtol=0, atol=1e-11)

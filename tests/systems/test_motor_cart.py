@@ -29,7 +29,7 @@ def reference_first_sticks(many, mu, numbers):
     """The first stick of some samples by the reference: start, end and angle, NaN where there is none."""
     rows = []
     for number in numbers:
-        voltage, (angle, *_) = many.realization(int(number))
+        _, voltage, (angle, *_) = many.realization(int(number))
         run = simulate_motor_cart(
             mu=mu, theta=float(voltage.phase), alpha0=angle, t1=many.t1, stop_after_first_stick=True
         )
@@ -281,7 +281,7 @@ def test_each_sample_can_be_followed_again():
     many = ensemble(0.5, SAMPLES[0.5])
     found = ss.first_stick(many)
     for number in (0, 17, 63):
-        voltage, y0 = many.realization(number)
+        _, voltage, y0 = many.realization(number)
         one = ss.simulate(many.system, voltage, t1=many.t1, y0=y0)
         assert float(one.sticks.start[1]) == pytest.approx(found.start[number], rel=1e-10)
         assert int(one.sticks.count) == many.flat_sticks.count[number]
@@ -290,7 +290,7 @@ def test_each_sample_can_be_followed_again():
 def test_phase_and_angle_are_uniform_and_independent():
     many = ensemble(0.2, SAMPLES[0.2])
     phase, angle = np.array([
-        (float(voltage.phase), y0[0]) for voltage, y0 in (many.realization(number) for number in range(800))
+        (float(voltage.phase), y0[0]) for _, voltage, y0 in (many.realization(number) for number in range(800))
     ]).T  # fmt: skip
     for values in (phase, angle):
         assert stats.kstest(values / (2 * np.pi), "uniform").pvalue > 1e-3

@@ -114,7 +114,7 @@ def test_regularized_agrees():
 
 
 def test_ensemble_is_the_simulations(many):
-    base, y0 = many.realization(7)
+    _, base, y0 = many.realization(7)
     alone = ss.simulate(SYSTEM, base, t1=20.0, y0=y0)
     kept = np.asarray(many.sticks.start[7])[np.asarray(many.sticks.mask[7])]
     np.testing.assert_array_equal(kept, np.asarray(alone.sticks.start)[np.asarray(alone.sticks.mask)])

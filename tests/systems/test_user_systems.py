@@ -240,7 +240,7 @@ def test_ensemble_samples_are_simulations():
         Oscillator(), law, t1=20.0, samples=20, key=jax.random.key(4), y0=y0, keep="sticks", method=method
     )
     for number in (0, 19):
-        base, start = many.realization(number)
+        _, base, start = many.realization(number)
         one = ss.simulate(Oscillator(), base, t1=20.0, y0=start, method=method)
         count = int(one.sticks.count)
         assert count == many.flat_sticks.count[number] > 0

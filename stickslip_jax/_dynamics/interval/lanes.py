@@ -6,7 +6,6 @@ import jax.numpy as jnp
 
 from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.laws import BangBangLaw
-from ..._excitation.random import realized_state
 from ..._numerics.compiling import computed_once
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
@@ -30,7 +29,7 @@ class _Lane(NamedTuple):
 
 
 class IntervalEngine(Engine):
-    """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0` (numbers, or `Uniform` values)."""
+    """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0`."""
 
     system: MassSpring
     law: BangBangLaw
@@ -39,7 +38,7 @@ class IntervalEngine(Engine):
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[_Sample, _Lane]:
         scales = self.shared(dtype)
-        x, velocity = realized_state(self.y0, key_data, dtype)
+        x, velocity = self.y0
         motion = start_motion(scales, (x, velocity))
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
         _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)

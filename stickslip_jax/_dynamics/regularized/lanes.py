@@ -7,15 +7,15 @@ import jax.numpy as jnp
 
 from ..._events.sticks import StickRecord, count_slips, no_stick
 from ..._excitation.excitation import Excitation
-from ..._excitation.random import realized_state
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
-from ..._types import AnyInteger, Array, BoolArray, IntArray, Scalar
+from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray, Scalar
 from ..blocks import scan_in_blocks
 from ..lanes import Engine, LaneResults
 from ..method import Regularized
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
+from ..varying import with_leaves
 from .engine import Field, FixedLane, advance_fixed, start_fixed
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection
 from .stick_detector import Criterion, StickDetector
@@ -33,7 +33,7 @@ class Shared(NamedTuple):
 
 
 class FixedEngine(Engine):
-    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), in fixed steps.
+    """Any system under any excitation, up to `t1`, from `y0`, in fixed steps.
 
     `method`: with every option filled in (`resolved`). A sample that needs more than `most_steps` is given up. The
     constant of a sample is the smooth part of its excitation.
@@ -48,7 +48,7 @@ class FixedEngine(Engine):
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realized(self.excitation, key_data, dtype)
-        y0 = realized_state(self.y0, key_data, dtype)
+        y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         own, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
         segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
         field = field_of(self.system, smooth, self.method)
@@ -75,7 +75,8 @@ class FixedEngine(Engine):
 class AdaptiveBatch(NamedTuple):
     """Samples of any system under any excitation that diffrax solves together, each in its own steps.
 
-    `method`: with every option filled in. The slowest sample determines the time of the batch.
+    `method`: with every option filled in. `sizes`: number of segments to draw for each part of the excitation
+    (`table_sizes`). The slowest sample determines the time of the batch.
     """
 
     system: Any
@@ -83,35 +84,39 @@ class AdaptiveBatch(NamedTuple):
     method: Regularized
     t1: Scalar
     y0: tuple[Any, ...]
+    sizes: tuple[AnyInteger, ...]
 
 
 def solve_batch(
     batch: AdaptiveBatch,
+    own: tuple[AnyArray, ...],
     key_data: Array,
     first: AnyInteger,
     used: AnyInteger,
     *,
     samples: int,
+    places: tuple[int, ...],
     sizes: tuple[int, ...],
     keep: bool,
     dtype: Any,
 ) -> tuple[LaneResults, StickRecord | None]:
     """Solve samples ``first .. first + samples - 1`` of a key; with `keep`, a `StickRecord` (samples, steps) too.
 
-    `used`: number of samples that are needed; the others end at once. `sizes`: number of segments to draw for each part
-    of the excitation (`table_sizes`).
+    `used`: number of samples that are needed; the others end at once. `own`, `places`: the leaves of the batch that
+    differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
-    places = jnp.arange(samples, dtype=jnp.uint32)
-    method, t1 = batch.method, jnp.asarray(batch.t1, dtype)
-    assert method.max_steps is not None
-    most = method.max_steps
+    t1 = jnp.asarray(batch.t1, dtype)
 
-    def one(place):
-        own = random_words(key_data, jnp.asarray(first, jnp.uint32) + place)
-        smooth = _realized(batch.excitation, own, dtype)
-        tables = Tables.of(batch.system, batch.excitation, own, sizes, dtype)
-        field, criterion = field_of(batch.system, smooth, method), criterion_of(method)
-        y0, until = realized_state(batch.y0, own, dtype), jnp.where(place < used, t1, 0)
+    def one(place, own):
+        words = random_words(key_data, jnp.asarray(first, jnp.uint32) + place)
+        here = with_leaves(batch, places, own)
+        method = here.method
+        assert method.max_steps is not None
+        most = method.max_steps
+        smooth = _realized(here.excitation, words, dtype)
+        tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
+        field, criterion = field_of(here.system, smooth, method), criterion_of(method)
+        y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
         solution = solve_adaptive(field, tables, until, y0, Solver.of(method), most)
 
         def one_step(detector, index):
@@ -128,7 +133,7 @@ def solve_batch(
         )
         return detector, solution.status, records
 
-    detectors, statuses, records = jax.vmap(one)(places)
+    detectors, statuses, records = jax.vmap(one)(jnp.arange(samples, dtype=jnp.uint32), own)
     return _results(detectors, statuses), records
 
 

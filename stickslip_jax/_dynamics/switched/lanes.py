@@ -7,7 +7,6 @@ import jax.numpy as jnp
 
 from ..._events.sticks import StickRecord, count_slips
 from ..._excitation.excitation import Excitation
-from ..._excitation.random import realized_state
 from ..._excitation.smooth import Signal
 from ..._types import AnyInteger, Array, BoolArray, Scalar
 from ..lanes import Engine, LaneResults
@@ -24,7 +23,7 @@ class Shared(NamedTuple):
 
 
 class SwitchedEngine(Engine):
-    """Any system under any excitation, up to `t1`, from `y0` (numbers, or `Uniform` values), in time steps.
+    """Any system under any excitation, up to `t1`, from `y0`, in time steps.
 
     A sample that needs more than `most_steps` steps, rejected ones included, is given up. The constant of a sample is
     the smooth part of its excitation.
@@ -39,7 +38,7 @@ class SwitchedEngine(Engine):
     most_steps: AnyInteger
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
-        y0 = realized_state(self.y0, key_data, dtype)
+        y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         step = jnp.asarray(self.step_length, dtype)
         lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver)
         smooth = self.excitation.realized(key_data, dtype)

@@ -358,7 +358,7 @@ def test_ensembles_of_fixed_steps():
         np.testing.assert_array_equal(values, others)
     statuses = []
     for number in range(10):
-        base, start = many.realization(number)
+        _, base, start = many.realization(number)
         one = program("tanh", True)(Case(system, padded(base.durations, base.velocities, SLOTS), start, t1, 0.05, 0.02))
         lengths = np.diff(np.unique(np.minimum([0.0, *np.cumsum(base.durations)], t1)))
         statuses.append(ss.Status.OUT_OF_STEPS if np.sum(np.ceil(lengths / 0.02 - 1e-6)) > 264 else ss.Status.FINISHED)
@@ -380,7 +380,7 @@ def test_carts():
     options = {"t1": 0.5, "method": method}
     many = ss.simulate_ensemble(system, law, samples=4, chunk=2, key=jax.random.key(2), y0=y0, keep="sticks", **options)
     for number in range(4):
-        base, start = many.realization(number)
+        _, base, start = many.realization(number)
         one = ss.simulate(system, base, y0=start, **options)
         assert one.sticks.count > 0
         for values, expected in zip(sticks(many, number), sticks(one), strict=True):

@@ -218,7 +218,7 @@ def test_ensemble_samples_are_simulations():
         system, law, t1=T1, samples=20, key=jax.random.key(4), y0=(ss.Uniform(-1.0, 1.0), 0.0), keep="sticks"
     )
     for number in (0, 7, 19):
-        base, y0 = many.realization(number)
+        _, base, y0 = many.realization(number)
         one = ss.simulate(system, base, t1=T1, y0=y0)
         count = int(one.sticks.count)
         assert count == many.flat_sticks.count[number]
@@ -230,7 +230,7 @@ def test_ensemble_samples_are_simulations():
 def test_streamed_accelerograms_equal_sampled_ones():
     system = ss.MassSpring(1.0, 20.0, 9.81, ss.Coulomb(0.05), 0.2)
     many = ss.simulate_ensemble(system, ss.KanaiTajimi(1.5), t1=20.0, samples=4, key=jax.random.key(5), keep="sticks")
-    base, y0 = many.realization(2)
+    _, base, y0 = many.realization(2)
     one = ss.simulate(system, base, t1=20.0, y0=y0)
     count = int(one.sticks.count)
     assert count == many.flat_sticks.count[2] > 5
@@ -256,7 +256,7 @@ def test_a_users_functions_are_compiled_as_written():
     many = ss.simulate_ensemble(system, base, t1=T1, samples=32, key=jax.random.key(6), y0=starts, keep="sticks")
     assert many.finished == 32
     for number in range(3):
-        base, y0 = many.realization(number)
+        _, base, y0 = many.realization(number)
         one = ss.simulate(system, base, t1=T1, y0=y0)
         count = int(one.sticks.count)
         assert count == many.flat_sticks.count[number] > 0

@@ -64,8 +64,8 @@ def check_numbers(tree: Any) -> None:
 
 
 def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
-    shown = [_shown(path) for path, _ in known]
-    fits = [i for i, full in enumerate(shown) if full == name or full.endswith(f".{name}")]
+    names = [shown(path) for path, _ in known]
+    fits = [i for i, full in enumerate(names) if full == name or full.endswith(f".{name}")]
     if len(fits) == 1:
         path, value = known[fits[0]]
         if value is None:
@@ -75,9 +75,9 @@ def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
             )
         return Parameter(name, path, float(value))
     if fits:
-        several = ", ".join(shown[i] for i in fits)
+        several = ", ".join(names[i] for i in fits)
         raise ValueError(f"Argument wrt must be unambiguous, but {name!r} fits {several}; give the full name.")
-    raise ValueError(f"Argument wrt must name one of {', '.join(shown)}, but {_checks.show(name)} was given.")
+    raise ValueError(f"Argument wrt must name one of {', '.join(names)}, but {_checks.show(name)} was given.")
 
 
 def _numbers(tree: Any, path: Path) -> Iterator[tuple[Path, Any]]:
@@ -105,5 +105,6 @@ def _is_number(value: Any) -> bool:
     return math.isfinite(float(value))
 
 
-def _shown(path: Path) -> str:
+def shown(path: Path) -> str:
+    """The path as users write it: "system.friction.mu", "y0[0]"."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).lstrip(".")

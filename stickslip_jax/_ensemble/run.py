@@ -1,0 +1,112 @@
+"""The checked arguments of an ensemble, and the engine that simulates its samples."""
+
+import dataclasses
+from functools import partial
+from typing import Any, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._dynamics.engine_choice import engine_for, lanes_for
+from .._dynamics.lanes import Engine, Job
+from .._dynamics.method import Exact, Regularized
+from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
+from .._dynamics.validation import check_method, state_of, working_dtype
+from .._dynamics.varying import VaryingEngine, engines_of, widest
+from .._excitation.excitation import is_random, key_data_for
+from .._inputs.inputs import Inputs, Model
+from .._statistics.accumulator import Numbering
+from .._systems.system import require_system
+from .._types import AnyArray, Array
+from .parts import Keep
+
+MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
+_AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """The checked arguments, which all chunks share.
+
+    - `engine`: that of every sample. `places`: its leaves that differ from sample to sample.
+    - `inputs`: the numbers that differ, as they were given.
+    """
+
+    engine: Engine | AdaptiveBatch
+    places: tuple[int, ...]
+    inputs: Inputs
+    method: Exact | Regularized
+    key_data: Array
+    is_random: bool
+    dtype: Any
+    t1: float
+    numbering: Numbering
+
+    @classmethod
+    def checked(
+        cls, model: Model, t1: Any, samples: Any, key: Any, method: Any, keep: Keep, numbering: Numbering
+    ) -> "Run":
+        """The arguments of `simulate_ensemble`. Raises its ValueErrors."""
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((model, t1, key, method))):
+            raise ValueError(
+                "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
+                "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."
+            )
+        check_method(method)
+        _checks.positive("t1", t1, "s")
+        _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+        if keep not in get_args(Keep):
+            allowed = ", ".join(map(repr, get_args(Keep)))
+            raise ValueError(f"Argument keep must be one of {allowed}, but {_checks.show(keep)} was given.")
+        dtype = working_dtype(stacklevel=5)
+        inputs = Inputs.of(model, samples, key)
+        inputs.check(dtype)
+        first = inputs.of_sample(0, dtype) if inputs.entries else model
+        require_system(first.system)
+        first = first._replace(y0=state_of(first.system, first.y0))
+        if not inputs.in_start:
+            inputs = dataclasses.replace(inputs, model=inputs.model._replace(y0=first.y0))
+        random = inputs.are_random or is_random(first.law)
+        if random and key is None:
+            raise ValueError(
+                "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
+            )
+        engine = lanes_for(first.system, first.law, method, t1, first.y0, dtype)
+        places: tuple[int, ...] = ()
+        if inputs.entries:
+            engine, places = _engine_of_all(inputs, method, t1, dtype)
+        template = engine.template if isinstance(engine, VaryingEngine) else engine
+        if isinstance(template, (FixedEngine, AdaptiveBatch)) and not places:
+            method = template.method  # with every option filled in
+        return cls(engine, places, inputs, method, key_data_for(first.law, key), random, dtype, float(t1), numbering)
+
+    def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
+        """The leaves of the engine that differ, for samples `first` to ``first + number - 1``, (number, ...)."""
+        if not self.places:
+            return ()
+        values = self.inputs.drawn(first, number, self.dtype)
+        return engines_of(partial(_engine, self.inputs, self.method, self.t1, self.dtype), values)[2]
+
+    def job(self, first: int, used_rows: int, most_samples: int) -> Job:
+        """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes, at most `most_samples`."""
+        assert isinstance(self.engine, Engine)
+        own = self.own_leaves(first, most_samples)
+        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
+
+
+def _engine(inputs: Inputs, method: Any, t1: float, dtype: Any, values: Any) -> Engine | AdaptiveBatch:
+    system, law, y0 = inputs.filled(values)
+    return engine_for(system, law, method, t1).lanes(y0, dtype)
+
+
+def _engine_of_all(inputs: Inputs, method: Any, t1: float, dtype: Any) -> tuple[Any, tuple[int, ...]]:
+    """The engine of all samples, its sizes the largest that any sample needs, and its leaves that differ."""
+    template, places = None, ()
+    for first in range(0, inputs.samples, _AT_ONCE):
+        number = min(_AT_ONCE, inputs.samples - first)
+        values = tuple(jnp.asarray(column)[:number] for column in inputs.drawn(first, _AT_ONCE, dtype))
+        made, places, _ = engines_of(partial(_engine, inputs, method, t1, dtype), values)
+        template = made if template is None else widest(template, made, places)
+    return (VaryingEngine(template, places) if isinstance(template, Engine) else template), places
