@@ -7,6 +7,7 @@ import numpy as np
 from .._excitation.excitation import excitation_of
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
+from .._inputs.inputs import Inputs
 from .._numerics.known import largest
 from .._systems.system import System
 from .._types import Scalar
@@ -23,8 +24,10 @@ from .switched.lanes import SwitchedEngine
 from .switched.path import follow_steps
 from .switched.run import steps_for
 from .validation import check_length, checked_step
+from .varying import Engines, engines_of, widest
 
 _MOST_COUNTED = 2**31 - 1
+_AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes
 
 
 class ByIntervals(NamedTuple):
@@ -118,3 +121,22 @@ def lanes_for(
     if isinstance(law, BangBangLaw):
         law.checked_capacity(t1)
     return engine_for(system, law, method, t1).lanes(y0, dtype)
+
+
+def sample_engines(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype, first: int, number: int) -> Engines:
+    """The engines of samples ``first .. first + number - 1``, whose `inputs` differ."""
+
+    def build(values):
+        system, law, y0 = inputs.filled(values)
+        return engine_for(system, law, method, t1).lanes(y0, dtype)
+
+    return engines_of(build, inputs.drawn(first, number, dtype))
+
+
+def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype) -> Engines:
+    """The engines of all samples: `template`, `places` and `origins`; the own leaves of the first samples only."""
+    every = [
+        sample_engines(inputs, method, t1, dtype, first, min(_AT_ONCE, inputs.samples - first))
+        for first in range(0, inputs.samples, _AT_ONCE)
+    ]
+    return every[0]._replace(template=widest([some.template for some in every], every[0].places))

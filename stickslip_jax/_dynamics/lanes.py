@@ -88,6 +88,10 @@ class Engine(eqx.Module):
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, Any]:
         """The constants of the sample that `key_data` choose, and its motion at t = 0."""
 
+    def columns(self, own: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
+        """The own leaves of all samples, from what `Job.own` holds of them."""
+        return own
+
     def begin_own(self, key_data: tuple[Array, Array], own: tuple[Array, ...], dtype) -> tuple[Any, Any]:
         """As `begin`, with the `own` leaves of the sample, for engines whose samples differ in more than key data."""
         raise NotImplementedError
@@ -130,6 +134,10 @@ class Job(NamedTuple):
     used_rows: AnyInteger
     own: tuple[AnyArray, ...] = ()
 
+    def with_columns(self) -> "Job":
+        """The same job; what its samples draw is drawn once, before the first of them begins."""
+        return self._replace(own=self.engine.columns(self.own)) if self.own else self
+
 
 def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
     """Simulate the whole job; returns the engine's results, arrays (rows, lanes). `job.used_rows` is at most `rows`.
@@ -144,6 +152,7 @@ def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
         following, ended, new = _following(job, now, after, dtype)
         return following, _note(results, now.row, ended, new)
 
+    job = job.with_columns()
     now = lanes_at_start(job, lanes, dtype)
     shapes = jax.eval_shape(partial(_results, job.engine), now)
     results = jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)

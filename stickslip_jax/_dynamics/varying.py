@@ -1,7 +1,7 @@
 """Lanes whose system, excitation or start differ from sample to sample."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,6 +41,10 @@ class VaryingEngine(Engine):
         sample, motion = engine.begin(key_data, dtype)
         return (own, engine.shared(dtype), sample), motion
 
+    def constants(self, sample: Any) -> Any:
+        """The constants of samples as the template knows them."""
+        return sample[2]
+
     def shared(self, dtype) -> None:
         return None
 
@@ -68,31 +72,45 @@ def with_leaves(tree: Any, places: tuple[int, ...], values: Any) -> Any:
     return jax.tree.unflatten(structure, leaves)
 
 
-def engines_of(build: Callable[[Any], Any], values: Any) -> tuple[Any, tuple[int, ...], tuple[AnyArray, ...]]:
-    """The engines that `build` makes of each entry of `values`, a pytree of arrays (samples, ...).
+class Engines(NamedTuple):
+    """Engines of many samples.
 
-    Returns one of them as a template (where they differ, with the leaves of the first), which leaves differ, and these,
-    arrays (samples, ...). Sizes that depend on the values, such as numbers of steps, are the largest ones.
+    - `template`: one of them; where they differ, with the leaves of the first. Sizes, such as numbers of steps, are the
+      largest that any sample needs.
+    - `places`: which leaves differ; `own`: these, arrays (samples, ...).
+    - `origins`: for each place, which of the values it is; None where it follows from them.
     """
-    made = []
+
+    template: Any
+    places: tuple[int, ...]
+    own: tuple[AnyArray, ...]
+    origins: tuple[int | None, ...]
+
+
+def engines_of(build: Callable[[Any], Any], values: tuple[AnyArray, ...]) -> Engines:
+    """The engines that `build` makes of each entry of `values`, arrays (samples, ...)."""
+    made, origins = [], []
 
     def leaves_that_differ(values):
         engine = build(values)
+        own = [leaf for leaf in jax.tree.leaves(engine) if _checks.is_traced(leaf)]
         made.append(engine)
-        return [leaf for leaf in jax.tree.leaves(engine) if _checks.is_traced(leaf)]
+        origins.extend(next((i for i, value in enumerate(values) if value is leaf), None) for leaf in own)
+        return own
 
     own = jax.vmap(leaves_that_differ)(values)
     leaves, structure = jax.tree.flatten(made[0])
     places = tuple(place for place, leaf in enumerate(leaves) if _checks.is_traced(leaf))
     for place, column in zip(places, own, strict=True):
         leaves[place] = np.asarray(column[0])
-    return jax.tree.unflatten(structure, leaves), places, tuple(own)
+    return Engines(jax.tree.unflatten(structure, leaves), places, tuple(own), tuple(origins))
 
 
-def widest(one: Any, other: Any, places: tuple[int, ...]) -> Any:
-    """The template `one`, with sizes (whole numbers that all samples share) as large as in the template `other`."""
-    leaves, structure = jax.tree.flatten(one)
-    for place, leaf in enumerate(jax.tree.leaves(other)):
-        if place not in places and isinstance(leaf, (int, np.integer)):
-            leaves[place] = np.maximum(leaves[place], leaf)
+def widest(templates: list[Any], places: tuple[int, ...]) -> Any:
+    """The first template, with sizes (whole numbers that all samples share) as large as in any other."""
+    leaves, structure = jax.tree.flatten(templates[0])
+    for other in templates[1:]:
+        for place, leaf in enumerate(jax.tree.leaves(other)):
+            if place not in places and isinstance(leaf, (int, np.integer)):
+                leaves[place] = np.maximum(leaves[place], leaf)
     return jax.tree.unflatten(structure, leaves)

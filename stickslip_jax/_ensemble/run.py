@@ -1,20 +1,18 @@
 """The checked arguments of an ensemble, and the engine that simulates its samples."""
 
 import dataclasses
-from functools import partial
 from typing import Any, get_args
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._dynamics.engine_choice import engine_for, lanes_for
+from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
 from .._dynamics.lanes import Engine, Job
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
 from .._dynamics.validation import check_method, state_of, working_dtype
-from .._dynamics.varying import VaryingEngine, engines_of, widest
+from .._dynamics.varying import VaryingEngine
 from .._excitation.excitation import is_random, key_data_for
 from .._inputs.inputs import Inputs, Model
 from .._statistics.accumulator import Numbering
@@ -23,7 +21,6 @@ from .._types import AnyArray, Array
 from .parts import Keep
 
 MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
-_AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,42 +68,26 @@ class Run:
         random = inputs.are_random or is_random(first.law)
         if random and key is None:
             raise ValueError(
-                "Argument key must be a key such as jax.random.key(0) where law or y0 are random, but None was given."
+                "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
+                "was given."
             )
         engine = lanes_for(first.system, first.law, method, t1, first.y0, dtype)
         places: tuple[int, ...] = ()
         if inputs.entries:
-            engine, places = _engine_of_all(inputs, method, t1, dtype)
-        template = engine.template if isinstance(engine, VaryingEngine) else engine
-        if isinstance(template, (FixedEngine, AdaptiveBatch)) and not places:
-            method = template.method  # with every option filled in
+            template, places, *_ = engines_of_all(inputs, method, t1, dtype)
+            engine = VaryingEngine(template, places) if isinstance(template, Engine) else template
+        elif isinstance(engine, (FixedEngine, AdaptiveBatch)):
+            method = engine.method  # with every option filled in
         return cls(engine, places, inputs, method, key_data_for(first.law, key), random, dtype, float(t1), numbering)
 
     def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
         """The leaves of the engine that differ, for samples `first` to ``first + number - 1``, (number, ...)."""
         if not self.places:
             return ()
-        values = self.inputs.drawn(first, number, self.dtype)
-        return engines_of(partial(_engine, self.inputs, self.method, self.t1, self.dtype), values)[2]
+        return sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).own
 
     def job(self, first: int, used_rows: int, most_samples: int) -> Job:
         """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes, at most `most_samples`."""
         assert isinstance(self.engine, Engine)
         own = self.own_leaves(first, most_samples)
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
-
-
-def _engine(inputs: Inputs, method: Any, t1: float, dtype: Any, values: Any) -> Engine | AdaptiveBatch:
-    system, law, y0 = inputs.filled(values)
-    return engine_for(system, law, method, t1).lanes(y0, dtype)
-
-
-def _engine_of_all(inputs: Inputs, method: Any, t1: float, dtype: Any) -> tuple[Any, tuple[int, ...]]:
-    """The engine of all samples, its sizes the largest that any sample needs, and its leaves that differ."""
-    template, places = None, ()
-    for first in range(0, inputs.samples, _AT_ONCE):
-        number = min(_AT_ONCE, inputs.samples - first)
-        values = tuple(jnp.asarray(column)[:number] for column in inputs.drawn(first, _AT_ONCE, dtype))
-        made, places, _ = engines_of(partial(_engine, inputs, method, t1, dtype), values)
-        template = made if template is None else widest(template, made, places)
-    return (VaryingEngine(template, places) if isinstance(template, Engine) else template), places

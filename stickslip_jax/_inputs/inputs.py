@@ -116,6 +116,16 @@ class Inputs:
 
         return tuple(values(entry) for entry in self.entries)
 
+    def uniforms(self, first: int, number: int, dtype: Any) -> tuple[Any, ...]:
+        """The uniform numbers that `drawn` draws from, (number,) each; None for arrays."""
+        found = iter(self._uniforms([entry for entry in self.entries if entry.is_random], first, number, dtype))
+        return tuple(next(found) if entry.is_random else None for entry in self.entries)
+
+    def head(self, samples: int) -> Model:
+        """The model of the first `samples` samples."""
+        heads = [entry.source if entry.is_random else entry.source[:samples] for entry in self.entries]
+        return self.filled(heads)
+
     def filled(self, values: Any) -> Model:
         """The model with one value for each input."""
         paths = tuple(entry.path for entry in self.entries)

@@ -22,6 +22,7 @@ from .first_look import (
     RECORDED_WINDOWS,
     problem_of,
     relative_bandwidth_of,
+    require_correctable,
     require_precision,
 )
 from .problem import Pilot, Problem
@@ -101,7 +102,7 @@ def _asked_for(step: float | None, relative_bandwidth: float | None) -> str | No
 
 def _cheaper(problem: Problem) -> str:
     """The estimator with the smaller error in the same time (measured: docs/sensitivity.md)."""
-    if not problem.is_counted or problem.has_sudden_switches:
+    if not problem.is_counted or problem.has_sudden_switches or not problem.can_be_corrected:
         return "finite-difference"
     by_steps = problem.is_blind_to_events and problem.dtype.itemsize == 8  # else `require_precision` refuses
     return "corrected" if problem.by_intervals or by_steps else "finite-difference"
@@ -111,6 +112,7 @@ def _corrected(
     problem: Problem, pilot: Pilot, elasticity: bool, relative_bandwidth: float | None
 ) -> dict[str, Sensitivity]:
     require_precision(problem)
+    require_correctable(problem)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
     if problem.has_sudden_switches:
         bandwidths = widest * np.array(PAIRED_WINDOWS)

@@ -1,6 +1,7 @@
 """A statistic as a function of parameters, for the user's own objectives, with the corrected derivative."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -17,8 +18,9 @@ from .._systems.system import System
 from .._types import Array
 from .counting import IntervalCounting
 from .estimators import RATE, counting_engine, counting_paths
-from .first_look import problem_of, relative_bandwidth_of, require_precision
+from .first_look import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem, buffer_sizes_for
+from .random_inputs import over
 from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import OfTotals
 from .traces import traced
@@ -51,6 +53,7 @@ def differentiable(
     """
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
     require_precision(problem)
+    require_correctable(problem)
     rows, bandwidth = -(-problem.samples // _LANES), relative_bandwidth_of(problem, pilot)
     means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, rows)
     estimate = _ratio(means, bandwidth if problem.has_sudden_switches else None)
@@ -113,6 +116,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
     engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = counting_paths(problem)
+    own = problem.own_leaves(0, rows * _LANES)
     has_likelihood = isinstance(engine, IntervalCounting) and engine.likelihood is not None
     by_score: tuple[Path, ...] = (("likelihood", "rate"),) if has_likelihood and RATE in paths else ()
     by = tuple(by_score[0] if by_score and path == RATE else path for path in paths)
@@ -123,7 +127,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
             here = with_numbers(here, by_score, (values[paths.index(RATE)],))
         if varied is not None:
             here = with_numbers(here, by, varied)
-        job = Job(here, problem.key_data, np.uint32(0), np.int32(rows))
+        job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), own)
         counted = summarize(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
         sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
@@ -138,12 +142,17 @@ def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Me
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.has_sudden_switches else 2 * buffer.edges)
     bandwidths = np.array([bandwidth])
+    own = tuple(jnp.asarray(column) for column in problem.own_leaves(0, rows * _LANES))
 
     def means(values: Array, varied: Array | None = None) -> Array:
-        here = traced(with_numbers(engine, paths, values if varied is None else varied), problem.fixed_start)
+        here = with_numbers(engine, paths, values if varied is None else varied)
+        here = over(here, partial(traced, fixed_start=problem.fixed_start))
 
         def chunk(first):
-            recorded = record_sequences(here, problem.key_data, first, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
+            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, _LANES), own)
+            recorded = record_sequences(
+                here, mine, problem.key_data, first, lanes=_LANES, buffer=buffer, dtype=problem.dtype
+            )
             features = features_of(problem.statistic, here, recorded, bandwidths)
             done = (recorded.status == Status.FINISHED)[:, None]
             lost = jnp.any((recorded.sticks >= buffer.slots) | (recorded.edges > buffer.edges))

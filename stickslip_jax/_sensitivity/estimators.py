@@ -1,19 +1,20 @@
 """The three ways to estimate a sensitivity: counting engines, recorded stick sequences, finite differences."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._dynamics.chunks import chunks_of
 from .._dynamics.lanes import Engine, Job
-from .._dynamics.switched.lanes import SwitchedEngine
 from .._excitation.laws import PoissonSwitching
 from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
 from .._systems.own import is_own
 from .counting import IntervalCounting, Likelihood
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
+from .random_inputs import RandomEngine, inside, over
 from .runs import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
 from .sequences import BufferSizes
 from .statistic import OfTotals
@@ -63,27 +64,31 @@ def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Acc
     return accumulator, _columns(number, max(1, len(bandwidths)), len(paths), pathwise)
 
 
-def counting_engine(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> IntervalCounting | StepCounting:
-    """The engine that counts; without `bandwidths`, for pathwise derivatives only."""
+def counting_engine(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Any:
+    """The engine that counts, an `IntervalCounting` or a `StepCounting`; of a problem with inputs, a `RandomEngine`
+    over one. Without `bandwidths`, for pathwise derivatives only.
+    """
     bandwidths = np.asarray(bandwidths, problem.dtype)
-    if not problem.by_intervals:
-        steps = problem.engine()
-        assert isinstance(steps, SwitchedEngine)
-        return StepCounting(steps, bandwidths, problem.fixed_start)
-    likelihood = None
-    if type(problem.law) is PoissonSwitching:
-        likelihood = Likelihood(problem.law.rate, pilot.stick_time, pilot.sticks)
-    return IntervalCounting(
-        problem.system, problem.law, problem.t1, problem.y0, bandwidths, likelihood, problem.fixed_start
-    )
+
+    def counting(engine):
+        if not problem.by_intervals:
+            return StepCounting(engine, bandwidths, problem.fixed_start)
+        likelihood = None
+        if type(engine.law) is PoissonSwitching and problem.random is None:
+            likelihood = Likelihood(engine.law.rate, pilot.stick_time, pilot.sticks)
+        return IntervalCounting(
+            engine.system, engine.law, engine.t1, engine.y0, bandwidths, likelihood, problem.fixed_start
+        )
+
+    return over(problem.engine(), counting)
 
 
 def counting_paths(problem: Problem) -> tuple[Path, ...]:
     """Paths of the parameters in the counting engine."""
-    return problem.paths() if problem.by_intervals else tuple(("steps", *path) for path in problem.paths())
+    return problem.paths() if problem.by_intervals else tuple(inside(path, "steps") for path in problem.paths())
 
 
-def _run_counting(problem: Problem, engine: IntervalCounting | StepCounting, paths: tuple[Path, ...]) -> Accumulator:
+def _run_counting(problem: Problem, engine: Any, paths: tuple[Path, ...]) -> Accumulator:
     """Moments of the statistic's parts, their derivatives by every path and window, and the pathwise parts of these."""
     per_task, record = _counter(problem, engine, paths)
 
@@ -94,9 +99,7 @@ def _run_counting(problem: Problem, engine: IntervalCounting | StepCounting, pat
     return run_chunks(simulate, problem.samples, per_task, problem.threads)
 
 
-def _counter(
-    problem: Problem, engine: IntervalCounting | StepCounting, paths: tuple[Path, ...]
-) -> tuple[int, Callable[[int, int], Any]]:
+def _counter(problem: Problem, engine: Any, paths: tuple[Path, ...]) -> tuple[int, Callable[[int, int], Any]]:
     """The largest number of samples of a task, and a function of a task's first sample and number of samples.
 
     The function gives the parts (samples, 2), their derivatives (paths, samples, windows, 2), the pathwise parts of
@@ -109,8 +112,8 @@ def _counter(
 
     def record(first: int, number: int) -> Any:
         totals, (d_time, d_births, near), status = count_chunk[is_own(engine)](
-            engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)),
-            paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
+            engine, problem.own_leaves(first, lanes * rows), problem.key_data, np.uint32(first),
+            np.int32(-(-number // lanes)), paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
         )  # fmt: skip
         totals = np.stack([_flat(leaf, number) for leaf in totals], axis=-1)
         time, births = _flat(d_time, number) / units, [_flat(leaf, number) / units for leaf in d_births]
@@ -146,13 +149,16 @@ def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Ac
 
 def _recorder(problem: Problem, buffer: BufferSizes, bandwidths: np.ndarray) -> Callable[[int], Any]:
     """A function of a chunk's first sample: `Features`, their derivatives, status."""
-    engine = traced(problem.engine(), problem.fixed_start)
+    engine = over(problem.engine(), partial(traced, fixed_start=problem.fixed_start))
+    paths, lanes = tuple(inside(path, "engine") for path in problem.paths()), sequence_lanes(problem)
 
     def record(first: int) -> Any:
+        own = problem.own_leaves(first, lanes)
+
         def run(buffer: BufferSizes) -> Any:
             features, slopes, (status, sticks, edges) = sequence_chunk(
-                problem.statistic, engine, np.asarray(bandwidths, problem.dtype), problem.key_data, np.uint32(first),
-                paths=problem.paths(), lanes=sequence_lanes(problem), buffer=buffer, dtype=problem.dtype,
+                problem.statistic, engine, own, np.asarray(bandwidths, problem.dtype), problem.key_data,
+                np.uint32(first), paths=paths, lanes=lanes, buffer=buffer, dtype=problem.dtype,
             )  # fmt: skip
             return (features, slopes, status), status, sticks, edges
 
@@ -209,7 +215,10 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
     _, pathwise_of = _counter(problem, counting_engine(problem, pilot, np.zeros(0)), counting_paths(problem))
 
     def values(engine: Engine, first: int, number: int) -> Any:
-        job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)))
+        own = problem.own_leaves(first, lanes * rows)
+        if isinstance(engine, RandomEngine):
+            engine, own = engine.drawn(own)
+        job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)), own)
         results = chunks_of(engine).summarize(job, lanes=lanes, rows=rows, dtype=problem.dtype)
         totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
         return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
@@ -227,10 +236,15 @@ def _by_sequences(problem: Problem, pilot: Pilot) -> _Values:
     record = _recorder(problem, buffer, np.zeros(0))
 
     def values(engine: Engine, first: int, number: int) -> Any:
+        own = problem.own_leaves(first, lanes)
+        if isinstance(engine, RandomEngine):
+            engine, own = engine.drawn(own)
+        watched = over(engine, partial(traced, fixed_start=problem.fixed_start))
+
         def run(buffer: BufferSizes) -> Any:
             done = value_chunk(
-                problem.statistic, traced(engine, problem.fixed_start), problem.key_data, np.uint32(first),
-                lanes=lanes, buffer=buffer, dtype=problem.dtype,
+                problem.statistic, watched, own, problem.key_data, np.uint32(first), lanes=lanes, buffer=buffer,
+                dtype=problem.dtype,
             )  # fmt: skip
             return done, done[1], done[2], np.zeros(1)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.interval.engine import scales_of, start_motion
-from .._inputs.numbers import Path, number_at, with_numbers
+from .._inputs.numbers import Parameter, Path, number_at, with_numbers
 from .._numerics.random_bits import random_words
 from .._types import Array
 from .edges import relative_excess
@@ -43,7 +43,7 @@ def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
     There the circle on which the mass leaves a stick passes through special points of the phase plane, and the mean
     number of sticks has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
     """
-    if not problem.by_intervals:
+    if not problem.by_intervals or not (problem.random is None or problem.random.only_in_start):
         return
     found, moved = _zeros(problem, _from_special_speeds)
     moved = [name for name in moved if name not in warned]
@@ -85,7 +85,13 @@ def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
 
 def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray, list[str]]:
     """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
+    # Only where all samples are the same system; what differs in their starts does not matter here.
+    problem = problem._replace(
+        random=None, parameters=tuple(one for one in problem.parameters if _is_shared(problem, one))
+    )
     engine, dtype = problem.engine(), problem.dtype
+    if not problem.parameters:
+        return np.zeros((_LANES, 2), bool), []
     key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
@@ -93,6 +99,12 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
+
+
+def _is_shared(problem: Problem, parameter: Parameter) -> bool:
+    """Whether the parameter is a number of all samples, not one of a distribution."""
+    entries = () if problem.random is None else problem.random.inputs.entries
+    return not any(parameter.path[: len(entry.path)] == entry.path for entry in entries)
 
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))

@@ -11,7 +11,7 @@ from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._excitation.excitation import is_random, key_data_for
 from .._fast_cpu import cores
-from .._fields import is_distribution
+from .._inputs.inputs import Inputs, Model
 from .._inputs.numbers import parameters_of
 from .._systems.system import require_system
 from .problem import Pilot, Problem
@@ -44,16 +44,22 @@ def problem_of(
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
-    require_system(system)
-    y0 = _checked_start(system, law, y0)
+    number = _checks.whole_number("samples", samples, minimum=2)
+    inputs = Inputs.of(Model(system, law, y0), number, key)
+    dtype = jnp.result_type(float)
+    inputs.check(dtype)
+    first = inputs.of_sample(0, dtype)
+    first = first._replace(y0=state_of(require_system(first.system), first.y0))
+    _require_chance(first.law, inputs)
     keep: Keep = "totals" if statistic.is_of_totals else "sticks"
-    pilot = _pilot(system, law, t1, y0, samples, key, method, keep, threads)
-    parameters = parameters_of({"system": system, "law": law, "y0": y0}, wrt)
-    key_data, dtype = key_data_for(law, key), jnp.result_type(float)
+    pilot = _pilot(inputs, t1, key, method, keep, threads)
+    given = inputs.model if inputs.in_start else inputs.model._replace(y0=first.y0)
+    parameters, key_data = parameters_of(given._asdict(), wrt), key_data_for(first.law, key)
     problem = Problem(
-        statistic, system, law, float(t1), y0, method, key_data, parameters, samples, threads, size, dtype
-    )
-    return problem, pilot
+        statistic, first.system, first.law, float(t1), first.y0, method, key_data, parameters, samples, threads, size,
+        dtype,
+    )  # fmt: skip
+    return problem.with_inputs(inputs), pilot
 
 
 def require_precision(problem: Problem) -> None:
@@ -67,6 +73,16 @@ def require_precision(problem: Problem) -> None:
         )
 
 
+def require_correctable(problem: Problem) -> None:
+    """Raise ValueError where the corrected method does not know what differs from sample to sample."""
+    if not problem.can_be_corrected:
+        raise ValueError(
+            "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
+            "differ from sample to sample and the motion has no closed form from jump to jump of the base, or where "
+            "the parameter is one of a Beta distribution."
+        )
+
+
 def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
     """Default relative bandwidth of the kernels: ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05.
 
@@ -76,19 +92,10 @@ def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
     return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
 
 
-def _pilot(
-    system: Any,
-    law: Any,
-    t1: float,
-    y0: tuple[Any, ...],
-    samples: int,
-    key: Any,
-    method: Exact,
-    keep: Keep,
-    threads: int,
-) -> Pilot:
+def _pilot(inputs: Inputs, t1: float, key: Any, method: Exact, keep: Keep, threads: int) -> Pilot:
     """A pilot simulation, which also checks the arguments."""
-    number = min(_checks.whole_number("samples", samples, minimum=2), _PILOT)
+    number = min(inputs.samples, _PILOT)
+    system, law, y0 = inputs.head(number)
     many = simulate_ensemble(
         system, law, t1=t1, samples=number, key=key, y0=y0, method=method, keep=keep, threads=threads, progress=False
     )
@@ -98,12 +105,11 @@ def _pilot(
     return Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
 
 
-def _checked_start(system: Any, law: Any, y0: Any) -> tuple[Any, ...]:
-    """The initial state. Raises ValueError where nothing is random."""
-    start = state_of(system, y0)
-    if not is_random(law) and not any(is_distribution(value) for value in start):
+def _require_chance(law: Any, inputs: Inputs) -> None:
+    """Raise ValueError where nothing is random."""
+    if not is_random(law) and not inputs.are_random:
         raise ValueError(
-            "Argument law must be random, or y0 hold a Uniform value: without chance the number of sticks is a step "
-            "function of the parameters, and has no derivative to correct. Differentiate simulate(...) with jax.jvp."
+            "Argument law must be random, or system or y0 hold a distribution such as Uniform: without chance the "
+            "number of sticks is a step function of the parameters, and has no derivative to correct. Differentiate "
+            "simulate(...) with jax.jvp."
         )
-    return start

@@ -12,9 +12,10 @@ from .._excitation.ground import GroundMotion
 from .._excitation.laws import BangBangLaw
 from .._excitation.random import RandomPhase
 from .._excitation.smooth import Signal
-from .._fields import is_distribution
+from .._inputs.inputs import Inputs
 from .._inputs.numbers import Parameter, Path
-from .._types import Array
+from .._types import AnyArray, Array
+from .random_inputs import RandomInputs
 from .sequences import BufferSizes
 from .statistic import OfTotals, StickStatistic
 
@@ -31,7 +32,11 @@ class Pilot(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The statistic of the system's motion under the law, the parameters to vary, and how to simulate."""
+    """The statistic of the system's motion under the law, the parameters to vary, and how to simulate.
+
+    `system`, `law`, `y0`: those of the first sample. `random`: the numbers that differ from sample to sample; None if
+    there are none.
+    """
 
     statistic: StickStatistic
     system: Any
@@ -45,11 +50,12 @@ class Problem(NamedTuple):
     threads: int
     chunk: int | None
     dtype: Any
+    random: RandomInputs | None = None
 
     @property
     def fixed_start(self) -> bool:
-        """Whether all samples begin in the same state."""
-        return not any(is_distribution(value) for value in self.y0)
+        """Whether all samples are the same system, begin in the same state, and first differ where the base does."""
+        return self.random is None
 
     @property
     def by_intervals(self) -> bool:
@@ -62,7 +68,21 @@ class Problem(NamedTuple):
         They show which arcs cannot graze: those after a stick that a reversal of the base cut short.
         """
         closed = self._replace(method=EXACT)
-        return closed if closed.by_intervals else self
+        if not closed.by_intervals:
+            return self
+        return closed._with_random(self.random.inputs) if self.random is not None else closed
+
+    def _with_random(self, inputs: Inputs) -> "Problem":
+        paths = tuple(parameter.path for parameter in self.parameters)
+        return self._replace(random=RandomInputs.of(inputs, self.method, self.t1, self.dtype, paths))
+
+    def with_inputs(self, inputs: Inputs) -> "Problem":
+        """The same problem with numbers that differ from sample to sample, if there are any."""
+        return self._with_random(inputs) if inputs.entries else self
+
+    def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
+        """The own leaves of samples, for `Job.own`."""
+        return () if self.random is None else self.random.own_leaves(first, number)
 
     @property
     def has_sudden_switches(self) -> bool:
@@ -83,15 +103,28 @@ class Problem(NamedTuple):
         """Whether sticks of zero length change nothing: no event part then, unless there are sudden switches."""
         return isinstance(self.statistic, OfTotals) and self.statistic.is_blind_to_events
 
+    @property
+    def can_be_corrected(self) -> bool:
+        """Whether the corrected method knows what differs from sample to sample."""
+        random = self.random
+        if random is None or random.only_in_start:
+            return random is None or random.in_lanes
+        return random.in_lanes and (self.by_intervals or (self.is_counted and self.is_blind_to_events))
+
     def engine(self) -> Engine:
         """The fastest engine that simulates the motion."""
+        if self.random is not None:
+            return self.random.engine
         engine = engine_for(self.system, self.law, self.method, self.t1).lanes(self.y0, self.dtype)
         assert isinstance(engine, Engine)
         return engine
 
     def paths(self) -> tuple[Path, ...]:
         """Paths of the parameters in the engine."""
-        return tuple(self._path(parameter.path) for parameter in self.parameters)
+        random, paths = self.random, tuple(parameter.path for parameter in self.parameters)
+        if random is None:
+            return tuple(map(self._path, paths))
+        return tuple(random.path(path, self._path(path)) for path in paths)
 
     def _path(self, path: Path) -> Path:
         if path[0] != "law" or self.by_intervals:

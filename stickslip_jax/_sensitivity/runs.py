@@ -14,11 +14,8 @@ from .._numerics.compiling import CompiledNatively
 from .._numerics.moments import Moments
 from .._status import Status
 from .._types import AnyInteger, Array
-from .counting import IntervalCounting
 from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import StickStatistic
-from .step_counting import StepCounting
-from .traces import TracedIntervals, TracedSteps
 
 
 class Rows(NamedTuple):
@@ -104,7 +101,8 @@ def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
 
 
 def _count(
-    engine: IntervalCounting | StepCounting,
+    engine: Any,
+    own: Any,
     key_data: Array,
     first: AnyInteger,
     used_rows: AnyInteger,
@@ -121,7 +119,7 @@ def _count(
     """
 
     def run(values):
-        job = Job(with_numbers(engine, paths, values), key_data, first, used_rows)
+        job = Job(with_numbers(engine, paths, values), key_data, first, used_rows, own)
         counted = summarize(job, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
 
@@ -131,7 +129,8 @@ def _count(
 
 def _sequence(
     statistic: StickStatistic,
-    engine: TracedIntervals | TracedSteps,
+    engine: Any,
+    own: Any,
     bandwidths: Array,
     key_data: Array,
     first: Array,
@@ -147,17 +146,18 @@ def _sequence(
     """
 
     def run(values):
-        varied = with_numbers(engine, tuple(("engine", *path) for path in paths), values)
-        recorded = record_sequences(varied, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
+        varied = with_numbers(engine, paths, values)
+        recorded = record_sequences(varied, own, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
         features = features_of(statistic, varied, recorded, bandwidths)
         return features, (recorded.status, recorded.sticks, recorded.edges)
 
-    return derivatives_of(run, engine.engine, paths, dtype)
+    return derivatives_of(run, engine, paths, dtype)
 
 
 def _values(
     statistic: StickStatistic,
-    engine: TracedIntervals | TracedSteps,
+    engine: Any,
+    own: Any,
     key_data: Array,
     first: Array,
     *,
@@ -166,7 +166,7 @@ def _values(
     dtype: Any,
 ) -> Any:
     """Parts (lanes, 2), status and number of sticks (lanes,). `buffer.edges` must be 0."""
-    recorded = record_sequences(engine, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
+    recorded = record_sequences(engine, own, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
     return features_of(statistic, engine, recorded, np.zeros(0)).parts, recorded.status, recorded.sticks
 
 

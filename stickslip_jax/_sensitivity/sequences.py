@@ -20,8 +20,8 @@ from .._types import AnyArray, Array, IntArray
 from .edges import Edges
 from .kernels import crossing, hits, through
 from .kernels import ending as ending_at
+from .random_inputs import constants_of, over, plain
 from .statistic import StickSequence, StickStatistic
-from .traces import TracedIntervals, TracedSteps
 
 _SAME = 64  # units in the last place by which two computed values of the same instant may differ
 
@@ -60,11 +60,14 @@ class Features(NamedTuple):
 
 
 def record_sequences(
-    engine: TracedIntervals | TracedSteps, key_data: Array, first: Array, *, lanes: int, buffer: BufferSizes, dtype: Any
+    engine: Any, own: Any, key_data: Array, first: Array, *, lanes: int, buffer: BufferSizes, dtype: Any
 ) -> Recorded:
-    """Simulate samples ``first .. first + lanes - 1`` for up to `buffer.blocks` blocks, and keep sticks and edges."""
-    engine = dataclasses.replace(engine, with_edges=buffer.edges > 0)
-    start = lanes_at_start(Job(engine, key_data, first, np.int32(1)), lanes, dtype)
+    """Simulate samples ``first .. first + lanes - 1`` for up to `buffer.blocks` blocks, and keep sticks and edges.
+
+    `engine`: `traced`. `own`: the own leaves of its samples.
+    """
+    engine = over(engine, lambda engine: dataclasses.replace(engine, with_edges=buffer.edges > 0))
+    start = lanes_at_start(Job(engine, key_data, first, np.int32(1), own).with_columns(), lanes, dtype)
 
     def advance(carry):
         # A lane that has ended idles: nothing happens after the horizon.
@@ -84,7 +87,7 @@ def record_sequences(
         return lax.cond(jnp.all(carry[1]), idle, advance, carry)
 
     (now, _), trace = lax.scan(block, begun, None, length=buffer.blocks)
-    certain = now.sample.certain
+    certain = constants_of(engine, now.sample).certain
     sticks, moments, may_be_near = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
     kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, buffer.slots)
     near, moments_found = None, jnp.zeros_like(sticks_found)
@@ -117,7 +120,7 @@ def features_of(statistic: StickStatistic, engine: Any, recorded: Recorded, band
     `bandwidths` (windows,): relative bandwidths of the kernels.
     """
     dtype = recorded.start.dtype
-    t1, bandwidths = jnp.asarray(engine.engine.t1, dtype), jnp.asarray(bandwidths, dtype)
+    t1, bandwidths = jnp.asarray(plain(engine).engine.t1, dtype), jnp.asarray(bandwidths, dtype)
 
     if recorded.near is None:
         parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))

@@ -13,7 +13,7 @@ import stickslip_jax as ss
 pytestmark = pytest.mark.usefixtures("annotations_unchecked")
 
 NAN, INF = float("nan"), float("inf")
-WRONG_KIND = ["1.0", "fast", None, True, b"1", [1.0, 2.0], {}, object(), 1j]
+WRONG_KIND = ["1.0", "fast", None, True, b"1", [[1.0, 2.0]], {}, object(), 1j]
 NOT_FINITE = [NAN, INF, -INF, np.float64(NAN), np.float32(INF)]
 
 

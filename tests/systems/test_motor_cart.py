@@ -359,7 +359,7 @@ def test_no_friction_no_stick():
         ),
         (
             lambda: ss.simulate(ss.MotorCart(), VOLTAGE, t1=1.0, y0=(ss.Uniform(0.0, 1.0), 0.0, 0.0)),
-            r"\AArgument y0 must be numbers, .*only simulate_ensemble",
+            r"\AArgument y0\[0\] must be one number here, .*simulate_ensemble",
         ),
         (
             lambda: ss.simulate(ss.MotorCart(), ss.RandomPhase(VOLTAGE), t1=1.0),
@@ -367,7 +367,7 @@ def test_no_friction_no_stick():
         ),
         (
             lambda: ss.simulate_ensemble(ss.MotorCart(), VOLTAGE, t1=1.0, samples=2, y0=(ss.Uniform(0.0, 1.0), 0, 0)),
-            r"\AArgument key must be a key .* where law or y0 are random",
+            r"\AArgument key must be a key .* where law, system or y0 are random",
         ),
         (lambda: ss.stick_duration_bound(VOLTAGE, ss.MotorCart(), 1.0), r"\AArguments system and voltage must be"),
         (lambda: ss.first_stick(VOLTAGE), r"\AArgument ensemble must be the result of simulate_ensemble"),

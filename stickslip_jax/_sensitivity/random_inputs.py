@@ -1,0 +1,130 @@
+"""Engines whose samples differ in numbers drawn from distributions, with derivatives by the distributions' parameters.
+
+A number is drawn by inversion, ``icdf(u)`` of a uniform ``u`` that belongs to the sample. So a parameter of the
+distribution moves it smoothly, and derivatives of an expectation are those of the simulation, summed over the samples
+(reparameterisation).
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from .._distributions.random_number import RandomNumber
+from .._dynamics.engine_choice import engines_of_all, sample_engines
+from .._dynamics.varying import VaryingEngine
+from .._inputs.inputs import Inputs
+from .._inputs.numbers import Path
+from .._types import AnyArray
+
+
+class RandomEngine(VaryingEngine):
+    """An engine with numbers of its own for every sample, some of them drawn anew from `sources`.
+
+    `sources`: for each place a distribution, to be differentiated by its parameters; None where the leaves are given.
+    """
+
+    sources: tuple[RandomNumber | None, ...]
+
+    def columns(self, own: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
+        """The leaves (samples,) at all places; at those with a source, `own` holds uniform numbers."""
+        return tuple(
+            column if source is None else jnp.asarray(source.icdf(jnp.asarray(column)), column.dtype)
+            for source, column in zip(self.sources, own, strict=True)
+        )
+
+    def drawn(self, own: tuple[AnyArray, ...]) -> tuple["RandomEngine", tuple[AnyArray, ...]]:
+        """The engine without sources, and the leaves at all places."""
+        return dataclasses.replace(self, sources=(None,) * len(self.sources)), self.columns(own)
+
+    def after_block(self, samples: Any, motions: Any, records: Any) -> Any:
+        return self.template.after_block(self.constants(samples), motions, records)
+
+    def edges(self, samples: Any, moments: Any) -> Any:
+        """As `TracedSteps.edges`."""
+        return self.template.edges(self.constants(samples), moments)
+
+
+class RandomInputs(NamedTuple):
+    """The inputs of a sensitivity problem and the engine of all samples.
+
+    `origins`: which input each place of the engine holds; None for what follows from several, such as a time step.
+    """
+
+    inputs: Inputs
+    engine: RandomEngine
+    origins: tuple[int | None, ...]
+    method: Any
+    t1: float
+    dtype: Any
+
+    @classmethod
+    def of(cls, inputs: Inputs, method: Any, t1: float, dtype: Any, paths: tuple[Path, ...]) -> "RandomInputs":
+        """The engine of all samples of `inputs`; distributions with parameters at `paths` are its sources."""
+        template, places, _, origins = engines_of_all(inputs, method, t1, dtype)
+
+        def source(origin):
+            entry = None if origin is None else inputs.entries[origin]
+            varied = entry is not None and any(path[: len(entry.path)] == entry.path for path in paths)
+            return entry.source if varied and entry is not None else None
+
+        return cls(inputs, RandomEngine(template, places, tuple(map(source, origins))), origins, method, t1, dtype)
+
+    def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
+        """What the engine needs of samples `first` to ``first + number - 1``, one array for each place."""
+        own = sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).own
+        uniforms = self.inputs.uniforms(first, number, self.dtype)
+        drawn = zip(own, self.engine.sources, self.origins, strict=True)
+        return tuple(
+            column if source is None or origin is None else uniforms[origin] for column, source, origin in drawn
+        )
+
+    def path(self, path: Path, in_engine: Path) -> Path:
+        """The path in `engine` of the number at `path` of the model, which plain engines have at `in_engine`."""
+        for place, origin in enumerate(self.origins):
+            entry = None if origin is None else self.inputs.entries[origin]
+            if entry is not None and path[: len(entry.path)] == entry.path:
+                return ("sources", place, *path[len(entry.path) :])
+        return ("template", *in_engine)
+
+    @property
+    def only_in_start(self) -> bool:
+        """Whether nothing but the initial state differs from sample to sample."""
+        return all(entry.path[0] == "y0" for entry in self.inputs.entries)
+
+    @property
+    def in_lanes(self) -> bool:
+        """Whether all sources can be drawn from in a compiled function."""
+        return all(source is None or source.in_lanes for source in self.engine.sources)
+
+
+def over(engine: Any, make: Callable[[Any], Any]) -> Any:
+    """What `make` makes of an engine; of a `RandomEngine`, with the same places.
+
+    `make` must keep the engine's leaves as the first ones of its result.
+    """
+    if not isinstance(engine, RandomEngine):
+        return make(engine)
+    template = make(engine.template)
+    kept = jax.tree.leaves(engine.template)
+    assert all(one is other for one, other in zip(kept, jax.tree.leaves(template), strict=False))
+    return dataclasses.replace(engine, template=template)
+
+
+def plain(engine: Any) -> Any:
+    """The engine of one sample, for what all samples share."""
+    return engine.template if isinstance(engine, RandomEngine) else engine
+
+
+def constants_of(engine: Any, sample: Any) -> Any:
+    """The constants of samples as the plain engine knows them."""
+    return engine.constants(sample) if isinstance(engine, RandomEngine) else sample
+
+
+def inside(path: Path, *outer: str) -> Path:
+    """The path of a number whose engine has become the field `outer` of another."""
+    if path[0] == "sources":
+        return path
+    return ("template", *outer, *path[1:]) if path[0] == "template" else (*outer, *path)
