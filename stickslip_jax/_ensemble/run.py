@@ -63,8 +63,7 @@ class Run:
         first = inputs.of_sample(0, dtype) if inputs.entries else model
         require_system(first.system)
         first = first._replace(y0=state_of(first.system, first.y0))
-        if not inputs.in_start:
-            inputs = dataclasses.replace(inputs, model=inputs.model._replace(y0=first.y0))
+        inputs = inputs.with_start(first.y0)
         random = inputs.are_random or is_random(first.law)
         if random and key is None:
             raise ValueError(

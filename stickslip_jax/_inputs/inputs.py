@@ -116,6 +116,10 @@ class Inputs:
 
         return tuple(values(entry) for entry in self.entries)
 
+    def with_start(self, y0: tuple[Any, ...]) -> "Inputs":
+        """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
+        return self if self.in_start else dataclasses.replace(self, model=self.model._replace(y0=y0))
+
     def uniforms(self, first: int, number: int, dtype: Any) -> tuple[Any, ...]:
         """The uniform numbers that `drawn` draws from, (number,) each; None for arrays."""
         found = iter(self._uniforms([entry for entry in self.entries if entry.is_random], first, number, dtype))

@@ -43,7 +43,7 @@ def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
     There the circle on which the mass leaves a stick passes through special points of the phase plane, and the mean
     number of sticks has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
     """
-    if not problem.by_intervals or not (problem.random is None or problem.random.only_in_start):
+    if not problem.by_intervals or _speed_differs(problem):
         return
     found, moved = _zeros(problem, _from_special_speeds)
     moved = [name for name in moved if name not in warned]
@@ -99,6 +99,12 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
+
+
+def _speed_differs(problem: Problem) -> bool:
+    """Whether ``speed / (a omega)`` differs from sample to sample."""
+    entries = () if problem.random is None else problem.random.inputs.entries
+    return any(entry.path[0] == "system" or entry.path == ("law", "speed") for entry in entries)
 
 
 def _is_shared(problem: Problem, parameter: Parameter) -> bool:

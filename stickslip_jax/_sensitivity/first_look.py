@@ -50,11 +50,11 @@ def problem_of(
     inputs.check(dtype)
     first = inputs.of_sample(0, dtype)
     first = first._replace(y0=state_of(require_system(first.system), first.y0))
+    inputs = inputs.with_start(first.y0)
     _require_chance(first.law, inputs)
     keep: Keep = "totals" if statistic.is_of_totals else "sticks"
     pilot = _pilot(inputs, t1, key, method, keep, threads)
-    given = inputs.model if inputs.in_start else inputs.model._replace(y0=first.y0)
-    parameters, key_data = parameters_of(given._asdict(), wrt), key_data_for(first.law, key)
+    parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
     problem = Problem(
         statistic, first.system, first.law, float(t1), first.y0, method, key_data, parameters, samples, threads, size,
         dtype,
