@@ -15,6 +15,23 @@ _ROUND_OFF = 1e-6
 """How far from symmetric, or from 1 on the diagonal, a matrix may be: correlations that were stored in float32."""
 
 
+def _as_names(names: Any) -> tuple[str, ...]:
+    found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes)) else ()
+    if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
+        raise ValueError(
+            "Argument names must hold two or more different names of random numbers, such as ('mu', 'stiffness'), but "
+            f"{_checks.show(names)} was given."
+        )
+    return found
+
+
+def _as_matrix(name: str, matrix: Any) -> AnyArray:
+    if _checks.is_traced(matrix):
+        return matrix
+    _checks.numeric(name, matrix, ndim=2)
+    return np.asarray(matrix, np.float64)
+
+
 class GaussianCopula(eqx.Module):
     """Random numbers that depend on each other: each has its own distribution, their normal scores are correlated.
 
@@ -30,7 +47,7 @@ class GaussianCopula(eqx.Module):
     diagonal, or is not positive definite.
     """
 
-    names: tuple[str, ...] = eqx.field(converter=lambda names: _as_names(names), static=True)
+    names: tuple[str, ...] = eqx.field(converter=_as_names, static=True)
     correlation: AnyArray = eqx.field(converter=lambda matrix: _as_matrix("correlation", matrix))
 
     def __check_init__(self):
@@ -50,12 +67,7 @@ class GaussianCopula(eqx.Module):
         module = jnp if _checks.is_traced(matrix) else np
         scores = 2 * module.sin(module.pi / 6 * module.asarray(matrix))
         if not _checks.is_traced(scores):
-            _check_definite(
-                "matrix",
-                scores,
-                "normal scores with these rank correlations",
-                "2 sin(pi rho / 6) of their correlations",
-            )
+            _check_definite("matrix", scores, "normal scores with these rank correlations", "2 sin(pi rho / 6)")
         return cls(names, scores)
 
     def correlated(self, u: FloatArray) -> FloatArray:
@@ -79,23 +91,6 @@ class GaussianCopula(eqx.Module):
         scores = sum(root[..., index] * z[..., index, None] for index in range(len(self.names)))
         limits = jnp.finfo(z.dtype)
         return jnp.clip(ndtr(scores), limits.tiny, 1 - limits.epsneg)
-
-
-def _as_matrix(name: str, matrix: Any) -> AnyArray:
-    if _checks.is_traced(matrix):
-        return matrix
-    _checks.numeric(name, matrix, ndim=2)
-    return np.asarray(matrix, np.float64)
-
-
-def _as_names(names: Any) -> tuple[str, ...]:
-    found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes)) else ()
-    if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
-        raise ValueError(
-            "Argument names must hold two or more different names of random numbers, such as ('mu', 'stiffness'), but "
-            f"{_checks.show(names)} was given."
-        )
-    return found
 
 
 def _check_correlation(name: str, matrix: AnyArray, number: int) -> None:
