@@ -138,11 +138,11 @@ def saltelli(
     factors = dimensions + 1 if isinstance(realization, str) and realization == "factor" else dimensions
     rows = saltelli_rows(factors, second_order)
     _checks.whole_number("base_samples", number * rows, maximum=_MOST_SAMPLES)
+    points = _sobol_points(number, 2 * dimensions, scramble, seed)
     # Which row of a block takes which factor from B.
     one = np.eye(factors, dtype=bool)
     nearly_b = ~one if second_order else one[:0]
     from_b = np.concatenate([np.zeros((1, factors), bool), one, nearly_b, np.ones((1, factors), bool)])
-    points = _sobol_points(number, 2 * dimensions, scramble, seed)
     a, b = points[:, None, :dimensions], points[:, None, dimensions:]
     u = np.where(from_b[None, :, :dimensions], b, a).reshape(-1, dimensions)
     mostly_b = from_b[:, -1] if factors > dimensions else np.arange(rows) > factors

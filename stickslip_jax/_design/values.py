@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .design import Design, checked_names, refuse_first
+from .design import Design, checked_names, checked_numbers, refuse_first
 from .sampling import realizations
 
 _MOST_SAMPLES = 2**30
@@ -74,12 +74,11 @@ def table(
         if len(set(lengths.values())) > 1:
             raise ValueError(f"Argument numbers must have columns of equal length, but their lengths are {lengths}.")
         names, array = tuple(columns), np.stack([*columns.values()], axis=1)
-    # Where the array is none, `Design` says so.
-    samples = len(array) if np.ndim(array) else 0
+    array = checked_numbers("numbers", array, uniform=uniform)
     return Design(
         kind="table", names=None if names is None else checked_names(names),
         u=array if uniform else None, values=None if uniform else array,
-        realization=realizations(realization, samples),
+        realization=realizations(realization, len(array)),
     )  # fmt: skip
 
 
