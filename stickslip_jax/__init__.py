@@ -2,6 +2,7 @@
 
 from importlib import import_module
 
+from ._distributions.copula import GaussianCopula
 from ._distributions.families import Beta, Discrete, Exponential, LogNormal, Normal, Triangular, Uniform, Weibull
 from ._distributions.random_number import RandomNumber, Truncated
 from ._dynamics.method import Exact, Regularized
@@ -53,6 +54,7 @@ from ._statistics.registry import (
     mean_total_stick_time,
     stick_fraction,
 )
+from ._statistics.sobol_indices import SobolIndices, sobol_indices
 from ._status import Ending, Status
 from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from ._systems.mass_spring import MassSpring
@@ -64,7 +66,7 @@ __version__ = "0.1.0"
 
 
 # Loaded when asked for: matplotlib takes longer to import than all the rest, and so does scipy.stats.
-_MODULES = ("papers", "plot", "study")
+_MODULES = ("design", "papers", "plot", "study")
 _TESTS = {
     "HypothesisTest": "verdicts",
     "Verdict": "verdicts",
@@ -106,6 +108,7 @@ __all__ = [
     "FirstSticks",
     "FrictionCurve",
     "FrictionLaw",
+    "GaussianCopula",
     "GroundAcceleration",
     "Harmonic",
     "Histogram",
@@ -134,6 +137,7 @@ __all__ = [
     "Signal",
     "Simulation",
     "Slips",
+    "SobolIndices",
     "SourceVoltage",
     "SquareWave",
     "Status",
@@ -174,6 +178,7 @@ __all__ = [
     "sensitivity",
     "simulate",
     "simulate_ensemble",
+    "sobol_indices",
     "stick_duration_bound",
     "stick_fraction",
 ]

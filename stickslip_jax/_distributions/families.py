@@ -8,12 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betainc, ndtr, ndtri
+from jax.scipy.special import betainc, betaln, ndtr, ndtri
 
 from .. import _checks
 from .._fields import Quantity
 from .._types import FloatArray, Scalar
-from .random_number import RandomNumber
+from .random_number import RandomNumber, floating
 
 
 class Uniform(RandomNumber):
@@ -34,7 +34,7 @@ class Uniform(RandomNumber):
         return self.low + (self.high - self.low) * u
 
     def cdf(self, x: Any) -> FloatArray:
-        return jnp.clip((x - self.low) / (self.high - self.low), 0, 1)
+        return jnp.clip((floating(x) - self.low) / (self.high - self.low), 0, 1)
 
     @property
     def support(self) -> tuple[Scalar, Scalar]:
@@ -56,7 +56,7 @@ class Normal(RandomNumber):
         return self.mean + self.std * ndtri(u)
 
     def cdf(self, x: Any) -> FloatArray:
-        return ndtr(jnp.asarray((x - self.mean) / self.std, float))
+        return ndtr((floating(x) - self.mean) / self.std)
 
 
 class LogNormal(RandomNumber):
@@ -84,7 +84,7 @@ class LogNormal(RandomNumber):
         return self.median * jnp.exp(self.log_std * ndtri(u))
 
     def cdf(self, x: Any) -> FloatArray:
-        x = jnp.asarray(x, float)
+        x = floating(x)
         z = jnp.log(jnp.where(x > 0, x, self.median) / self.median) / self.log_std
         return jnp.where(x > 0, ndtr(z), 0.0)
 
@@ -110,11 +110,11 @@ class Beta(RandomNumber):
         _check_order(low=self.low, high=self.high)
 
     def icdf(self, u: FloatArray) -> FloatArray:
-        return self.low + (self.high - self.low) * _beta_quantile(self.a, self.b, u)
+        return self.low + (self.high - self.low) * _beta_quantile(*_alike(self.a, self.b, u))
 
     def cdf(self, x: Any) -> FloatArray:
-        share = jnp.clip(jnp.asarray((x - self.low) / (self.high - self.low), float), 0, 1)
-        return betainc(jnp.asarray(self.a, float), jnp.asarray(self.b, float), share)
+        share = jnp.clip((floating(x) - self.low) / (self.high - self.low), 0, 1)
+        return _beta_share(*_alike(self.a, self.b, share))
 
     @property
     def support(self) -> tuple[Scalar, Scalar]:
@@ -126,7 +126,7 @@ class Beta(RandomNumber):
 
 
 class Triangular(RandomNumber):
-    """A number on ``[low, high]`` whose density rises linearly up to `mode` and falls linearly after it.
+    """A number between `low` and `high` whose density rises linearly up to `mode` and falls linearly after it.
 
     All in the unit of the number. Raises ValueError unless ``low <= mode <= high`` and ``low < high``.
     """
@@ -152,7 +152,7 @@ class Triangular(RandomNumber):
 
     def cdf(self, x: Any) -> FloatArray:
         width, left, right = self.high - self.low, self.mode - self.low, self.high - self.mode
-        x = jnp.clip(jnp.asarray(x, float), self.low, self.high)
+        x = jnp.clip(floating(x), self.low, self.high)
         rising = x < self.mode
         part = jnp.where(rising, x - self.low, self.high - x) ** 2
         part = part / (width * jnp.where(rising, jnp.where(left > 0, left, 1), jnp.where(right > 0, right, 1)))
@@ -175,7 +175,7 @@ class Exponential(RandomNumber):
         return -self.mean * jnp.log1p(-u)
 
     def cdf(self, x: Any) -> FloatArray:
-        return -jnp.expm1(-jnp.maximum(jnp.asarray(x, float), 0) / self.mean)
+        return -jnp.expm1(-jnp.maximum(floating(x), 0) / self.mean)
 
     @property
     def support(self) -> tuple[Scalar, Scalar]:
@@ -195,7 +195,7 @@ class Weibull(RandomNumber):
         return self.scale * (-jnp.log1p(-u)) ** (1 / self.shape)
 
     def cdf(self, x: Any) -> FloatArray:
-        return -jnp.expm1(-((jnp.maximum(jnp.asarray(x, float), 0) / self.scale) ** self.shape))
+        return -jnp.expm1(-((jnp.maximum(floating(x), 0) / self.scale) ** self.shape))
 
     @property
     def support(self) -> tuple[Scalar, Scalar]:
@@ -226,30 +226,38 @@ class Discrete(RandomNumber):
         given = self.probabilities
         if given is None or _checks.is_traced(given):
             return
-        if len(given) != len(self.values) or abs(float(np.sum(given)) - 1) > 1e-9:
+        tolerance = 1e-6 if given.dtype == np.float32 else 1e-9
+        if len(given) != len(self.values) or abs(float(np.sum(np.asarray(given, float))) - 1) > tolerance:
             raise ValueError(
                 f"Argument probabilities must hold one number for each of the {len(self.values)} values, with sum 1, "
                 f"but {_checks.show(given)} was given."
             )
 
-    def _cumulative(self) -> FloatArray:
+    def _cumulative(self, dtype) -> FloatArray:
         """The probability of each value or one below it."""
         number = len(self.values)
         if self.probabilities is None:
-            return jnp.arange(1, number + 1) / number
-        return jnp.cumsum(jnp.asarray(self.probabilities, float))
+            return jnp.arange(1, number + 1, dtype=dtype) / number
+        total = jnp.cumsum(jnp.asarray(self.probabilities, dtype))
+        return total / total[-1]  # exactly 1 at the end, so that no draw is above the last value that is possible
 
     def icdf(self, u: FloatArray) -> FloatArray:
-        place = jnp.sum(jnp.asarray(u)[..., None] > self._cumulative()[(None,) * jnp.ndim(u)], axis=-1)
-        return jnp.asarray(self.values, float)[jnp.minimum(place, len(self.values) - 1)]
+        u = floating(u)
+        place = jnp.sum(u[..., None] > self._cumulative(u.dtype)[(None,) * u.ndim], axis=-1)
+        return jnp.asarray(self.values, u.dtype)[jnp.minimum(place, len(self.values) - 1)]
 
     def cdf(self, x: Any) -> FloatArray:
-        below = jnp.searchsorted(jnp.asarray(self.values, float), jnp.asarray(x, float), side="right")
-        return jnp.concatenate([jnp.zeros(1), self._cumulative()])[below]
+        x = floating(x)
+        below = jnp.searchsorted(jnp.asarray(self.values, x.dtype), x, side="right")
+        return jnp.concatenate([jnp.zeros(1, x.dtype), self._cumulative(x.dtype)])[below]
 
     @property
     def support(self) -> tuple[Scalar, Scalar]:
         return self.values[0], self.values[-1]
+
+    @property
+    def is_continuous(self) -> bool:
+        return False
 
 
 def _check_order(**limits: Any) -> None:
@@ -258,12 +266,32 @@ def _check_order(**limits: Any) -> None:
         raise ValueError(f"Argument {name} must be above low = {low}, but {high} was given.")
 
 
+def _alike(a: Any, b: Any, x: Any) -> list[FloatArray]:
+    """All three as arrays of one shape, in the precision of `x`."""
+    x = floating(x)
+    return jnp.broadcast_arrays(jnp.asarray(a, x.dtype), jnp.asarray(b, x.dtype), x)
+
+
 @jax.custom_jvp
-def _beta_quantile(a: Any, b: Any, u: Any) -> FloatArray:
-    """The inverse of the regularised incomplete beta function, which JAX does not have."""
-    a, b, u = (jnp.asarray(value, float) for value in (a, b, u))
-    shape = jax.ShapeDtypeStruct(jnp.broadcast_shapes(a.shape, b.shape, u.shape), u.dtype)
-    return jax.pure_callback(_scipy_quantile, shape, a, b, u, vmap_method="broadcast_all")
+def _beta_share(a: FloatArray, b: FloatArray, x: FloatArray) -> FloatArray:
+    """The regularised incomplete beta function. All three have one shape."""
+    return betainc(a, b, x)
+
+
+@_beta_share.defjvp
+def _(primals, tangents):
+    a, b, x = primals
+    density = jnp.exp((a - 1) * jnp.log(x) + (b - 1) * jnp.log1p(-x) - betaln(a, b))
+    slope = jnp.where((x > 0) & (x < 1), tangents[2] * density, 0)
+    return _beta_share(a, b, x), slope + _shape_slope(_beta_share, primals, tangents)
+
+
+@jax.custom_jvp
+def _beta_quantile(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
+    """The inverse of the regularised incomplete beta function, which JAX does not have. All three have one shape."""
+    return jax.pure_callback(
+        _scipy_quantile, jax.ShapeDtypeStruct(u.shape, u.dtype), a, b, u, vmap_method="expand_dims"
+    )
 
 
 def _scipy_quantile(a: Any, b: Any, u: Any) -> np.ndarray:
@@ -277,12 +305,17 @@ def _scipy_quantile(a: Any, b: Any, u: Any) -> np.ndarray:
 def _(primals, tangents):
     a, b, u = primals
     x = _beta_quantile(a, b, u)
-    log_density = (a - 1) * jnp.log(x) + (b - 1) * jnp.log1p(-x) - jax.scipy.special.betaln(a, b)
+    log_density = (a - 1) * jnp.log(x) + (b - 1) * jnp.log1p(-x) - betaln(a, b)
     slope = tangents[2] * jnp.exp(-log_density)
-    # No formula for the derivatives by the shape numbers: central differences, exact to about ten digits.
-    step = np.cbrt(np.finfo(x.dtype).eps)
-    for number, tangent in ((0, tangents[0]), (1, tangents[1])):
-        shifts = [tuple(v * (1 + s * step) if i == number else v for i, v in enumerate((a, b))) for s in (1, -1)]
-        up, down = (_beta_quantile(*shifted, u) for shifted in shifts)
-        slope = slope + tangent * (up - down) / (2 * step * (a, b)[number])
-    return x, slope
+    return x, slope + _shape_slope(_beta_quantile, primals, tangents)
+
+
+def _shape_slope(function: Any, primals: Any, tangents: Any) -> FloatArray:
+    """The derivative along the shape numbers. No formula is known: central differences, exact to about ten digits."""
+    a, b, x = primals
+    step = np.cbrt(jnp.finfo(x.dtype).eps).astype(x.dtype)
+    # All four together: what computes them is compiled once.
+    factors = np.ones((4, 2), x.dtype) + step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]], x.dtype)
+    factors = factors.reshape(4, 2, *(1,) * x.ndim)
+    up_a, down_a, up_b, down_b = function(a[None] * factors[:, 0], b[None] * factors[:, 1], jnp.stack([x] * 4))
+    return (tangents[0] * (up_a - down_a) / a + tangents[1] * (up_b - down_b) / b) / (2 * step)

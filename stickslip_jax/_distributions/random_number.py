@@ -10,6 +10,11 @@ from .. import _checks
 from .._fields import Checked, Quantity
 from .._types import FloatArray, Scalar
 
+_FEWEST_STEPS = 1e4
+"""How many probabilities a truncated distribution must have to draw from: its own are wrong by one of them."""
+
+_WIDER = {"float32": ", or switch jax_enable_x64 on", "float64": ""}
+
 
 class RandomNumber(Checked):
     """Base class of the distributions of a random number. Subclass it to add one.
@@ -34,18 +39,30 @@ class RandomNumber(Checked):
         return -math.inf, math.inf
 
     @property
+    def is_continuous(self) -> bool:
+        """Whether every single value has probability zero, so that the distribution may be `Truncated`."""
+        return True
+
+    @property
     def in_lanes(self) -> bool:
         """Whether `icdf` can be computed while simulating, as the gaps between switches of a base are."""
         return True
 
 
+def floating(x: Any) -> FloatArray:
+    """`x` as an array of floating-point numbers, in its own precision if it has one."""
+    x = jnp.asarray(x)
+    return x.astype(jnp.result_type(x, float))
+
+
 class Truncated(RandomNumber):
     """A distribution restricted to an interval: draws outside it are not possible, the others keep their proportions.
 
-    - `distribution`: what is restricted, such as a `Normal`.
+    - `distribution`: what is restricted, a continuous distribution such as a `Normal`.
     - `low`, `high`: the interval, in the unit of the number; None for no limit on that side.
 
-    Raises ValueError unless ``low < high`` and some draws lie between them.
+    Raises ValueError unless ``low < high`` and enough draws lie between them: far out in the upper tail, where
+    probabilities round to 1, draws would take few values only.
     """
 
     distribution: RandomNumber
@@ -58,16 +75,28 @@ class Truncated(RandomNumber):
                 "Argument distribution must be a distribution of stickslip_jax such as Normal(mean, std), but "
                 f"{_checks.show(self.distribution)} was given; of other distributions give an array of draws."
             )
+        if not self.distribution.is_continuous:
+            raise ValueError(
+                f"Argument distribution must be continuous, but {_checks.show(self.distribution)} was given; leave out "
+                "those of its values that are not wanted."
+            )
         limits = [limit for limit in (self.low, self.high) if limit is not None]
         if any(_checks.is_traced(value) for value in (*limits, *self._shares())):
             return
         if len(limits) == 2 and not limits[0] < limits[1]:
             raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
-        below, above = self._shares()
+        below, above = (float(share) for share in self._shares())
         if not below < above:
             raise ValueError(
                 f"Arguments low and high must leave some draws of {_checks.show(self.distribution)}, but none lies "
                 f"between {self.low} and {self.high}."
+            )
+        dtype = jnp.result_type(float)
+        if above - below < _FEWEST_STEPS * float(jnp.finfo(dtype).eps) * above:
+            raise ValueError(
+                f"Arguments low and high must leave more draws of {_checks.show(self.distribution)}, but only "
+                f"{above - below:.2g} of them lie between {self.low} and {self.high}, and {dtype} tells too few of "
+                f"their probabilities apart; take limits nearer to the median{_WIDER[dtype.name]}."
             )
 
     def _shares(self) -> tuple[Any, Any]:
@@ -76,13 +105,15 @@ class Truncated(RandomNumber):
         return below, 1.0 if self.high is None else self.distribution.cdf(self.high)
 
     def icdf(self, u: FloatArray) -> FloatArray:
-        below, above = self._shares()
+        u = floating(u)
+        below, above = (jnp.asarray(share, u.dtype) for share in self._shares())
         # Round-off must not lead outside.
-        low, high = self.support
+        low, high = (jnp.asarray(limit, u.dtype) for limit in self.support)
         return jnp.clip(self.distribution.icdf(below + (above - below) * u), low, high)
 
     def cdf(self, x: Any) -> FloatArray:
-        below, above = self._shares()
+        x = floating(x)
+        below, above = (jnp.asarray(share, x.dtype) for share in self._shares())
         return jnp.clip((self.distribution.cdf(x) - below) / (above - below), 0, 1)
 
     @property

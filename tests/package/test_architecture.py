@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax import plot
+from stickslip_jax import design, plot
 
 PACKAGE = "stickslip_jax"
 ROOT = Path(__file__).parents[2] / PACKAGE
@@ -28,6 +28,7 @@ ROWS = (
     "_compilation_cache",
     "_numerics",
     "_distributions",
+    "_design",
     "_excitation",
     "_systems",
     "_inputs",
@@ -38,6 +39,7 @@ ROWS = (
     "_ensemble",
     "_sensitivity",
     "plot",
+    "design",
     "papers",
     "study",
     "_cli",
@@ -109,9 +111,9 @@ def test_every_module_has_its_row(parts):
 def test_all_but_the_public_modules_are_private():
     """And no public function or class hides a module of its name."""
     public = {parts for parts in MODULES if not any(part.startswith("_") and part != "__init__" for part in parts)}
-    assert {name_of(parts) for parts in public} == {"__init__", "papers", "plot/__init__", "study/__init__"}
+    assert {name_of(parts) for parts in public} == {"__init__", "design", "papers", "plot/__init__", "study/__init__"}
     modules = {part for parts in MODULES for part in parts[:1]}
-    for namespace in (ss, plot):
+    for namespace in (ss, plot, design):
         assert not {name for name in namespace.__all__ if name in modules}
         assert not [name for name in namespace.__all__ if isinstance(getattr(namespace, name), ModuleType)]
 

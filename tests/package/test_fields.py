@@ -47,7 +47,7 @@ def test_docstring_names_every_field_and_its_unit(kind):
 @pytest.mark.parametrize("kind", CHECKED, ids=name_of)
 def test_every_field_of_numbers_is_described(kind):
     """Fields that hold no number of the constructor's are laws, signals, functions and solvers."""
-    others = {"friction", "force", "curve", "signal", "motion"}
+    others = {"friction", "force", "curve", "signal", "motion", "distribution"}
     assert {field.name for field in dataclasses.fields(kind)} - set(described(kind)) <= others
 
 

@@ -1,0 +1,1 @@
+"""Designs: which numbers and which realisation each sample of an ensemble takes."""

@@ -1,0 +1,265 @@
+"""Sobol' indices: which share of the variance of an output is due to which input."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import _checks
+from .._design.design import Design
+from .estimate import check_level
+
+if TYPE_CHECKING:
+    import xarray
+
+_SHOWN = 4  # outputs in a repr
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SobolIndices:
+    """Sobol' indices of one output or several, with bootstrap errors and intervals.
+
+    The shapes below are for one output (samples,); of several outputs, the last dimension of each array is theirs. An
+    index of an output that does not vary is NaN.
+
+    - `factors`: the names of the inputs. `outputs`: those of the outputs, empty for one output without a name.
+    - `first`: (factors,), first-order indices: the share of the variance that would vanish on average if the factor
+      were known. `total`: (factors,), the share that would be left if all other factors were known.
+    - `second`: (factors, factors), symmetric, NaN on the diagonal: the share due to two factors together beyond what
+      each has alone. None if the design has no rows for it.
+    - `first_error`, `total_error`, `second_error`: bootstrap standard errors, of the same shapes.
+    - `first_interval`, `total_interval`, `second_interval`: (2, ...), the two ends of bootstrap intervals at `level`.
+    - `base_samples`: the number of base rows. `samples`: of all rows. `resamples`: of the bootstrap.
+    """
+
+    factors: tuple[str, ...]
+    outputs: tuple[str, ...]
+    first: np.ndarray
+    first_error: np.ndarray
+    first_interval: np.ndarray
+    total: np.ndarray
+    total_error: np.ndarray
+    total_interval: np.ndarray
+    second: np.ndarray | None
+    second_error: np.ndarray | None
+    second_interval: np.ndarray | None
+    level: float
+    base_samples: int
+    samples: int
+    resamples: int
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """All arrays as an ``xarray.Dataset`` with dimensions factor, other_factor, output and interval_end.
+
+        Raises ImportError if xarray is not installed.
+        """
+        try:
+            import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
+        except ImportError:
+            raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
+        last = ("output",) if self.outputs else ()
+        variables: dict[Any, Any] = {}
+        for name, meaning in (("first", "first-order"), ("total", "total"), ("second", "second-order")):
+            if getattr(self, name) is None:
+                continue
+            inputs = ("factor", "other_factor") if name == "second" else ("factor",)
+            for suffix, ends, what in (
+                ("", (), ""), ("_error", (), ", standard error"), ("_interval", ("interval_end",), ", interval"),
+            ):  # fmt: skip
+                about = {"long_name": f"{meaning} Sobol' index{what}", "units": "1"}
+                variables[name + suffix] = ((*ends, *inputs, *last), getattr(self, name + suffix), about)
+        coordinates: dict[Any, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
+        if self.second is not None:
+            coordinates["other_factor"] = list(self.factors)
+        if last:
+            coordinates["output"] = list(self.outputs)
+        attributes = {
+            "Conventions": "CF-1.11", "level": self.level, "base_samples": self.base_samples, "samples": self.samples,
+            "resamples": self.resamples,
+        }  # fmt: skip
+        return xr.Dataset(variables, coordinates, attributes)
+
+    def __repr__(self) -> str:
+        lines = [
+            f"Sobol' indices from {self.base_samples} base rows ({self.samples} samples), with {self.level * 100:g} % "
+            "bootstrap intervals"
+        ]
+        if not self.outputs:
+            return "\n".join([*lines, *self._table(...)])
+        for index, output in enumerate(self.outputs[:_SHOWN]):
+            lines += [f"{output}:", *(f"  {line}" for line in self._table((..., index)))]
+        if len(self.outputs) > _SHOWN:
+            lines.append(f"and {len(self.outputs) - _SHOWN} more outputs")
+        return "\n".join(lines)
+
+    def _table(self, of: Any) -> list[str]:
+        """The lines that show one output; `of`: its place in the last dimension."""
+        pairs = list(combinations(range(len(self.factors)), 2)) if self.second is not None else []
+        labels = [*self.factors, *(f"{self.factors[i]}, {self.factors[j]}" for i, j in pairs)]
+        width = max(len(label) for label in labels)
+
+        def cell(index: Any, interval: Any, at: Any) -> str:
+            (low, high), value = interval[of][(slice(None), *at)], index[of][at]
+            return f"{value:7.4f} [{low:7.4f}, {high:7.4f}]"
+
+        lines = [f"{'':{width}}  {'first-order':26}  total"]
+        for at, name in enumerate(self.factors):
+            first = cell(self.first, self.first_interval, (at,))
+            lines.append(f"{name:{width}}  {first}  {cell(self.total, self.total_interval, (at,))}")
+        if pairs:
+            lines.append(f"{'':{width}}  second-order")
+            for label, pair in zip(labels[len(self.factors) :], pairs, strict=True):
+                lines.append(f"{label:{width}}  {cell(self.second, self.second_interval, pair)}")
+        return lines
+
+
+def sobol_indices(
+    outputs: Any, design: Design, *, level: float = 0.9, resamples: int = 1000, seed: int = 0
+) -> SobolIndices:
+    """First-order, second-order and total Sobol' indices of any output, with bootstrap intervals.
+
+    First-order indices are estimated after Saltelli et al. 2010 (table 2, b), total ones after Jansen 1999 (table 2,
+    f), second-order ones after Saltelli 2002; outputs are centred by their mean before. The numbers are those of
+    ``SALib.analyze.sobol``. Factors must be independent: with a `GaussianCopula`, the indices are those of the
+    independent numbers that go into it.
+
+    - `outputs`: a number for each sample, (samples,), or several, (samples, outputs), in the order of the design's
+      rows; or a dict or DataFrame of named outputs (samples,).
+    - `design`: from `stickslip_jax.design.saltelli`. What its `realization` makes of the base's own randomness is
+      written there: with "own", every total index holds all of the noise.
+    - `level`: of the intervals, which are percentiles of the bootstrap. Whole base rows are drawn with replacement, as
+      if they were independent: on a Sobol' sequence, errors and intervals are rather too large.
+    - `resamples`: of the bootstrap, at least 100. `seed`: of its draws.
+
+    Raises ValueError for outputs that do not fit the design or are not finite, and for other arguments.
+    """
+    if not isinstance(design, Design) or not design.factors:
+        raise ValueError(
+            "Argument design must be made by stickslip_jax.design.saltelli, but "
+            f"{_checks.show(design)} was given."
+        )  # fmt: skip
+    check_level(level)
+    _checks.whole_number("resamples", resamples, minimum=100)
+    seed = _checks.whole_number("seed", seed, minimum=0)
+    names, table = _output_table(outputs, design)
+    count, (factors, rows) = table.shape[1], (len(design.factors), design.base_samples)
+    assert rows is not None
+    terms = [_Terms.of(table[:, index].reshape(rows, -1), factors, design.second_order) for index in range(count)]
+    values = [term.indices(term.products.mean(axis=0)) for term in terms]
+    resampled = _resampled(terms, rows, resamples, seed)  # for each output, (resamples, indices)
+    tails = ((1 - level) / 2, (1 + level) / 2)
+    # (statistics, indices, outputs): value, error, low, high
+    all_statistics = np.stack(
+        [
+            np.stack([value, draws.std(axis=0, ddof=1), *np.quantile(draws, tails, axis=0)])
+            for value, draws in zip(values, resampled, strict=True)
+        ],
+        axis=-1,
+    )
+    if names is None:
+        all_statistics = all_statistics[..., 0]
+    arrays: dict[str, Any] = {"second": None, "second_error": None, "second_interval": None}
+    for name, part in _parts(factors, design.second_order).items():
+        found = all_statistics[:, part]
+        if name == "second":
+            found = _symmetric(found, factors)
+        arrays |= {name: found[0], f"{name}_error": found[1], f"{name}_interval": found[2:]}
+    return SobolIndices(
+        factors=design.factors, outputs=names or (), level=float(level), base_samples=rows, samples=len(design),
+        resamples=int(resamples), **arrays,
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class _Terms:
+    """What the indices of one output are made of: means over base rows.
+
+    `products` (base rows, indices + 2): the numerators of all indices, and the mean and mean square of A and B.
+    """
+
+    products: np.ndarray
+    factors: int
+    constant: bool
+
+    @classmethod
+    def of(cls, outputs: np.ndarray, factors: int, second_order: bool) -> "_Terms":
+        """`outputs` (base rows, rows of each)."""
+        y = outputs - outputs.mean()
+        a, b, ab = y[:, :1], y[:, -1:], y[:, 1 : factors + 1]
+        columns = [b * (ab - a), (a - ab) ** 2 / 2]
+        if second_order:
+            ba = y[:, factors + 1 : -1]
+            columns += [ba[:, [i]] * ab[:, [j]] - a * b for i, j in combinations(range(factors), 2)]
+        columns += [(a + b) / 2, (a**2 + b**2) / 2]
+        return cls(np.concatenate(columns, axis=1), factors, bool(np.ptp(outputs) == 0))
+
+    def indices(self, means: np.ndarray) -> np.ndarray:
+        """First-order, total and second-order indices, (..., indices), from means of the products, (..., products)."""
+        variance = means[..., -1:] - means[..., -2:-1] ** 2
+        if self.constant:
+            variance = np.zeros_like(variance)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = means[..., :-2] / np.where(variance > 0, variance, math.nan)
+        for at, (i, j) in enumerate(combinations(range(self.factors), 2), 2 * self.factors):
+            if at < found.shape[-1]:
+                found[..., at] -= found[..., i] + found[..., j]
+        return found
+
+
+def _resampled(terms: list[_Terms], rows: int, resamples: int, seed: int) -> list[np.ndarray]:
+    """The indices of resamples of the base rows, for each output (resamples, indices)."""
+    rng = np.random.default_rng(seed)
+    means = [np.empty((resamples, term.products.shape[1])) for term in terms]
+    for draw in range(resamples):
+        weights = np.bincount(rng.integers(rows, size=rows), minlength=rows) / rows
+        for mean, term in zip(means, terms, strict=True):
+            mean[draw] = weights @ term.products
+    return [term.indices(mean) for mean, term in zip(means, terms, strict=True)]
+
+
+def _parts(factors: int, second_order: bool) -> dict[str, slice]:
+    """Where each kind of index is among all of them."""
+    parts = {"first": slice(factors), "total": slice(factors, 2 * factors)}
+    return parts | {"second": slice(2 * factors, None)} if second_order else parts
+
+
+def _symmetric(pairs: np.ndarray, factors: int) -> np.ndarray:
+    """Numbers (statistics, pairs, ...) as matrices (statistics, factors, factors, ...)."""
+    matrix = np.full((len(pairs), factors, factors, *pairs.shape[2:]), math.nan)
+    for at, (i, j) in enumerate(combinations(range(factors), 2)):
+        matrix[:, i, j] = matrix[:, j, i] = pairs[:, at]
+    return matrix
+
+
+def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None, np.ndarray]:
+    """Names of the outputs, None for one without a name, and their numbers (samples, outputs)."""
+    names, given = None, outputs
+    if isinstance(outputs, Mapping) or (hasattr(outputs, "items") and hasattr(outputs, "columns")):
+        pairs = list(outputs.items())
+        names = tuple(str(name) for name, _ in pairs)
+        given = np.stack([np.asarray(one) for _, one in pairs], axis=1) if _stackable(pairs) else None
+    array = np.asarray(given)
+    if array.ndim not in (1, 2) or len(array) != len(design) or not array.size or array.dtype.kind not in "biuf":
+        raise ValueError(
+            f"Argument outputs must hold a number for each of the {len(design)} samples of the design, (samples,) or "
+            f"(samples, outputs), but {_checks.show(outputs)} was given."
+        )
+    table = (array[:, None] if array.ndim == 1 else array).astype(np.float64)
+    wrong = ~np.isfinite(table)
+    if wrong.any():
+        row, column = (int(part) for part in np.argwhere(wrong)[0])
+        raise ValueError(
+            f"Argument outputs must be finite, but {int(wrong.any(axis=1).sum())} of {len(table)} samples are not, the "
+            f"first one outputs[{row}] = {table[row, column]}; take an output that every sample has, such as a total "
+            "or a count, or give a number for what is not defined."
+        )
+    if names is None and array.ndim == 2:
+        names = tuple(f"output {index}" for index in range(array.shape[1]))
+    return names, table
+
+
+def _stackable(pairs: list[tuple[Any, Any]]) -> bool:
+    return bool(pairs) and all(np.ndim(one) == 1 for _, one in pairs) and len({len(one) for _, one in pairs}) == 1
