@@ -27,9 +27,11 @@ class Chunks(NamedTuple):
     record: Callable[..., tuple[tuple[Any, ...], lanes.Records, lanes.Blocks]]
 
 
-def chunks_of(engine: lanes.Engine) -> Chunks:
-    """The compiled functions for jobs of `engine`."""
-    return _COMPILED[is_own(engine)]
+def chunks_of(engine: lanes.Engine, *, with_records: bool = False) -> Chunks:
+    """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
+    arrays, which are too large for native loops.
+    """
+    return _COMPILED[is_own(engine) and not with_records]
 
 
 # filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.

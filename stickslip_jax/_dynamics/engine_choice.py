@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._excitation.excitation import excitation_of
+from .._excitation.excitation import GivenSteps, excitation_of
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
 from .._inputs.inputs import Inputs
@@ -47,7 +47,8 @@ class ByIntervals(NamedTuple):
 
     def lanes(self, y0: tuple[Any, ...], dtype) -> IntervalEngine:
         """The engine that simulates samples of the law."""
-        return IntervalEngine(self.system, self.base, self.t1, y0)
+        law = GivenSteps(self.base) if isinstance(self.base, VelocitySteps) else self.base
+        return IntervalEngine(self.system, law, self.t1, y0)
 
 
 class BySteps(NamedTuple):
@@ -126,11 +127,12 @@ def lanes_for(
 def sample_engines(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype, first: int, number: int) -> Engines:
     """The engines of samples ``first .. first + number - 1``, whose `inputs` differ."""
 
-    def build(values):
+    def build(values, base):
         system, law, y0 = inputs.filled(values)
-        return engine_for(system, law, method, t1).lanes(y0, dtype)
+        return engine_for(system, law if base is None else base, method, t1).lanes(y0, dtype)
 
-    return engines_of(build, inputs.drawn(first, number, dtype))
+    base = inputs.realizations(first, number, float(t1))
+    return engines_of(build, inputs.drawn(first, number, dtype), base)
 
 
 def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype) -> Engines:

@@ -126,6 +126,7 @@ class Job(NamedTuple):
 
     Lane i simulates samples ``first_sample + i + lanes * row``, one after the other; no lane waits for the slowest one
     after each row. `own`: of an engine whose samples differ, the leaves of each, arrays (samples, ...).
+    `realization`: (samples,), the numbers that the samples draw their excitation by; None for their own.
     """
 
     engine: Engine
@@ -133,6 +134,7 @@ class Job(NamedTuple):
     first_sample: AnyInteger
     used_rows: AnyInteger
     own: tuple[AnyArray, ...] = ()
+    realization: AnyArray | None = None
 
     def with_columns(self) -> "Job":
         """The same job; what its samples draw is drawn once, before the first of them begins."""
@@ -239,7 +241,10 @@ def _start_row(job: Job, row: IntArray, dtype) -> Lanes:
     engine, lanes = job.engine, len(row)
     lane = jnp.arange(lanes, dtype=jnp.uint32)
     place = lane + row.astype(jnp.uint32) * np.uint32(lanes)
-    words = stored_words(job.key_data, job.first_sample + place)
+    number = job.first_sample + place
+    if job.realization is not None:
+        number = jnp.asarray(job.realization)[jnp.minimum(place, len(job.realization) - 1)]
+    words = stored_words(job.key_data, number)
     if job.own:
         own = tuple(jnp.asarray(column)[jnp.minimum(place, len(column) - 1)] for column in job.own)
         begin = jax.vmap(lambda high, low, own: engine.begin_own((high, low), own, dtype))

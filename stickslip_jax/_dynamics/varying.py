@@ -87,18 +87,18 @@ class Engines(NamedTuple):
     origins: tuple[int | None, ...]
 
 
-def engines_of(build: Callable[[Any], Any], values: tuple[AnyArray, ...]) -> Engines:
-    """The engines that `build` makes of each entry of `values`, arrays (samples, ...)."""
+def engines_of(build: Callable[..., Any], values: tuple[AnyArray, ...], others: Any = None) -> Engines:
+    """The engines that `build` makes of each entry of `values` and `others`, arrays (samples, ...)."""
     made, origins = [], []
 
-    def leaves_that_differ(values):
-        engine = build(values)
+    def leaves_that_differ(values, others):
+        engine = build(values, others)
         own = [leaf for leaf in jax.tree.leaves(engine) if _checks.is_traced(leaf)]
         made.append(engine)
         origins.extend(next((i for i, value in enumerate(values) if value is leaf), None) for leaf in own)
         return own
 
-    own = jax.vmap(leaves_that_differ)(values)
+    own = jax.vmap(leaves_that_differ)(values, others)
     leaves, structure = jax.tree.flatten(made[0])
     places = tuple(place for place, leaf in enumerate(leaves) if _checks.is_traced(leaf))
     for place, column in zip(places, own, strict=True):

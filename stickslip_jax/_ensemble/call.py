@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._design.design import Design
+from .._distributions.copula import GaussianCopula
 from .._dynamics.chunks import chunks_of, solve_chunk
 from .._dynamics.lanes import BLOCK, Engine, LaneResults
 from .._dynamics.method import EXACT, Exact, Regularized
@@ -42,8 +44,9 @@ def simulate_ensemble(
     law: BaseMotion,
     *,
     t1: float,
-    samples: int,
+    samples: int | Design,
     key: Array | None = None,
+    correlation: GaussianCopula | None = None,
     y0: InitialState | None = None,
     method: Exact | Regularized = EXACT,
     keep: Keep = "statistics",
@@ -56,13 +59,22 @@ def simulate_ensemble(
     """Simulate `samples` independent realisations of the excitation `law`.
 
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
-    the chunk size or the threads; ``many.realization(i)`` returns its base motion and initial state.
+    the chunk size or the threads; ``system, base, y0 = many.realization(i)`` returns what it is simulated with.
 
     - `system`: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
-    - `law`: the random excitation, such as `PoissonSwitching` or `KanaiTajimi`, or any excitation that `simulate`
-      takes.
-    - `y0`: initial state as in `simulate`; each number may be a `Uniform` instead, drawn anew for every sample.
+    - `law`: the random excitation, such as `PoissonSwitching` or `KanaiTajimi`, any excitation that `simulate` takes,
+      or an object of your own with a method ``sample(key, t1)`` that returns one.
+    - `y0`: initial state as in `simulate`, or an array (samples, coordinates).
+    - `samples`: their number, or a design (`stickslip_jax.design`) with a row for each.
     - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
+    - `correlation`: which of the random numbers below depend on each other; by default none do.
+
+    Any single number of the system, the law or `y0` may differ from sample to sample: an array (samples,), or a
+    distribution such as `Uniform`, a frozen one of scipy.stats, or any object with a method ``icdf(u)``, ``ppf(u)`` or
+    ``sample(key)``. Each is drawn from `key` and the number of the sample alone, independently of the others;
+    ``many.input_values`` gives what was drawn. In a system of your own, a field takes arrays if it is annotated with a
+    `Quantity`, and distributions of stickslip_jax and scipy.stats in any case.
+
     - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
     - `keep`: "statistics" accumulates the sums for ``many.statistics`` during the simulation (memory does not grow with
       `samples`); "sticks" keeps every stick as well; "totals" sums only stick time, sticks and slips, the fastest.
@@ -75,7 +87,8 @@ def simulate_ensemble(
     Raises ValueError for arguments outside these bounds.
     """
     numbering = _numbering(orders, count_initial_rest)
-    run = Run.checked(Model(system, law, y0), t1, samples, key, method, keep, numbering)
+    run = Run.checked(Model(system, law, y0), t1, samples, key, correlation, method, keep, numbering)
+    samples = run.inputs.samples
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     accumulator, started = EnsembleAccumulator(samples, keep), time.perf_counter()
@@ -168,7 +181,8 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
 
     def simulate(first: int, number: int) -> Part:
         own = tuple(jnp.asarray(column) for column in run.own_leaves(first, plan.samples_per_task))
-        results, records = solve_chunk(arrays, own, run.key_data, jnp.uint32(first), jnp.uint32(number), **how)
+        numbers = jnp.asarray(run.inputs.realization_numbers(first, plan.samples_per_task))
+        results, records = solve_chunk(arrays, own, run.key_data, numbers, jnp.uint32(number), **how)
         results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
@@ -184,7 +198,7 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
 def _streamer(run: Run, plan: _Plan) -> _Simulate:
     """The same as `_simulator`, for ``keep="totals"``."""
     assert isinstance(run.engine, Engine)
-    summarize = chunks_of(run.engine).summarize
+    summarize = chunks_of(run.engine, with_records=run.has_records).summarize
 
     def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
@@ -197,7 +211,7 @@ def _streamer(run: Run, plan: _Plan) -> _Simulate:
 def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(run.engine, Engine)
-    _, begin, record = chunks_of(run.engine)
+    _, begin, record = chunks_of(run.engine, with_records=run.has_records)
     own = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
     lane = np.arange(plan.lanes)

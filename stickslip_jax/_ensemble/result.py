@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -155,10 +154,8 @@ class Ensemble:
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
         system, law, y0 = self.inputs.of_sample(number, jnp.dtype(self.dtype))
-        if self.key_data is None or not is_random(law):
-            return Model(system, law, y0)
-        key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32)), number)
-        return Model(system, law.sample(key, self.t1), y0)
+        base = self.inputs.realization_of(number, law, self.t1) if is_random(law) else law
+        return Model(system, base, y0)
 
     def to_xarray(self) -> "xarray.Dataset":
         """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.

@@ -7,6 +7,8 @@ import jax
 import numpy as np
 
 from .. import _checks
+from .._design.design import Design
+from .._distributions.copula import GaussianCopula
 from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
 from .._dynamics.lanes import Engine, Job
 from .._dynamics.method import Exact, Regularized
@@ -14,6 +16,7 @@ from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
 from .._dynamics.validation import check_method, state_of, working_dtype
 from .._dynamics.varying import VaryingEngine
 from .._excitation.excitation import is_random, key_data_for
+from .._excitation.sampled import SampledLaw
 from .._inputs.inputs import Inputs, Model
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
@@ -43,7 +46,15 @@ class Run:
 
     @classmethod
     def checked(
-        cls, model: Model, t1: Any, samples: Any, key: Any, method: Any, keep: Keep, numbering: Numbering
+        cls,
+        model: Model,
+        t1: Any,
+        samples: Any,
+        key: Any,
+        correlation: Any,
+        method: Any,
+        keep: Keep,
+        numbering: Numbering,
     ) -> "Run":
         """The arguments of `simulate_ensemble`. Raises its ValueErrors."""
         if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((model, t1, key, method))):
@@ -53,14 +64,19 @@ class Run:
             )
         check_method(method)
         _checks.positive("t1", t1, "s")
-        _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+        _checks.whole_number("samples", len(samples) if isinstance(samples, Design) else samples, maximum=MOST_SAMPLES)
+        if not (correlation is None or isinstance(correlation, GaussianCopula)):
+            raise ValueError(
+                "Argument correlation must be a GaussianCopula(names, correlation), but "
+                f"{_checks.show(correlation)} was given."
+            )
         if keep not in get_args(Keep):
             allowed = ", ".join(map(repr, get_args(Keep)))
             raise ValueError(f"Argument keep must be one of {allowed}, but {_checks.show(keep)} was given.")
         dtype = working_dtype(stacklevel=5)
-        inputs = Inputs.of(model, samples, key)
+        inputs = Inputs.of(model, samples, key, correlation)
         inputs.check(dtype)
-        first = inputs.of_sample(0, dtype) if inputs.entries else model
+        first = inputs.of_sample(0, dtype)
         require_system(first.system)
         first = first._replace(y0=state_of(first.system, first.y0))
         inputs = inputs.with_start(first.y0)
@@ -70,14 +86,20 @@ class Run:
                 "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
                 "was given."
             )
-        engine = lanes_for(first.system, first.law, method, t1, first.y0, dtype)
+        law = inputs.realization_of(0, first.law, t1) if isinstance(first.law, SampledLaw) else first.law
+        engine = lanes_for(first.system, law, method, t1, first.y0, dtype)
         places: tuple[int, ...] = ()
-        if inputs.entries:
+        if inputs.entries or law is not first.law:
             template, places, *_ = engines_of_all(inputs, method, t1, dtype)
             engine = VaryingEngine(template, places) if isinstance(template, Engine) else template
         elif isinstance(engine, (FixedEngine, AdaptiveBatch)):
             method = engine.method  # with every option filled in
         return cls(engine, places, inputs, method, key_data_for(first.law, key), random, dtype, float(t1), numbering)
+
+    @property
+    def has_records(self) -> bool:
+        """Whether every sample has a base motion of its own, as arrays."""
+        return isinstance(self.inputs.model.law, SampledLaw)
 
     def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
         """The leaves of the engine that differ, for samples `first` to ``first + number - 1``, (number, ...)."""
@@ -89,4 +111,7 @@ class Run:
         """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes, at most `most_samples`."""
         assert isinstance(self.engine, Engine)
         own = self.own_leaves(first, most_samples)
-        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
+        realization = None
+        if not self.inputs.has_own_realizations:
+            realization = self.inputs.realization_numbers(first, most_samples)
+        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own, realization)

@@ -15,6 +15,7 @@ from .ground import GroundMotion
 from .laws import BangBangLaw
 from .piecewise import VelocitySteps
 from .random import RandomPhase
+from .sampled import SampledLaw, UserLaw
 from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
 from .voltage import SourceVoltage
@@ -57,14 +58,13 @@ class WithJumps(eqx.Module):
         return WithJumps(motion, jumps)
 
 
-class _Given(SegmentLaw):
+class GivenSteps(BangBangLaw):
     """A realisation of a base velocity that jumps, as a law with this one realisation."""
 
     steps: VelocitySteps
     is_random = False
-    jumps = True
 
-    def segments(self, t1) -> int:
+    def capacity(self, t1) -> int:
         return self.steps.durations.shape[-1]
 
     def begin(self, key_data, dtype):
@@ -76,8 +76,8 @@ class _Given(SegmentLaw):
         duration = jnp.where(number < size, self.steps.durations[here], 0)
         return duration.astype(dtype), self.steps.velocities[here].astype(dtype)
 
-    def next_segment(self, memory, drawn, dtype):
-        return *drawn, jnp.zeros((), dtype), ()
+    def next_interval(self, memory, drawn, dtype):
+        return *drawn, ()
 
 
 class Excitation(eqx.Module):
@@ -121,14 +121,14 @@ class UserBaseMotion(Protocol):
         """Its time derivative, m/s^2."""
 
 
-BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomPhase | WithJumps | UserBaseMotion
+BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomPhase | WithJumps | UserBaseMotion | UserLaw
 """Excitation of a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
 
 
 def excitation_of(base: Any, name: str = "base") -> Excitation:
     """The parts of `base`, the argument called `name`. Raises ValueError for anything else."""
     if isinstance(base, VelocitySteps):
-        return Excitation(None, (_Given(base),))
+        return Excitation(None, (GivenSteps(base),))
     if isinstance(base, GroundMotion):
         return Excitation(None, (), (base,))
     if isinstance(base, SegmentLaw):
@@ -155,7 +155,13 @@ def is_random(base: BaseMotion) -> bool:
     """Whether `base` is a law whose realisations differ, so that one must be drawn before `simulate`."""
     if isinstance(base, WithJumps):
         return is_random(base.motion) or is_random(base.jumps)
-    return isinstance(base, RandomPhase) or (isinstance(base, SegmentLaw) and base.is_random)
+    return isinstance(base, (RandomPhase, SampledLaw)) or (isinstance(base, SegmentLaw) and base.is_random)
+
+
+def law_of(base: Any) -> Any:
+    """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
+    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomPhase, WithJumps, SampledLaw))
+    return base if known or _is_users(base) or not callable(getattr(base, "sample", None)) else SampledLaw(base)
 
 
 def key_data_for(base: BaseMotion, key: Array | None) -> Array:

@@ -11,11 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._design.design import Design
+from .._distributions.copula import GaussianCopula
 from .._distributions.random_number import RandomNumber
+from .._excitation.excitation import law_of
+from .._excitation.sampled import SampledLaw
 from .._fields import Checked, Quantity, described, is_distribution, varies
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array
-from .numbers import Path, number_at, shown, with_numbers
+from .numbers import Path, matching, number_at, places_in, shown, with_numbers
 
 _FIRST_STATE, _FIRST_NAMED = 0xFFFFFE00, 1 << 31
 """Numbers of the random words that initial values and other inputs are drawn from; laws draw from those below."""
@@ -59,7 +63,9 @@ class Model(NamedTuple):
 class Inputs:
     """All inputs of an ensemble, and how they are drawn.
 
-    `model`: with the distributions and arrays in it. `names`: the short names of the inputs.
+    - `model`: with the distributions and arrays in it. `names`: the short names of the inputs.
+    - `design`: where uniform numbers and realisations come from, if not from the key. `copula`: which inputs depend on
+      each other. `columns`, `correlated`: which entries these are about, in their order.
     """
 
     model: Model
@@ -67,12 +73,24 @@ class Inputs:
     names: tuple[str, ...]
     samples: int
     key_data: Any = None
+    design: Design | None = None
+    columns: tuple[int, ...] = ()
+    copula: GaussianCopula | None = None
+    correlated: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, model: Model, samples: int, key: Array | None) -> "Inputs":
-        """The inputs in `model`. Raises ValueError for arrays of another length than `samples`, or a missing key."""
+    def of(
+        cls, model: Model, samples: int | Design, key: Array | None, copula: GaussianCopula | None = None
+    ) -> "Inputs":
+        """The inputs in `model`. Raises ValueError for arrays of another length than `samples`, names that fit no
+        input, or a missing key.
+        """
+        design = samples if isinstance(samples, Design) else None
+        samples = samples.samples if isinstance(samples, Design) else samples
         y0 = _columns(model.y0)
-        model = model._replace(y0=tuple(y0) if isinstance(y0, (tuple, list)) else y0)
+        model = model._replace(law=law_of(model.law), y0=tuple(y0) if isinstance(y0, (tuple, list)) else y0)
+        if design is not None and not design.is_uniform:
+            model = _with_values(model, design)
         entries = tuple(Input(path, *found) for path, *found in varying(model))
         for entry in entries:
             if not entry.is_random and len(entry.source) != samples:
@@ -80,15 +98,25 @@ class Inputs:
                     f"Argument {shown(entry.path)} must hold one number for each of the {samples} samples, but an "
                     f"array of {len(entry.source)} was given."
                 )
-        if key is None and any(entry.is_random for entry in entries):
+        covered = design is not None and design.is_uniform and design.names is None
+        if key is None and not covered and any(entry.is_random for entry in entries):
             raise ValueError(
                 "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
                 "was given."
             )
         streams = [entry.stream for entry in entries]
         assert len(set(streams)) == len(streams), "two names share a random word"
-        return cls(model, entries, _short([entry.path for entry in entries]), samples,
-                   None if key is None else key_data_of(key))  # fmt: skip
+        names = _short([entry.path for entry in entries])
+        columns = _columns_of(design, entries) if design is not None and design.is_uniform else ()
+        correlated = () if copula is None else _positions("correlation", copula.names, entries)
+        for place in (*columns, *correlated):
+            if not _has_quantiles(entries[place].source):
+                raise ValueError(
+                    f"Argument {names[place]} must be a distribution with quantiles (icdf or ppf) to follow a design "
+                    f"or a correlation, but {_checks.show(entries[place].source)} was given."
+                )
+        key_data = None if key is None else key_data_of(key)
+        return cls(model, entries, names, samples, key_data, design, columns, copula, correlated)
 
     @property
     def are_random(self) -> bool:
@@ -105,16 +133,15 @@ class Inputs:
 
         Beyond the last sample, arrays repeat their last value.
         """
-        random = [entry for entry in self.entries if entry.is_random]
-        uniforms = iter(self._uniforms(random, first, number, dtype))
         samples = np.minimum(np.arange(first, first + number), self.samples - 1)
 
-        def values(entry):
-            if not entry.is_random:
+        def values(entry, u):
+            if u is None:
                 return np.asarray(entry.source, dtype)[samples]
-            return _quantiles(entry, next(uniforms), lambda: self._keys(entry, first, number))
+            return _quantiles(entry, u, lambda: self._keys(entry, first, number))
 
-        return tuple(values(entry) for entry in self.entries)
+        uniforms = self.uniforms(first, number, dtype)
+        return tuple(values(entry, u) for entry, u in zip(self.entries, uniforms, strict=True))
 
     def with_start(self, y0: tuple[Any, ...]) -> "Inputs":
         """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
@@ -122,8 +149,48 @@ class Inputs:
 
     def uniforms(self, first: int, number: int, dtype: Any) -> tuple[Any, ...]:
         """The uniform numbers that `drawn` draws from, (number,) each; None for arrays."""
-        found = iter(self._uniforms([entry for entry in self.entries if entry.is_random], first, number, dtype))
-        return tuple(next(found) if entry.is_random else None for entry in self.entries)
+        random = [place for place, entry in enumerate(self.entries) if entry.is_random]
+        found: list[Any] = [None] * len(self.entries)
+        if self.design is not None and self.columns:
+            samples = np.minimum(np.arange(first, first + number), self.samples - 1)
+            rows, _ = self.design.block(int(samples[0]), int(samples[-1] - samples[0]) + 1, dtype)
+            for place, column in zip(self.columns, rows[samples - samples[0]].T, strict=True):
+                found[place] = jnp.asarray(column)
+        own = [place for place in random if found[place] is None]
+        streams = np.array([self.entries[place].stream for place in own], np.uint32)
+        if own:
+            drawn = _uniforms(self.key_data, np.uint32(first), streams, number=number, dtype=dtype)
+            for place, column in zip(own, drawn, strict=True):
+                found[place] = column
+        if self.copula is not None:
+            u = jnp.stack([found[place] for place in self.correlated], axis=-1)
+            for place, column in zip(self.correlated, _correlated(self.copula, u).T, strict=True):
+                found[place] = column
+        return tuple(found)
+
+    def realization_numbers(self, first: int, number: int) -> np.ndarray:
+        """Which realisation of the excitation samples ``first .. first + number - 1`` use; the last one repeated."""
+        samples = np.minimum(np.arange(first, first + number), self.samples - 1)
+        return samples.astype(np.uint32) if self.design is None else self.design.realization[samples].astype(np.uint32)
+
+    @property
+    def has_own_realizations(self) -> bool:
+        """Whether sample i uses realisation i of the excitation."""
+        return self.design is None or bool(np.all(self.design.realization == np.arange(self.samples)))
+
+    def realizations(self, first: int, number: int, t1: float) -> Any:
+        """The realisations of a `SampledLaw` for these samples, stacked; None for other laws."""
+        if not isinstance(self.model.law, SampledLaw):
+            return None
+        numbers = self.realization_numbers(first, number)
+        used = max(1, min(number, self.samples - first))
+
+        def keys():
+            words = random_words(self.key_data, jnp.asarray(numbers[:used]))
+            return jax.random.wrap_key_data(jnp.stack(words, axis=-1))
+
+        found = self.model.law.realizations(keys, t1, used)
+        return jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(number), used - 1)], found)
 
     def head(self, samples: int) -> Model:
         """The model of the first `samples` samples."""
@@ -138,6 +205,11 @@ class Inputs:
     def of_sample(self, number: int, dtype: Any) -> Model:
         """The model of sample `number`, with plain numbers."""
         return self.filled([float(value[0]) for value in self.drawn(number, 1, dtype)])
+
+    def realization_of(self, number: int, law: Any, t1: float) -> Any:
+        """The realisation of the random `law` that sample `number` uses."""
+        words = jax.random.wrap_key_data(jnp.asarray(self.key_data, jnp.uint32))
+        return law.sample(jax.random.fold_in(words, int(self.realization_numbers(number, 1)[0])), t1)
 
     def values(self, dtype: Any) -> dict[str, np.ndarray]:
         """The values of all samples by the inputs' short names, arrays (samples,)."""
@@ -159,10 +231,11 @@ class Inputs:
         if not np.any(wrong):
             return
         at = int(np.argmax(wrong))
-        if not entry.is_random:  # the constructor has seen arrays of fields with bounds
-            raise ValueError(f"Argument {name}[{first + at}] must be finite, but {values[at]} was given.")
+        about = entry.about or Quantity()
+        if not entry.is_random:
+            about.check(f"{name}[{first + at}]", float(values[at]))
         try:
-            (entry.about or Quantity()).check(name, float(values[at]))
+            about.check(name, float(values[at]))
         except ValueError as error:
             raise ValueError(
                 f"Argument {name} must be a distribution within the bounds of {name}, but {np.count_nonzero(wrong)} of "
@@ -190,12 +263,6 @@ class Inputs:
                     except ValueError as error:
                         raise ValueError(f"Sample {first + sample} does not fit: {error}") from error
 
-    def _uniforms(self, random: list[Input], first: int, number: int, dtype: Any) -> Array:
-        if not random:
-            return jnp.zeros((0, number))
-        streams = np.array([entry.stream for entry in random], np.uint32)
-        return _uniforms(self.key_data, np.uint32(first), streams, number=number, dtype=dtype)
-
     def _keys(self, entry: Input, first: int, number: int) -> Array:
         """A key of `entry` for each sample."""
         samples = np.arange(first, first + number, dtype=np.uint32)
@@ -206,6 +273,9 @@ class Inputs:
 @jax.jit
 def _of_distribution(distribution: RandomNumber, u: Array) -> Array:
     return jnp.asarray(distribution.icdf(u), u.dtype)
+
+
+_correlated = jax.jit(lambda copula, u: copula.correlated(u))
 
 
 def _uniforms_of(key_data: Any, first: Any, streams: Any, *, number: int, dtype: Any) -> Array:
@@ -235,6 +305,44 @@ def _quantiles(entry: Input, u: Array, keys: Any) -> AnyArray:
                 f"gave an array of shape {values.shape} for {len(u)} samples."
             )
     return np.asarray(jax.vmap(source.sample)(keys()), u.dtype)
+
+
+def _has_quantiles(source: Any) -> bool:
+    return any(callable(getattr(source, name, None)) for name in ("icdf", "ppf"))
+
+
+def _positions(argument: str, names: tuple[str, ...], entries: tuple[Input, ...]) -> tuple[int, ...]:
+    """The entries with these names. Raises ValueError for a name that fits none of them, or several."""
+    paths = [entry.path for entry in entries if entry.is_random]
+    where = [place for place, entry in enumerate(entries) if entry.is_random]
+    return tuple(where[found] for found in (matching(argument, name, paths) for name in names))
+
+
+def _columns_of(design: Design, entries: tuple[Input, ...]) -> tuple[int, ...]:
+    """The entries that the columns of a design of uniform numbers are for."""
+    if design.names is not None:
+        return _positions("samples", design.names, entries)
+    random = tuple(place for place, entry in enumerate(entries) if entry.is_random)
+    if len(random) != design.dimensions:
+        raise ValueError(
+            f"Argument samples must be a design with one column for each of the {len(random)} random numbers "
+            f"({', '.join(entry.name for entry in entries if entry.is_random)}), but it has {design.dimensions}; "
+            "give it names."
+        )
+    return random
+
+
+def _with_values(model: Model, design: Design) -> Model:
+    """The model with the columns of a design of values in place of the numbers that they are named after."""
+    assert design.values is not None
+    if design.names is None:
+        raise ValueError("Argument samples must be a design whose values have names of numbers, such as 'mu'.")
+    known = list(places_in(model._asdict()))
+    paths = tuple(known[matching("samples", name, known)] for name in design.names)
+    for path in paths:  # an optional number that is not set has no place in the tree
+        if number_at(model, path) is None:
+            raise ValueError(f"Argument {shown(path)} must be a number where a design varies it, but None was given.")
+    return with_numbers(model, paths, [np.array(column) for column in design.values.T])
 
 
 def _columns(y0: Any) -> Any:

@@ -1,6 +1,7 @@
 """Parameters by name: numbers in a system, its excitation and its initial state."""
 
 import dataclasses
+import difflib
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._fields import is_distribution
 
 Path = tuple[str | int, ...]
 
@@ -63,38 +65,69 @@ def check_numbers(tree: Any) -> None:
             check_numbers(part)
 
 
-def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
-    names = [shown(path) for path, _ in known]
+def matching(argument: str, name: str, paths: list[Path]) -> int:
+    """The position in `paths` of the number called `name`, in full or by the end of its path.
+
+    Raises ValueError, about `argument`, for a name that fits none of them, or several.
+    """
+    names = [shown(path) for path in paths]
     fits = [i for i, full in enumerate(names) if full == name or full.endswith(f".{name}")]
     if len(fits) == 1:
-        path, value = known[fits[0]]
-        if value is None:
-            raise ValueError(
-                f"Argument wrt must name numbers that are set, but {name!r} is not; give it a value, a zero as "
-                "jnp.asarray(0.0)."
-            )
-        return Parameter(name, path, float(value))
+        return fits[0]
     if fits:
         several = ", ".join(names[i] for i in fits)
-        raise ValueError(f"Argument wrt must be unambiguous, but {name!r} fits {several}; give the full name.")
-    raise ValueError(f"Argument wrt must name one of {', '.join(names)}, but {_checks.show(name)} was given.")
+        raise ValueError(f"Argument {argument} must be unambiguous, but {name!r} fits {several}; give the full name.")
+    endings = sorted({full.rpartition(".")[2] for full in names} | set(names))
+    inner = [f"{name}.{full.rpartition(f'.{name}.')[2]}" for full in names if f".{name}." in full]
+    near = inner or difflib.get_close_matches(name, endings, n=1)
+    hint = f" did you mean {_checks.one_of(map(repr, near))}?" if near else ""
+    raise ValueError(
+        f"Argument {argument} must name one of {', '.join(names) or 'no number at all'}, but {_checks.show(name)} was "
+        f"given{';' if hint else '.'}{hint}"
+    )
 
 
-def _numbers(tree: Any, path: Path) -> Iterator[tuple[Path, Any]]:
-    """Paths and values of all numbers; None for optional numbers that are not set."""
-    if isinstance(tree, eqx.Module):
+def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
+    path, value = known[matching("wrt", name, [path for path, _ in known])]
+    if value is None:
+        raise ValueError(
+            f"Argument wrt must name numbers that are set, but {name!r} is not; give it a value, a zero as "
+            "jnp.asarray(0.0)."
+        )
+    return Parameter(name, path, float(value))
+
+
+def places_in(where: dict[str, Any]) -> Iterator[Path]:
+    """Paths of all numbers, and of the distributions and arrays in place of numbers, in the objects by name."""
+    for root, tree in where.items():
+        for path, _ in _numbers(tree, (root,), whole=True):
+            yield path
+
+
+def _numbers(tree: Any, path: Path, *, whole: bool = False) -> Iterator[tuple[Path, Any]]:
+    """Paths and values of all numbers; None for optional numbers that are not set.
+
+    `whole`: yield a distribution itself, not the numbers in it, and arrays in place of numbers too.
+    """
+    if whole and is_distribution(tree) and not _is_law(tree):
+        yield path, tree
+    elif isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
             if not field.metadata.get("static", False):
                 value = getattr(tree, field.name)
                 if value is None and field.name in ("damping", "mu_static"):
                     yield (*path, field.name), None
                 else:
-                    yield from _numbers(value, (*path, field.name))
+                    yield from _numbers(value, (*path, field.name), whole=whole)
     elif isinstance(tree, (tuple, list)):
         for index, value in enumerate(tree):
-            yield from _numbers(value, (*path, index))
-    elif _is_number(tree):
+            yield from _numbers(value, (*path, index), whole=whole)
+    elif _is_number(tree) or (whole and isinstance(tree, np.ndarray) and tree.ndim == 1):
         yield path, tree
+
+
+def _is_law(value: Any) -> bool:
+    return isinstance(value, eqx.Module) and not callable(getattr(value, "icdf", None))
 
 
 def _is_number(value: Any) -> bool:

@@ -91,7 +91,7 @@ def solve_batch(
     batch: AdaptiveBatch,
     own: tuple[AnyArray, ...],
     key_data: Array,
-    first: AnyInteger,
+    realization: AnyArray,
     used: AnyInteger,
     *,
     samples: int,
@@ -100,15 +100,16 @@ def solve_batch(
     keep: bool,
     dtype: Any,
 ) -> tuple[LaneResults, StickRecord | None]:
-    """Solve samples ``first .. first + samples - 1`` of a key; with `keep`, a `StickRecord` (samples, steps) too.
+    """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
-    `used`: number of samples that are needed; the others end at once. `own`, `places`: the leaves of the batch that
+    `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
+    the others end at once. `own`, `places`: the leaves of the batch that
     differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
     t1 = jnp.asarray(batch.t1, dtype)
 
-    def one(place, own):
-        words = random_words(key_data, jnp.asarray(first, jnp.uint32) + place)
+    def one(place, number, own):
+        words = random_words(key_data, number)
         here = with_leaves(batch, places, own)
         method = here.method
         assert method.max_steps is not None
@@ -133,7 +134,9 @@ def solve_batch(
         )
         return detector, solution.status, records
 
-    detectors, statuses, records = jax.vmap(one)(jnp.arange(samples, dtype=jnp.uint32), own)
+    detectors, statuses, records = jax.vmap(one)(
+        jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), own
+    )
     return _results(detectors, statuses), records
 
 
