@@ -30,13 +30,14 @@ def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
     units = {one.name: one.unit for one in STICK_QUANTITIES} | {name: one.unit for name, one in FURTHER.items()}
     columns = {
         "sample": sticks.sample,
-        "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
+        "order": ensemble.numbering.order_of(sticks),
         "start_s": sticks.start,
         "end_s": sticks.end,
     }
     for name, own in units.items():
         unit = own or position
         columns[name if unit == "1" else f"{name}_{unit}"] = getattr(sticks, name)
+    columns["is_initial_rest"] = sticks.start == 0
     columns["ending"] = np.array([ending.name for ending in Ending])[sticks.ending]
     table = pd.DataFrame(columns)
     try:

@@ -1,0 +1,118 @@
+"""Where the samples of an ensemble come from: parts that were joined, and realisations that were given."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .unknown import require_known
+
+
+class Origin(NamedTuple):
+    """What one part of a joined ensemble was simulated from; fields as those of `Ensemble`, which they replace."""
+
+    system: Any
+    law: Any
+    method: Any
+    y0: tuple[Any, ...]
+    key_data: tuple[int, ...] | None
+    first_sample: int
+    samples: int
+
+    @classmethod
+    def of(cls, ensemble: Any) -> "Origin":
+        """The origin of an ensemble that was not joined."""
+        return cls(*(getattr(ensemble, name) for name in cls._fields))
+
+    def follows(self, before: "Origin") -> bool:
+        """Whether these are the samples after those of `before`, of the same system, law, method, start and key."""
+        if self.first_sample != before.first_sample + before.samples:
+            return False
+        return self.key_data is not None and self.same_run(before)
+
+    def same_run(self, other: "Origin") -> bool:
+        """Whether the samples were drawn by the same key from the same system, law and start, by the same method."""
+        drawn = zip(self[:4], other[:4], strict=True)
+        return self.key_data == other.key_data and all(same_object(*pair) for pair in drawn)
+
+
+def same_object(one: Any, other: Any) -> bool:
+    """Whether two systems, laws, methods or states have the same class and the same numbers."""
+    try:
+        return type(one) is type(other) and bool(eqx.tree_equal(one, other))
+    except (TypeError, ValueError):  # a user's object that cannot be compared
+        return one is other
+
+
+class GivenMotions(eqx.Module):
+    """The base motions of all samples, which were given and not drawn: `bases` has a leading axis of samples."""
+
+    bases: Any
+
+    def base(self, number: int) -> Any:
+        """The base motion of sample `number`."""
+        return jax.tree.map(lambda leaf: single(leaf[number]) if np.ndim(leaf) else leaf, self.bases)
+
+
+def single(entry: Any) -> Any:
+    """One entry of a batch: a plain number, or an array of JAX."""
+    return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
+
+
+def origins_of(ensemble: Any) -> tuple[Origin, ...]:
+    """The origins of all parts of an ensemble, one if it was not joined."""
+    return ensemble.origins or (Origin.of(ensemble),)
+
+
+def check_dtype(dtype: str) -> None:
+    """Raise ValueError if JAX is set to another floating dtype, in which other random numbers would be drawn."""
+    if str(jnp.result_type(float)) != dtype:
+        raise ValueError(
+            f"This ensemble was simulated in {dtype}, and JAX is set to {jnp.result_type(float)}, which draws other "
+            f"numbers; call jax.config.update('jax_enable_x64', {dtype == 'float64'}) before anything else."
+        )
+
+
+def part_with(ensemble: Any, number: int) -> tuple[Any, int]:
+    """An ensemble that draws again what sample `number` was simulated from, and the number that it has there."""
+    for origin in origins_of(ensemble):
+        if number < origin.samples:
+            part = dataclasses.replace(ensemble, **origin._asdict(), origins=())
+            return part, number + origin.first_sample
+        number -= origin.samples
+    raise IndexError(number)
+
+
+def check_extendable(ensemble: Any) -> None:
+    """Raise ValueError unless more samples of `ensemble` can be simulated."""
+    if ensemble.origins:
+        raise ValueError(
+            f"This ensemble was joined from {len(ensemble.origins)} parts of different origin, which cannot be "
+            "extended; extend the last part, and concatenate then."
+        )
+    for what in ("system", "law", "method", *(f"y0[{index}]" for index in range(len(ensemble.y0)))):
+        require_known(what, ensemble.y0[int(what[3:-1])] if what.startswith("y0") else getattr(ensemble, what))
+    if isinstance(ensemble.law, GivenMotions):
+        raise ValueError(
+            "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
+            "concatenate."
+        )
+    check_dtype(ensemble.dtype)
+
+
+def given_realization(ensemble: Any, number: int) -> tuple[Any, tuple[float, ...]] | None:
+    """The base motion and the initial state of sample `number` where they were given; None where they are drawn.
+
+    Raises ValueError where they are not known.
+    """
+    for what in ("law", "y0"):
+        held = getattr(ensemble, what)
+        for one in held if isinstance(held, tuple) else (held,):
+            require_known({"law": "base motion", "y0": "initial state"}[what], one)
+    if not isinstance(ensemble.law, GivenMotions):
+        return None
+    y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in ensemble.y0)
+    return ensemble.law.base(number), y0
