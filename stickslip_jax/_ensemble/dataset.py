@@ -44,7 +44,9 @@ def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, Any]]:
     return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
 
 
-def _along(dimension: str, values: Any, long_name: str, unit: str = "1", **attributes: Any) -> tuple[Any, ...]:
+def _along(
+    dimension: str | tuple[()], values: Any, long_name: str, unit: str = "1", **attributes: Any
+) -> tuple[Any, ...]:
     return dimension, values, {"long_name": long_name, "units": unit, **attributes}
 
 
@@ -118,7 +120,7 @@ def _state(ensemble: Any) -> dict[str, Any]:
     texts = {name: encoder.encoded(value) for name, value in state.items()}
     about = "for stickslip_jax.load: sums of all samples"
     return {
-        STATE: ((), json.dumps(texts), {"long_name": f"{about}, as JSON"}),
+        STATE: _along((), json.dumps(texts), f"{about}, as JSON"),
         FLOATS: _along("state_float", encoder.floats, f"{about}, long arrays of the JSON"),
         INTEGERS: _along("state_integer", encoder.integers, f"{about}, long arrays of the JSON"),
     }

@@ -135,7 +135,7 @@ class Decoder:
             raise ValueError(f"it holds a {name}, which this version of stickslip_jax does not know")
         given = {key: self.decoded(part, checked and kind is not GivenMotions) for key, part in fields.items()}
         if checked:
-            return kind(**given)
+            return kind(**{key: part for key, part in given.items() if not _is_default(kind, key, part)})
         made = object.__new__(kind)
         for key, part in given.items():
             object.__setattr__(made, key, part)
@@ -154,6 +154,15 @@ class Decoder:
         if about["of"] == "jax":
             return jax.numpy.asarray(array)
         return array if shape else array[()]
+
+
+def _is_default(kind: type, name: str, value: Any) -> bool:
+    """Whether a field has its default, which then prints as if it had not been given."""
+    defaults = (
+        {field.name: field.default for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+    )
+    default = defaults.get(name, dataclasses.MISSING)
+    return type(value) is type(default) and isinstance(value, (str, int, float)) and value == default
 
 
 def classes() -> dict[str, type]:

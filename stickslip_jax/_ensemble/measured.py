@@ -27,8 +27,8 @@ def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSti
     end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
     _check_times(number, start, end, t1, order)
     # An end within round-off of the next start is that start.
-    late = np.append((number[1:] == number[:-1]) & (end[:-1] > start[1:]), False)
-    end[late] = start[np.flatnonzero(late) + 1]
+    late = np.flatnonzero((number[1:] == number[:-1]) & (end[:-1] > start[1:]))
+    end[late] = start[late + 1]
     nothing = np.full(len(start), np.nan)
     position, displacement = (
         _numbers(name, columns)[order] if name in columns else nothing for name in ("position", "slip_displacement")
@@ -134,7 +134,8 @@ def _enough(samples: int | None, present: int) -> int:
 
 def _check_times(number: np.ndarray, start: np.ndarray, end: np.ndarray, t1: float, order: np.ndarray) -> None:
     """Raise ValueError unless all sticks lie in [0, t1], have a duration, and do not overlap; names the first row."""
-    again = np.append(False, (number[1:] == number[:-1]) & (start[1:] < end[:-1] - _ROUND_OFF * t1))
+    again = np.zeros(len(start), bool)
+    again[1:] = (number[1:] == number[:-1]) & (start[1:] < end[:-1] - _ROUND_OFF * t1)
     for wrong, demand in (
         (start < 0, "starts of 0 s or later"),
         (end > t1, f"ends of at most t1 = {t1:g} s"),

@@ -95,7 +95,7 @@ def check_extendable(ensemble: Any) -> None:
         )
     for what in ("system", "law", "method", *(f"y0[{index}]" for index in range(len(ensemble.y0)))):
         require_known(what, ensemble.y0[int(what[3:-1])] if what.startswith("y0") else getattr(ensemble, what))
-    if isinstance(ensemble.law, GivenMotions):
+    if isinstance(ensemble.law, GivenMotions) or any(np.ndim(value) for value in ensemble.y0):
         raise ValueError(
             "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
             "concatenate."
@@ -104,7 +104,7 @@ def check_extendable(ensemble: Any) -> None:
 
 
 def given_realization(ensemble: Any, number: int) -> tuple[Any, tuple[float, ...]] | None:
-    """The base motion and the initial state of sample `number` where they were given; None where they are drawn.
+    """The base motion and the initial state of sample `number` where they are not drawn; None where they are.
 
     Raises ValueError where they are not known.
     """
@@ -112,7 +112,7 @@ def given_realization(ensemble: Any, number: int) -> tuple[Any, tuple[float, ...
         held = getattr(ensemble, what)
         for one in held if isinstance(held, tuple) else (held,):
             require_known({"law": "base motion", "y0": "initial state"}[what], one)
-    if not isinstance(ensemble.law, GivenMotions):
+    if ensemble.key_data is not None:
         return None
     y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in ensemble.y0)
-    return ensemble.law.base(number), y0
+    return ensemble.law.base(number) if isinstance(ensemble.law, GivenMotions) else ensemble.law, y0

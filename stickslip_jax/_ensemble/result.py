@@ -213,8 +213,8 @@ class Ensemble:
             raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
         part, number = part_with(self, number)
         given = given_realization(part, number)
-        if given is not None or part.key_data is None:
-            return given or (part.law, part.y0)
+        if given is not None:
+            return given
         check_dtype(self.dtype)
         key = jax.random.fold_in(jax.random.wrap_key_data(jnp.array(part.key_data, jnp.uint32)), number)
         base = part.law.sample(key, self.t1) if is_random(part.law) else part.law

@@ -26,8 +26,9 @@ _STUDY = "study.nc"  # the file of a study's data in its folder
 
 def write_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Path:
     """Write the data set of an ensemble to `path`, a NetCDF 4 file; see `Ensemble.save`."""
+    shown = str(path) if isinstance(path, os.PathLike) else path
     if not isinstance(path, (str, os.PathLike)) or Path(path).suffix.lower() != ".nc":
-        raise ValueError(f"Argument path must be a file name that ends in .nc, but {_checks.show(path)} was given.")
+        raise ValueError(f"Argument path must be a file name that ends in .nc, but {_checks.show(shown)} was given.")
     path = Path(path)
     try:
         dataset.to_netcdf(path, engine="h5netcdf", encoding=compression(dataset))
@@ -109,9 +110,8 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
         sticks = _flat_sticks(dataset, SAMPLE[keep])
         own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
         kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
-    held = [len(kept["totals"].status)] if kept["totals"] is not None else [int(attributes["samples"])]
-    if held[0] != int(attributes["samples"]) or sum(counts.values()) != held[0]:
-        raise ValueError(f"it has {held[0]} of {attributes['samples']} samples")
+    if sum(counts.values()) != int(attributes["samples"]):
+        raise ValueError(f"it has {sum(counts.values())} of {attributes['samples']} samples")
     return {
         "system": _system(state["system"], Coordinate(*state["position"])),
         **{name: state[name] for name in ("law", "method", "y0", "moments", "accumulator")},
@@ -153,6 +153,8 @@ def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Number
     sticks = _flat_sticks(dataset, "sample")
     names = {"slips": "slip_count", "stick_time": "stick_time", "status": "status"}
     names |= {"near_grazing_count": "near_grazing_count"}
+    if len(found) != len(sticks.count):
+        raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
     totals = SampleTotals(found, **{name: dataset[of].to_numpy() for name, of in names.items()})
     finished = totals.status == Status.FINISHED
     own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
