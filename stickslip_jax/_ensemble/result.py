@@ -257,6 +257,15 @@ class Ensemble:
 
         return write_sticks(self, path)
 
+    def write_slips(self, path: str | os.PathLike[str]) -> Path:
+        """Write all slips as a table, one row each: sample, start, end, duration, and whether the horizon cuts it.
+
+        `path`, the value returned and errors as in `write_sticks`.
+        """
+        from .tables import write_slips  # noqa: PLC0415 - needs an extra
+
+        return write_slips(self, path)
+
     def __repr__(self) -> str:
         sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number
         lines = [

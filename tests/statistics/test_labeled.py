@@ -60,6 +60,18 @@ def test_tables_hold_every_stick(many, tmp_path, ending, read):
     assert [ss.Ending[name] for name in table["ending"]] == list(sticks.ending)
 
 
+@pytest.mark.parametrize(("ending", "read"), [(".csv", pd.read_csv), (".parquet", pd.read_parquet)])
+def test_tables_hold_every_slip(many, tmp_path, ending, read):
+    table, slips = read(many.write_slips(tmp_path / f"slips{ending}")), many.slips
+    assert list(table) == ["sample", "start_s", "end_s", "duration_s", "is_censored"]
+    np.testing.assert_array_equal(table["sample"], np.repeat(np.arange(200), many.totals.slips))
+    for name, column in {"start": "start_s", "duration": "duration_s", "censored": "is_censored"}.items():
+        np.testing.assert_array_equal(table[column], getattr(slips, name)[slips.mask])
+    # What does not slip sticks.
+    slipped = table.groupby("sample")["duration_s"].sum()
+    np.testing.assert_allclose(40 - slipped, many.totals.stick_time, atol=1e-12)
+
+
 def test_tables_of_other_formats_are_refused(many, tmp_path, annotations_unchecked):
     with pytest.raises(ValueError, match=r"Argument path must end in \.csv or \.parquet, but .*sticks\.xlsx"):
         many.write_sticks(tmp_path / "sticks.xlsx")
