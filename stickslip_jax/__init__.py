@@ -7,6 +7,7 @@ from ._distributions.families import Beta, Discrete, Exponential, LogNormal, Nor
 from ._distributions.random_number import RandomNumber, Truncated
 from ._dynamics.method import Exact, Regularized
 from ._ensemble.call import simulate_ensemble
+from ._ensemble.collecting import concatenate, load
 from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
@@ -162,11 +163,13 @@ __all__ = [
     "Weibull",
     "WithJumps",
     "bootstrap_interval",
+    "concatenate",
     "convergence",
     "differentiable",
     "enable_fast_cpu",
     "first_stick",
     "histogram_convergence",
+    "load",
     "mean_slip_count",
     "mean_slip_duration",
     "mean_stick_count",

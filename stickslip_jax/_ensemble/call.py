@@ -1,5 +1,6 @@
 """`simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics."""
 
+import dataclasses
 import sys
 import threading
 import time
@@ -30,6 +31,7 @@ from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
 from .._types import Array
+from .origins import check_extendable
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .result import Ensemble
 from .run import MOST_SAMPLES, Run
@@ -55,6 +57,7 @@ def simulate_ensemble(
     threads: int | None = None,
     chunk: int | None = None,
     progress: bool | None = None,
+    first_sample: int = 0,
 ) -> Ensemble:
     """Simulate `samples` independent realisations of the excitation `law`.
 
@@ -82,33 +85,73 @@ def simulate_ensemble(
     - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; by default only on a terminal.
+    - `first_sample`: the number i of the first sample, where several machines share one ensemble (see `concatenate`).
 
     Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
     Raises ValueError for arguments outside these bounds.
     """
+    first = _checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES)
     numbering = _numbering(orders, count_initial_rest)
-    run = Run.checked(Model(system, law, y0), t1, samples, key, correlation, method, keep, numbering)
-    samples = run.inputs.samples
-    threads = _checks.whole_number("threads", threads) if threads is not None else cores()
-    plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
-    accumulator, started = EnsembleAccumulator(samples, keep), time.perf_counter()
-    simulate = _simulator(run, plan, accumulator)
-    _compile(simulate, run, keep)
-    compiled = time.perf_counter()
-    _simulate_all(simulate, plan, samples, accumulator, progress)
+    run = Run.checked(Model(system, law, y0), t1, samples, first, key, correlation, method, keep, numbering)
+    samples = run.inputs.samples - first
     return Ensemble(
-        inputs=run.inputs,
+        system=run.inputs.model.system,
+        law=run.inputs.model.law,
         t1=float(t1),
         method=run.method,
         numbering=run.numbering,
+        y0=run.inputs.model.y0,
+        design=run.inputs.design,
+        copula=run.inputs.copula,
         samples=samples,
+        first_sample=first,
         key_data=tuple(int(word) for word in np.asarray(run.key_data)) if run.is_random else None,
         dtype=str(np.dtype(run.dtype)),
-        **accumulator.found(),
-        threads=min(plan.threads, -(-samples // plan.samples_per_task)),
-        compile_seconds=compiled - started,
-        run_seconds=time.perf_counter() - compiled,
+        **_found(run, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress),
     )
+
+
+def _found(
+    run: Run, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None, chunk: int | None,
+    progress: bool | None,
+) -> dict[str, Any]:  # fmt: skip
+    """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
+    threads = _checks.whole_number("threads", threads) if threads is not None else cores()
+    plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
+    started = time.perf_counter()
+    simulate = _simulator(run, plan, accumulator)
+    _compile(simulate, run, accumulator.keep)
+    compiled = time.perf_counter()
+    _simulate_all(lambda begin, number: simulate(first + begin, number), plan, samples, accumulator, progress)
+    return {
+        **accumulator.found(),
+        "threads": min(plan.threads, -(-samples // plan.samples_per_task)),
+        "compile_seconds": compiled - started,
+        "run_seconds": time.perf_counter() - compiled,
+    }
+
+
+def _extended(
+    ensemble: Ensemble, samples: int, threads: int | None, chunk: int | None, progress: bool | None
+) -> Ensemble:
+    """`ensemble` with more samples; see `Ensemble.extended`."""
+    check_extendable(ensemble)
+    first = ensemble.first_sample + ensemble.samples
+    _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
+    words = ensemble.key_data
+    key = None if words is None else jax.random.wrap_key_data(jnp.array(words, jnp.uint32))
+    model = Model(ensemble.system, ensemble.law, ensemble.y0)
+    options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
+    run = Run.checked(model, ensemble.t1, samples, first, key, *options)
+    accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)
+    accumulator.add_ensemble(ensemble)
+    found = _found(run, first, samples, accumulator, threads, chunk, progress)
+    for name in ("compile_seconds", "run_seconds"):
+        found[name] += getattr(ensemble, name)
+    return dataclasses.replace(ensemble, samples=ensemble.samples + samples, **found)
+
+
+Ensemble._extend = staticmethod(_extended)
 
 
 def _compile(simulate: _Simulate, run: Run, keep: Keep) -> None:
@@ -190,7 +233,7 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
         sticks = StickCollector()
         sticks.restart(number)
         sticks.add(np.stack(numbers, axis=1), ending, np.arange(plan.samples_per_task)[None, :])
-        return Part.of(results, sticks, run.t1, run.numbering, accumulator.wants_sticks)
+        return Part.of(results, sticks, run.t1, run.numbering, accumulator.wants_sticks, run.period)
 
     return simulate
 
@@ -231,9 +274,8 @@ def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simul
             own.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), sample)
             ended.append((sample[progress.ended], *(column[progress.ended] for column in progress.results)))
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
-        return Part.of(
-            _of_samples(ended, rows * plan.lanes, number), own.sticks, run.t1, run.numbering, accumulator.wants_sticks
-        )
+        results = _of_samples(ended, rows * plan.lanes, number)
+        return Part.of(results, own.sticks, run.t1, run.numbering, accumulator.wants_sticks, run.period)
 
     return simulate
 

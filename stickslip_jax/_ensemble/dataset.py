@@ -1,13 +1,25 @@
-"""The sticks of an ensemble as labelled arrays (``xarray``)."""
+"""An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (`stored.py`)."""
 
+import json
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from .._dynamics.method import Exact, Regularized
-from .._events.sticks import FURTHER
+from .._events.sticks import FURTHER, FlatSticks
+from .._statistics.registry import TOTALS
 from .._status import Ending, Status
+from .encoding import Encoder
+from .origins import known_inputs
+from .slips import flat_slips
 
 if TYPE_CHECKING:
     import xarray
+
+FORMAT, FORMAT_VERSION = "stickslip_jax ensemble", 1
+STATE, FLOATS, INTEGERS = "ensemble_state", "ensemble_state_floats", "ensemble_state_integers"
+SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
+"""The dimension of samples by what was kept: with "statistics" only sticks of the first samples that finished are."""
 
 
 def dataset_of(ensemble: Any) -> "xarray.Dataset":
@@ -19,39 +31,161 @@ def dataset_of(ensemble: Any) -> "xarray.Dataset":
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
-    sticks, totals = ensemble.require_sticks(), ensemble.totals
-    assert totals is not None
+    variables: dict[str, Any] = {}
+    if ensemble.keep == "sticks":
+        variables |= _sticks(ensemble, ensemble.flat_sticks, "sample") | _slips(ensemble) | _totals(ensemble)
+        variables |= _inputs(ensemble)
+    elif ensemble.keep == "statistics":
+        variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"]) | _retained_totals(ensemble)
+    return xr.Dataset({**variables, **_state(ensemble)}, attrs=_provenance(ensemble))
+
+
+def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, Any]]:
+    """The encoding that ``to_netcdf`` takes, which makes small what is mostly zeros or repeats itself."""
+    names = (FLOATS, INTEGERS, "stick_sample", "stick_order", "slip_sample")
+    return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
+
+
+def _along(
+    dimension: str | tuple[()], values: Any, long_name: str, unit: str = "1", **attributes: Any
+) -> tuple[Any, ...]:
+    return dimension, values, {"long_name": long_name, "units": unit, **attributes}
+
+
+def _sticks(ensemble: Any, sticks: FlatSticks, sample: str) -> dict[str, Any]:
     position = ensemble.system.stick_position
-
-    def along(dimension, values, long_name, unit="1", **attributes):
-        return (dimension, values, {"long_name": long_name, "units": unit, **attributes})
-
     further = {
-        f"stick_{name}": along("stick", getattr(sticks, name), one.label, one.unit or position.unit)
+        f"stick_{name}": _along("stick", getattr(sticks, name), one.label, one.unit or position.unit)
         for name, one in FURTHER.items()
     }
-    return xr.Dataset(
-        {
-            "sample": along("sample", range(len(sticks.count)), "number of the sample"),
-            "stick_start": along("stick", sticks.start, "time at which the stick starts", "s"),
-            "stick_end": along("stick", sticks.end, "time at which the stick ends", "s"),
-            "stick_position": along("stick", sticks.position, position.name, position.unit),
-            **further,
-            "stick_ending": along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
-            "stick_count": along("sample", sticks.count, "number of sticks", sample_dimension="stick"),
-            "slip_count": along("sample", totals.slips, "number of slips"),
-            "stick_time": along("sample", totals.stick_time, "total stick time", "s"),
-            "near_grazing_count": along("sample", totals.near_grazing_count, "number of events decided by round-off"),
-            "status": along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
-        },
-        attrs={"Conventions": "CF-1.11", **_method(ensemble.method)},
-    )
+    first = ensemble.first_sample if sample == "sample" else 0
+    folded = {} if position.period is None else {"period": position.period}
+    order = "number of the stick in its sample, from 1; 0: begins at t = 0 and is not numbered (count_initial_rest)"
+    return {
+        sample: _along(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
+        "stick_sample": _along("stick", first + sticks.sample, f"{sample.replace('_', ' ')} of the stick"),
+        "stick_order": _along("stick", ensemble.numbering.order_of(sticks), order),
+        "stick_start": _along("stick", sticks.start, "time at which the stick starts", "s"),
+        "stick_end": _along("stick", sticks.end, "time at which the stick ends", "s"),
+        "stick_position": _along("stick", sticks.position, position.name, position.unit, **folded),
+        **further,
+        "stick_ending": _along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
+        "stick_count": _along(sample, sticks.count, "number of sticks", sample_dimension="stick"),
+    }
 
 
-def _method(method: Exact | Regularized) -> dict[str, Any]:
+def _slips(ensemble: Any) -> dict[str, Any]:
+    slips, first = flat_slips(ensemble), ensemble.first_sample
+    censored = {"flag_values": [0, 1], "flag_meanings": "COMPLETE HORIZON"}
+    return {
+        "slip_sample": _along("slip", first + slips.sample, "sample of the slip"),
+        "slip_start": _along("slip", slips.start, "time at which the slip starts", "s"),
+        "slip_end": _along("slip", slips.end, "time at which the slip ends", "s"),
+        "slip_ending": _along("slip", slips.censored.astype(np.int8), "whether the horizon cuts the slip", **censored),
+    }
+
+
+def _totals(ensemble: Any) -> dict[str, Any]:
+    totals = ensemble.totals
+    return {
+        "slip_count": _along("sample", totals.slips, "number of slips"),
+        "stick_time": _along("sample", totals.stick_time, "total stick time", "s"),
+        "near_grazing_count": _along("sample", totals.near_grazing_count, "number of events decided by round-off"),
+        "status": _along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
+    }
+
+
+def _inputs(ensemble: Any) -> dict[str, Any]:
+    """The numbers that differ from sample to sample."""
+    values = known_inputs(ensemble)
+    entries = ensemble.inputs.entries if values else ()
+    units = {name: entry.about.unit for name, entry in zip(values, entries, strict=True) if entry.about}
+    return {f"input_{name}": _along("sample", column, name, units.get(name) or "1") for name, column in values.items()}
+
+
+def _retained_totals(ensemble: Any) -> dict[str, Any]:
+    time, _, slips, *_ = ensemble.retained.totals.T
+    sample = SAMPLE["statistics"]
+    return {
+        "slip_count": _along(sample, slips.astype(np.int64), "number of slips"),
+        "stick_time": _along(sample, time, "total stick time", "s"),
+    }
+
+
+def _state(ensemble: Any) -> dict[str, Any]:
+    """What else an ensemble is made of: sums of all samples, and numbers of sticks of samples that did not finish."""
+    encoder = Encoder()
+    state = {
+        "system": ensemble.system,
+        "law": ensemble.law,
+        "method": ensemble.method,
+        "y0": ensemble.y0,
+        "design": ensemble.design,
+        "copula": ensemble.copula,
+        "moments": ensemble.moments,
+        "accumulator": ensemble.accumulator,
+        "sticks": None if ensemble.totals is None else ensemble.totals.sticks,
+        "origins": ensemble.origins,
+        "position": tuple(ensemble.system.stick_position),
+        "totals": TOTALS,
+    }
+    texts = {name: encoder.encoded(value) for name, value in state.items()}
+    about = "for stickslip_jax.load: sums of all samples"
+    return {
+        STATE: _along((), json.dumps(texts), f"{about}, as JSON"),
+        FLOATS: _along("state_float", encoder.floats, f"{about}, long arrays of the JSON"),
+        INTEGERS: _along("state_integer", encoder.integers, f"{about}, long arrays of the JSON"),
+    }
+
+
+def _provenance(ensemble: Any) -> dict[str, Any]:
+    """Attributes that say what was simulated, how, and how it ended. Numbers are in SI units."""
+    from .. import __version__  # noqa: PLC0415 - the package imports this module
+
+    encoder = Encoder()
+    attributes: dict[str, Any] = {
+        "Conventions": "CF-1.11",
+        "source": f"stickslip_jax {__version__}",
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "stickslip_jax_version": __version__,
+        "keep": ensemble.keep,
+        "system": _readable(encoder, ensemble.system),
+        "law": _readable(encoder, ensemble.law),
+        "y0": _readable(encoder, list(ensemble.y0)),
+        "t1": float(ensemble.t1),
+        "samples": ensemble.samples,
+        "first_sample": ensemble.first_sample,
+        "orders": ensemble.numbering.orders,
+        "count_initial_rest": int(ensemble.numbering.count_initial_rest),
+        "dtype": ensemble.dtype,
+        "samples_finished": ensemble.finished,
+        "samples_near_grazing": ensemble.near_grazing_samples,
+        "compile_seconds": ensemble.compile_seconds,
+        "run_seconds": ensemble.run_seconds,
+        "threads_used": ensemble.threads,
+        **_method(ensemble.method),
+    }
+    for status in Status:
+        if status is not Status.FINISHED:
+            attributes[f"samples_{status.name.lower()}"] = ensemble.status_counts[status]
+    if ensemble.key_data is not None:
+        attributes["key_data"] = np.array(ensemble.key_data, np.uint32)
+    return attributes
+
+
+def _readable(encoder: Encoder, value: Any) -> str:
+    """An object as JSON that tells its class and numbers; long arrays are only described."""
+    parts = [encoder.encoded(part) for part in value] if type(value) is list else encoder.encoded(value)
+    return json.dumps(parts)
+
+
+def _method(method: Any) -> dict[str, Any]:
     """Attributes that state the method and its criterion of a stick, in SI units."""
+    if isinstance(method, Exact):
+        return {"method": "exact"} if method.step is None else {"method": "exact", "time_step": float(method.step)}
     if not isinstance(method, Regularized):
-        return {"method": "exact"}
+        return {"method": "none" if method is None else str(method)}
     numbers = {
         "width": method.width,
         "stick_threshold": method.threshold,
@@ -62,5 +196,5 @@ def _method(method: Exact | Regularized) -> dict[str, Any]:
     return {"method": "regularised", "shape": method.shape, **known}
 
 
-def _flags(codes) -> dict[str, Any]:
+def _flags(codes: Any) -> dict[str, Any]:
     return {"flag_values": [int(code) for code in codes], "flag_meanings": " ".join(code.name for code in codes)}

@@ -12,7 +12,7 @@ from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.registry import TOTALS
 from .._status import Status
-from .result import Retained, SampleTotals
+from .kept import Retained, SampleTotals
 
 Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
 """What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or also every stick."""
@@ -30,23 +30,44 @@ class Part(NamedTuple):
     results: LaneResults
     sticks: FlatSticks | None = None
     accumulator: StickAccumulator | None = None
+    rest: tuple[np.ndarray, np.ndarray] | None = None  # `Numbering.rest` of each sample; None: not known
 
     @classmethod
     def of(
-        cls, results: LaneResults, sticks: StickCollector, t1: float, numbering: Numbering, keep_sticks: bool
-    ) -> "Part":
+        cls, results: LaneResults, sticks: StickCollector | FlatSticks, t1: float, numbering: Numbering,
+        keep_sticks: bool, period: float | None = None,
+    ) -> "Part":  # fmt: skip
         """The part made from the results and the sticks of consecutive samples, simulated up to `t1` (s).
 
-        `keep_sticks`: whether the part holds the sticks too, not only their sums.
+        `keep_sticks`: whether the part holds the sticks too, not only their sums. `period`: of the positions, which
+        become those in ``[0, period)``; None where they have none.
         """
         finished = np.equal(results.status, Status.FINISHED)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
-        done, found = sticks.sticks, None
+        done, found = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks.sticks, None
+        if period is not None:
+            done = done._replace(position=within_period(done.position, period))
         if not np.all(finished):
             found = done.only(finished).in_order()
             done = StickStream.of(found.only(finished))
         accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
-        return cls(results, found or done.in_order() if keep_sticks else None, accumulator)
+        rest = tuple(_of_finished(column, finished) for column in numbering.rest(done))
+        return cls(results, found or done.in_order() if keep_sticks else None, accumulator, (rest[0], rest[1]))
+
+
+def within_period(positions: np.ndarray, period: float) -> np.ndarray:
+    """The positions modulo `period`, in ``[0, period)``."""
+    folded = np.mod(positions, positions.dtype.type(period))
+    return np.where(folded < period, folded, 0)  # a tiny negative position is rounded up to the period
+
+
+def _of_finished(column: np.ndarray, finished: np.ndarray) -> np.ndarray:
+    """`column` of the finished samples as one of all samples, with 0 for the others."""
+    if np.all(finished):
+        return column
+    whole = np.zeros(len(finished), column.dtype)
+    whole[finished] = column
+    return whole
 
 
 def prepare(dtype: Any) -> None:
@@ -65,7 +86,8 @@ class EnsembleAccumulator:
     """
 
     def __init__(self, samples: int, keep: Keep):
-        self.samples, self.keep = samples, keep
+        self.samples = samples
+        self.keep: Keep = keep
         self.moments = Moments.of(np.zeros((0, len(TOTALS))))
         self.counts = np.zeros(len(Status), int)
         self.near_grazing_samples = 0
@@ -82,25 +104,51 @@ class EnsembleAccumulator:
         """Add the next part."""
         self.counts += np.bincount(part.results.status, minlength=len(Status))
         self.near_grazing_samples += int(np.count_nonzero(part.results.near_grazing_count))
-        self.moments = self.moments.merge(Moments.of(_totals_of(part.results)))
-        if part.accumulator is not None:
-            self.accumulator = (
-                part.accumulator if self.accumulator is None else self.accumulator.merge(part.accumulator)
+        self._merge(Moments.of(_totals_of(part)), part.accumulator)
+        if part.sticks is not None:
+            self._keep(part, part.sticks)
+
+    def add_ensemble(self, other: Any) -> None:
+        """Add all samples of an `Ensemble` that kept the same."""
+        self.counts += np.array([other.status_counts[status] for status in Status])
+        self.near_grazing_samples += other.near_grazing_samples
+        self._merge(other.moments, other.accumulator)
+        if self.keep == "sticks":
+            rest = other.numbering.rest(other.flat_sticks)
+            self._keep(Part(LaneResults(*other.totals), rest=rest), other.flat_sticks)
+        elif other.retained is not None and self._space > 0:
+            totals = other.retained.totals
+            none = np.zeros(len(totals), int)
+            time, sticks, slips, *rest = totals.T
+            self._keep(
+                Part(LaneResults(sticks, slips, time, none, none), rest=(rest[0], rest[1])), other.retained.sticks
             )
-        if part.sticks is None:
-            return
+            # Samples that did not finish took space when they were simulated; what others left out ends it.
+            self._retained_samples += other.samples - other.finished
+            left = self._space - (other.samples - other.finished) if len(totals) == other.finished else 0
+            self._space = max(left, int(self._retained_samples < FEWEST))
+
+    def _merge(self, moments: Moments, accumulator: StickAccumulator | None) -> None:
+        self.moments = self.moments.merge(moments)
+        if accumulator is not None:
+            self.accumulator = accumulator if self.accumulator is None else self.accumulator.merge(accumulator)
+
+    def _keep(self, part: Part, sticks: FlatSticks) -> None:
+        """Keep the `sticks` of a part, or those of as many of its first samples as there is space for."""
+        part = part._replace(sticks=sticks)
         if self.keep == "sticks":
             self._kept.append(part._replace(accumulator=None))
             _check_memory(self._kept, self.samples)
         elif self._space > 0:
             # A sample takes the space of its sticks and one more, so that samples without sticks are limited too.
-            fits = int(np.searchsorted(np.cumsum(part.sticks.count + 1), self._space, side="right"))
-            fits = max(fits, min(FEWEST - self._retained_samples, len(part.sticks.count)))
+            fits = int(np.searchsorted(np.cumsum(sticks.count + 1), self._space, side="right"))
+            fits = max(fits, min(FEWEST - self._retained_samples, len(sticks.count)))
             self._retained_samples += fits
             results = LaneResults(*(column[:fits].copy() for column in part.results))
-            whole = fits == len(part.sticks.count)
-            self._kept.append(Part(results, part.sticks if whole else part.sticks.head(fits)))
-            left = self._space - len(part.sticks.start) - fits if fits == len(part.results.status) else 0
+            rest = None if part.rest is None else (part.rest[0][:fits].copy(), part.rest[1][:fits].copy())
+            whole = fits == len(sticks.count)
+            self._kept.append(Part(results, sticks if whole else sticks.head(fits), rest=rest))
+            left = self._space - len(sticks.start) - fits if fits == len(part.results.status) else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> dict[str, Any]:
@@ -125,15 +173,16 @@ class EnsembleAccumulator:
 
     def _retained(self, sticks: FlatSticks) -> Retained:
         """The sticks and totals of the kept samples that finished."""
-        results = [part.results for part in self._kept]
-        finished = np.concatenate([np.equal(one.status, Status.FINISHED) for one in results])
-        return Retained(sticks.only(finished), np.concatenate([_totals_of(one) for one in results]))
+        finished = np.concatenate([np.equal(part.results.status, Status.FINISHED) for part in self._kept])
+        return Retained(sticks.only(finished), np.concatenate([_totals_of(part) for part in self._kept]))
 
 
-def _totals_of(results: LaneResults) -> np.ndarray:
-    """The `TOTALS` of each finished sample, (finished samples, 3)."""
+def _totals_of(part: Part) -> np.ndarray:
+    """The `TOTALS` of each finished sample, (finished samples, 5)."""
+    results = part.results
     finished = results.status == Status.FINISHED
-    columns = (results.stick_time, results.sticks, results.slips)
+    none = np.zeros(len(finished))
+    columns = (results.stick_time, results.sticks, results.slips, *((none, none) if part.rest is None else part.rest))
     return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
 
 

@@ -2,57 +2,51 @@
 
 import dataclasses
 import os
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._design.design import Design
+from .._distributions.copula import GaussianCopula
 from .._dynamics.method import Exact, Regularized
-from .._events.sticks import FlatSticks, Sticks
+from .._events.sticks import FlatSticks, Slips, Sticks
 from .._excitation.excitation import is_random
 from .._inputs.inputs import Inputs, Model
 from .._numerics.moments import Moments
+from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .._statistics.registry import TOTALS
 from .._statistics.summary import Summary, summary_of
 from .._status import Status
-from .._systems.system import System
+from .._systems.system import Coordinate, System
+from .given import fields_of_simulations, fields_of_sticks, numbering_of
+from .kept import Retained, SampleTotals
+from .origins import Origin, check_dtype, given_realization, origins_of, part_with, require_whole
+from .parts import Keep
+from .slips import padded_slips
+from .stored import fields_of_dataset, write_dataset
+from .unknown import Unknown, UnknownSystem
 
 if TYPE_CHECKING:
     import xarray
 
 
-class SampleTotals(NamedTuple):
-    """Totals of each sample, arrays (samples,): numbers of sticks and slips, total stick time (s), `Status` code, and
-    number of near-grazing instants (see `Simulation`).
-    """
-
-    sticks: np.ndarray
-    slips: np.ndarray
-    stick_time: np.ndarray
-    status: np.ndarray
-    near_grazing_count: np.ndarray
-
-
-class Retained(NamedTuple):
-    """The sticks of the first samples that finished, and the `TOTALS` of each, (samples, 3)."""
-
-    sticks: FlatSticks
-    totals: np.ndarray
-
-
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class Ensemble:
-    """The result of `simulate_ensemble`: many simulated samples.
+    """Many samples: the result of `simulate_ensemble`, of `load` and `concatenate`, and of the methods ``from_...``.
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: the arguments and the floating dtype.
-    - `inputs`: the numbers of these that differ from sample to sample; `input_values` gives them.
-    - `method`: the simulation method; a `Regularized` method has its options filled in.
+    - `design`, `copula`: the design and the correlations by which numbers were drawn, None if none were given.
+      `input_values` gives the numbers that differ from sample to sample.
+    - `method`: the simulation method; a `Regularized` method has its options filled in. None of measured sticks.
     - `numbering`: which stick of a sample is the 1st, 2nd, ...
     - `moments`: number of finished samples, mean and covariance of their `TOTALS` (stick time in s, number of sticks,
       number of slips).
@@ -63,13 +57,18 @@ class Ensemble:
     - `flat_sticks`: the same sticks one after the other, without padding; None unless ``keep="sticks"``.
     - `accumulator`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first
       finished samples (of all, if kept), from which standard errors are computed. Both None if ``keep="totals"``.
+    - `first_sample`: the number of its first sample in the sequence that the key draws. `origins`: where each part of a
+      joined ensemble comes from (see `concatenate`), else empty.
+    - `keep`: "totals", "statistics" or "sticks".
     - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
 
-    inputs: Inputs
+    system: System
+    law: Any
     t1: float
-    method: Exact | Regularized
+    method: Exact | Regularized | Unknown | None
     numbering: Numbering
+    y0: tuple[Any, ...]
     samples: int
     key_data: tuple[int, ...] | None
     dtype: str
@@ -83,26 +82,111 @@ class Ensemble:
     threads: int
     compile_seconds: float
     run_seconds: float
+    first_sample: int = 0
+    origins: tuple[Origin, ...] = ()
+    design: Design | None = None
+    copula: GaussianCopula | None = None
+
+    _extend: ClassVar[Callable[..., "Ensemble"]]  # `call.py`, which imports this module, puts it here
+
+    @classmethod
+    def from_simulations(cls, result: Simulation, *, orders: int = 10, count_initial_rest: bool = False) -> "Ensemble":
+        """The ensemble of the trajectories that ``jax.vmap(lambda ...: simulate(...))(...)`` returned.
+
+        - `result`: a `Simulation` whose arrays have one leading axis, of samples. All must have the same ``t1``.
+        - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
+
+        It keeps every stick, so that all statistics, tests and figures work on it. Numbers of the system that differ
+        among the samples are arrays (samples,). ``realization(i)`` returns the base motion that sample i was given, and
+        the state at t = 0, to the last digit or two. Raises ValueError for anything else.
+        """
+        return cls(**fields_of_simulations(result, numbering_of(orders, count_initial_rest)))
+
+    @classmethod
+    def from_sticks(
+        cls, table: Any, *, t1: float, samples: int | None = None, position_unit: str = "m",
+        period: float | None = None, orders: int = 10, count_initial_rest: bool = False,
+    ) -> "Ensemble":  # fmt: skip
+        """The ensemble of sticks that were measured, or simulated elsewhere: one recording of ``[0, t1]`` each sample.
+
+        - `table`: a pandas DataFrame, or a dict of arrays (sticks,), in any order, with the columns
+
+          - `sample`: which recording, whole numbers from 0 or 1, or names;
+          - `start`, and `end` or `duration`: s, from the beginning of the recording;
+          - `position` of the mass at the start of the stick, `slip_displacement` (as in `Sticks`) and `ending` (an
+            `Ending` or its name), each if known.
+
+          Without `ending`, a stick that ends at `t1` is cut by the end of the recording (HORIZON) and all others count
+          as RELEASED. Names may end in a unit as `write_sticks` writes them (start_s, position_m), whose files can be
+          read back.
+        - `t1`: duration of each recording, s.
+        - `samples`: number of recordings; needed where some of them have no stick, which a table cannot show. Their
+          numbers are then from 0 to ``samples - 1``. By default those in the table, which must be numbered without gap.
+        - `position_unit`, and `period` where positions are angles: then they become those in ``[0, period)``.
+        - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
+
+        Slips are what lies between the sticks. What needs a position that was not measured, a system or a base motion
+        raises ValueError and says so. Raises ValueError for a table that lacks a column or has sticks that overlap, lie
+        outside ``[0, t1]`` or have no length.
+        """
+        if period is not None:
+            _checks.positive("period", period, position_unit)
+        position = Coordinate("position when the stick starts", position_unit, period=period)
+        return cls(**fields_of_sticks(table, t1, samples, position, numbering_of(orders, count_initial_rest)))
+
+    @classmethod
+    def from_xarray(cls, dataset: "xarray.Dataset") -> "Ensemble":
+        """The ensemble that `to_xarray` made the data set of; see `load`.
+
+        Raises ValueError for a data set that holds no ensemble, one that was changed, and one of a newer format.
+        """
+        return cls(**fields_of_dataset(dataset))
+
+    def extended(
+        self, *, samples: int, threads: int | None = None, chunk: int | None = None, progress: bool | None = None
+    ) -> "Ensemble":
+        """This ensemble and `samples` more of it, simulated now: the same samples as of one longer run.
+
+        `threads`, `chunk`, `progress`: as in `simulate_ensemble`. Sticks, totals, counts and histograms are those of
+        one run of all samples, to the last bit. Means and higher moments are too if both runs divide the samples alike
+        (a `chunk` that divides the number of the first samples is given to both); else they are merged in other parts,
+        and differ by round-off: relatively by at most a few times 2^-53 times the number of parts.
+
+        Raises ValueError for an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
+        """
+        return type(self)._extend(self, samples, threads, chunk, progress)
 
     @property
-    def system(self) -> System:
-        """The system as it was given, with its distributions and arrays."""
-        return self.inputs.model.system
+    def keep(self) -> Keep:
+        """What was kept, as in `simulate_ensemble`."""
+        if self.flat_sticks is not None:
+            return "sticks"
+        return "totals" if self.accumulator is None else "statistics"
 
-    @property
-    def law(self) -> Any:
-        """The law of the excitation as it was given."""
-        return self.inputs.model.law
-
-    @property
-    def y0(self) -> tuple[Any, ...]:
-        """The initial state as it was given."""
-        return self.inputs.model.y0
+    @cached_property
+    def inputs(self) -> Inputs:
+        """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
+        samples = self.first_sample + self.samples if self.design is None else self.design
+        key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
+        return Inputs.of(Model(self.system, self.law, self.y0), samples, key, self.copula)
 
     @cached_property
     def input_values(self) -> dict[str, np.ndarray]:
-        """The values of the numbers that differ from sample to sample, by name, arrays (samples,)."""
-        return self.inputs.values(jnp.dtype(self.dtype))
+        """The values of the numbers that differ from sample to sample, by name, arrays (samples,).
+
+        Raises ValueError for an ensemble that was joined from parts with different ones, or that holds objects which
+        were stored as text only.
+        """
+        parts = [dataclasses.replace(self, **origin._asdict(), origins=()) for origin in origins_of(self)]
+        for part in parts:
+            require_whole(part)
+        found = [part.inputs.values(jnp.dtype(self.dtype), part.first_sample) for part in parts]
+        if len({tuple(values) for values in found}) > 1:
+            raise ValueError(
+                f"This ensemble was joined from {len(parts)} parts in which different numbers differ from sample to "
+                "sample; ask each part."
+            )
+        return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
 
     @cached_property
     def statistics(self) -> EnsembleStatistics:
@@ -117,6 +201,13 @@ class Ensemble:
     def sticks(self) -> Sticks:
         """Every stick of every sample, arrays (samples, slots). Raises ValueError unless ``keep="sticks"``."""
         return self.require_sticks().padded()
+
+    @cached_property
+    def slips(self) -> Slips:
+        """Every slip of every sample that finished, arrays (samples, slots). Raises ValueError unless
+        ``keep="sticks"``.
+        """
+        return padded_slips(self)
 
     def finished_sticks(self) -> FlatSticks:
         """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
@@ -149,28 +240,48 @@ class Ensemble:
         """The system, the base motion and the initial state of sample `number`, which `simulate` repeats the sample
         with: ``system, base, y0 = many.realization(3)``.
 
-        Raises ValueError unless ``0 <= number < samples``.
+        Raises ValueError unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
-        system, law, y0 = self.inputs.of_sample(number, jnp.dtype(self.dtype))
-        base = self.inputs.realization_of(number, law, self.t1) if is_random(law) else law
+        part, number = part_with(self, number)
+        given = given_realization(part, number)
+        if given is not None:
+            return Model(*given)
+        if part.key_data is not None:
+            check_dtype(self.dtype)
+        system, law, y0 = part.inputs.of_sample(number, jnp.dtype(self.dtype))
+        base = part.inputs.realization_of(number, law, self.t1) if is_random(law) else law
         return Model(system, base, y0)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The sticks and each sample's totals as an ``xarray.Dataset`` with units and long names.
+        """The ensemble as an ``xarray.Dataset`` with units and long names, from which `from_xarray` makes it again.
 
-        Sticks are CF contiguous ragged arrays along ``stick``; ``stick_count`` is the number of sticks of each
-        sample. Raises ValueError unless ``keep="sticks"``, ImportError without the extra ``study``.
+        With ``keep="sticks"``: sticks as CF contiguous ragged arrays along ``stick`` (``stick_count`` is the number of
+        sticks of each sample, ``stick_sample`` the sample of each stick, ``stick_order`` its number in the sample by
+        `numbering`), slips along ``slip``, and the totals of each sample. With "statistics": the sticks of the first
+        samples that finished. The attributes say what was simulated and how; ``ensemble_state...`` hold the sums of all
+        samples. Raises ImportError without the extra ``study``.
         """
         from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
 
         return dataset_of(self)
 
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the ensemble to a NetCDF 4 file, from which `load` makes it again; replaces a file of that name.
+
+        `path`: a file name that ends in .nc. Returns the path. Raises ValueError for another one, ImportError without
+        the extra ``study``.
+        """
+        return write_dataset(self.to_xarray(), path)
+
     def write_sticks(self, path: str | os.PathLike[str]) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
 
         - `path`: a file name that ends in .csv or .parquet. The column names include the units.
+
+        `order` is the number of the stick in its sample, as in ``statistics.order(i)``: 0 for a stick that begins at
+        t = 0 (`is_initial_rest`) unless `numbering` counts it as the first.
 
         Returns the path. Raises ValueError unless ``keep="sticks"`` and for other paths, ImportError without the extra
         ``tables``.
@@ -179,6 +290,15 @@ class Ensemble:
 
         return write_sticks(self, path)
 
+    def write_slips(self, path: str | os.PathLike[str]) -> Path:
+        """Write all slips as a table, one row each: sample, start, end, duration, and whether the horizon cuts it.
+
+        `path`, the value returned and errors as in `write_sticks`.
+        """
+        from .tables import write_slips  # noqa: PLC0415 - needs an extra
+
+        return write_slips(self, path)
+
     def __repr__(self) -> str:
         sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number
         lines = [
@@ -186,8 +306,9 @@ class Ensemble:
             f"  system    {_brief(self.system)}",
             f"  law       {_brief(self.law)}",
             f"  sticks    {round(sticks)} found" + ("" if self.flat_sticks is None else ", all kept"),
-            f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile",
         ]
+        if self.run_seconds:
+            lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
         failed = {status: count for status, count in self.status_counts.items() if status and count}
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         lines += (
@@ -199,5 +320,7 @@ class Ensemble:
 
 
 def _brief(module: Any) -> str:
+    if isinstance(module, (Unknown, UnknownSystem)):
+        return str(Unknown(module.name, module.text))
     text = " ".join(eqx.tree_pformat(module, short_arrays=False).split())
     return text if len(text) <= 110 else text[:107] + "..."

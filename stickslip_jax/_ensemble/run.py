@@ -43,6 +43,7 @@ class Run:
     dtype: Any
     t1: float
     numbering: Numbering
+    period: float | None  # of the position of sticks
 
     @classmethod
     def checked(
@@ -50,6 +51,7 @@ class Run:
         model: Model,
         t1: Any,
         samples: Any,
+        first_sample: int,
         key: Any,
         correlation: Any,
         method: Any,
@@ -65,6 +67,12 @@ class Run:
         check_method(method)
         _checks.positive("t1", t1, "s")
         _checks.whole_number("samples", len(samples) if isinstance(samples, Design) else samples, maximum=MOST_SAMPLES)
+        total = samples if isinstance(samples, Design) else first_sample + samples
+        if isinstance(samples, Design) and first_sample:
+            raise ValueError(
+                f"Argument first_sample must be 0 with a design, whose rows are all samples, but {first_sample} was "
+                "given."
+            )
         if not (correlation is None or isinstance(correlation, GaussianCopula)):
             raise ValueError(
                 "Argument correlation must be a GaussianCopula(names, correlation), but "
@@ -74,7 +82,7 @@ class Run:
             allowed = ", ".join(map(repr, get_args(Keep)))
             raise ValueError(f"Argument keep must be one of {allowed}, but {_checks.show(keep)} was given.")
         dtype = working_dtype(stacklevel=5)
-        inputs = Inputs.of(model, samples, key, correlation)
+        inputs = Inputs.of(model, total, key, correlation)
         inputs.check(dtype)
         first = inputs.of_sample(0, dtype)
         require_system(first.system)
@@ -94,7 +102,9 @@ class Run:
             engine = VaryingEngine(template, places) if isinstance(template, Engine) else template
         elif isinstance(engine, (FixedEngine, AdaptiveBatch)):
             method = engine.method  # with every option filled in
-        return cls(engine, places, inputs, method, key_data_for(first.law, key), random, dtype, float(t1), numbering)
+        key_data = key_data_for(first.law, key)
+        period = first.system.stick_position.period
+        return cls(engine, places, inputs, method, key_data, random, dtype, float(t1), numbering, period)
 
     @property
     def has_records(self) -> bool:

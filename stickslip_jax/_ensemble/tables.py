@@ -1,4 +1,4 @@
-"""Files of sticks as tables, one row for each stick."""
+"""Files of sticks and of slips as tables, one row for each."""
 
 import os
 from pathlib import Path
@@ -10,34 +10,51 @@ from .. import _checks
 from .._events.sticks import FURTHER
 from .._statistics.registry import STICK_QUANTITIES
 from .._status import Ending
+from .origins import known_inputs
+from .slips import flat_slips
 
 _WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
 
 def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
     """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
-    if not isinstance(path, (str, os.PathLike)):
-        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
-    sticks, path = ensemble.require_sticks(), Path(path)
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise ValueError(f"Argument path must end in {' or '.join(_WRITERS)}, but {str(path)!r} was given.")
-    try:
-        import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        raise ImportError("Tables of sticks need pandas: pip install 'stickslip_jax[tables]'.") from None
+    sticks = ensemble.require_sticks()
     position = ensemble.system.stick_position.unit
     units = {one.name: one.unit for one in STICK_QUANTITIES} | {name: one.unit for name, one in FURTHER.items()}
     columns = {
         "sample": sticks.sample,
-        "order": np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count) + 1,
+        "order": ensemble.numbering.order_of(sticks),
         "start_s": sticks.start,
         "end_s": sticks.end,
     }
     for name, own in units.items():
         unit = own or position
         columns[name if unit == "1" else f"{name}_{unit}"] = getattr(sticks, name)
+    columns |= {name: values[sticks.sample] for name, values in known_inputs(ensemble).items()}
+    columns["is_initial_rest"] = sticks.start == 0
     columns["ending"] = np.array([ending.name for ending in Ending])[sticks.ending]
+    return _write(columns, path)
+
+
+def write_slips(ensemble: Any, path: str | os.PathLike[str]) -> Path:
+    """Write every slip of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_slips`."""
+    slips = flat_slips(ensemble)
+    times = {"start_s": slips.start, "end_s": slips.end, "duration_s": slips.end - slips.start}
+    return _write({"sample": slips.sample, **times, "is_censored": slips.censored}, path)
+
+
+def _write(columns: dict[str, Any], path: str | os.PathLike[str]) -> Path:
+    """Write the columns to `path`. Raises the errors of `Ensemble.write_sticks`."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
+    path = Path(path)
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ValueError(f"Argument path must end in {' or '.join(_WRITERS)}, but {str(path)!r} was given.")
+    try:
+        import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
+    except ImportError:
+        raise ImportError("Tables need pandas: pip install 'stickslip_jax[tables]'.") from None
     table = pd.DataFrame(columns)
     try:
         getattr(table, writer)(path, index=False)

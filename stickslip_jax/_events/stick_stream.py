@@ -62,6 +62,13 @@ class StickStream(NamedTuple):
         count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
         return StickStream(count, last, *(column[..., inside] for column in self[2:]))
 
+    def later_than(self, skipped: np.ndarray) -> "StickStream":
+        """The same without the first `skipped` sticks of each sample, (samples,); slips are as they were."""
+        if not np.any(skipped):
+            return self
+        inside = self.order >= skipped[self.owner]
+        return StickStream(self.count - skipped, self.last, *(column[..., inside] for column in self[2:]))
+
     def in_order(self) -> FlatSticks:
         """The sticks in order of their samples."""
         first = np.cumsum(self.count) - self.count

@@ -211,11 +211,12 @@ class Inputs:
         words = jax.random.wrap_key_data(jnp.asarray(self.key_data, jnp.uint32))
         return law.sample(jax.random.fold_in(words, int(self.realization_numbers(number, 1)[0])), t1)
 
-    def values(self, dtype: Any) -> dict[str, np.ndarray]:
-        """The values of all samples by the inputs' short names, arrays (samples,)."""
-        parts = [self.drawn(first, _AT_ONCE, dtype) for first in range(0, self.samples, _AT_ONCE)]
+    def values(self, dtype: Any, first_sample: int = 0) -> dict[str, np.ndarray]:
+        """The values of samples from `first_sample` on by the inputs' short names, arrays (samples,)."""
+        parts = [self.drawn(first, _AT_ONCE, dtype) for first in range(first_sample, self.samples, _AT_ONCE)]
         columns = [np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(len(self.entries))]
-        return {name: column[: self.samples] for name, column in zip(self.names, columns, strict=True)}
+        number = self.samples - first_sample
+        return {name: column[:number] for name, column in zip(self.names, columns, strict=True)}
 
     def check(self, dtype: Any) -> None:
         """Check all values against the bounds of their fields. Raises ValueError that says how many are outside."""

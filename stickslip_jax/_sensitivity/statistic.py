@@ -65,7 +65,7 @@ class OfTotals(StickStatistic):
 
         - `t1`: s.
         """
-        return self.definition.weights(t1)[:, [0, 1, 3]]
+        return self.definition.weights(t1)[:, [0, 1, -1]]
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         totals = jnp.stack([jnp.sum(sticks.duration), jnp.sum(sticks.mask), jnp.ones_like(sticks.start[0])])

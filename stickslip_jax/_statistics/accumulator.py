@@ -32,6 +32,21 @@ class Numbering(NamedTuple):
     orders: int
     count_initial_rest: bool
 
+    def order_of(self, sticks: FlatSticks) -> np.ndarray:
+        """The number of each stick in its sample, from 1; 0 for one that is not numbered. (sticks,)."""
+        before = sticks.first + self.skipped(sticks)
+        return np.arange(len(sticks.start)) - np.repeat(before, sticks.count) + 1
+
+    def rest(self, sticks: FlatSticks | StickStream) -> tuple[np.ndarray, np.ndarray]:
+        """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered, (samples,) each."""
+        skipped = self.skipped(sticks)
+        time = np.zeros(len(skipped))
+        if np.any(skipped):
+            at_zero = np.flatnonzero(sticks.start == 0)
+            owner = sticks.owner if isinstance(sticks, StickStream) else sticks.sample
+            time[owner[at_zero]] = sticks.end[at_zero]
+        return time, skipped
+
     def skipped(self, sticks: FlatSticks | StickStream) -> np.ndarray:
         """How many sticks of each sample come before its first numbered one: 0 or 1, (samples,)."""
         begins = sticks.begins_at_zero
@@ -40,6 +55,9 @@ class Numbering(NamedTuple):
 
 class StickAccumulator(NamedTuple):
     """Sums and histograms of the sticks and slips of finished samples. Times in s. Quantities as in `registry.py`.
+
+    A stick that begins at t = 0 is left out of all but the numbers and the stick fractions of samples, unless it is
+    numbered (see `Numbering`).
 
     - `sticks`, `stick_bins`: of all sticks, by `STICK_QUANTITIES`. `slips`, `slip_bins`: of the durations of all slips.
     - `samples`, `sample_bins`: of all samples, by `SAMPLE_QUANTITIES`. `own_mean`, `own_mean_bins`: of the mean stick
@@ -73,18 +91,20 @@ class StickAccumulator(NamedTuple):
         `stick_time`: the total of each sample, s. `slips`: the number of each sample. (samples,)
         """
         fraction = np.asarray(stick_time, np.float64) / t1
-        has = sticks.count > 0
-        own_mean = fraction[has] * t1 / sticks.count[has]
+        rest, skipped = numbering.rest(sticks)
+        pooled = sticks.later_than(skipped)
+        has = pooled.count > 0
+        own_mean = (fraction[has] * t1 - rest[has]) / pooled.count[has]
         counts = (sticks.count, np.asarray(slips, np.int64))
         by = _summing_module()
         return cls(
-            **by.sums_of_sticks(sticks, t1)._asdict(),
-            **by.sums_of_orders(sticks, numbering.skipped(sticks), numbering.orders)._asdict(),
+            **by.sums_of_sticks(pooled, t1)._asdict(),
+            **by.sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
             samples=PowerSums.of(*counts, fraction),
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),
             own_mean_bins=DyadicCounts.of(own_mean, BINS),
-            endings=np.array([np.count_nonzero(sticks.ending == code) for code in Ending]),
+            endings=np.array([np.count_nonzero(pooled.ending == code) for code in Ending]),
         )
 
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":

@@ -1,7 +1,7 @@
 """The statistics of the sticks and slips of an ensemble, by quantity and by order."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from .registry import (
     BY_NAME,
     FIRST_TWO,
     OWN_MEAN_DURATION,
+    POSITION,
     SAMPLE_QUANTITIES,
     SLIP_DURATION,
     STICK_QUANTITIES,
@@ -61,6 +62,8 @@ class _ByQuantity:
     def __getattr__(self, name: str) -> Distribution:
         if name not in _NAMES:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+        if name not in self.distributions:
+            raise ValueError(f"The sticks of this ensemble have no {name}, which was not measured.")
         return self.distributions[name]
 
     def __dir__(self) -> list[str]:
@@ -72,12 +75,13 @@ class EnsembleStatistics(_ByQuantity):
     """Statistics of the sticks and slips of the samples that finished.
 
     Sticks cut by the horizon count with the part before it (`endings` gives their share), and so do slips. A sample
-    without sticks counts in the distributions over samples, and in no distribution over sticks.
+    without sticks counts in the distributions over samples, and in no distribution over sticks. A stick that begins at
+    t = 0 counts in `stick_count` and `stick_fraction` only, unless `numbering` counts it as the first.
 
     - `start`, `duration` (s), `position` (of the mass when the stick starts, m; of a motor its angle, rad): each the
       `Distribution` over all sticks.
     - `accumulator`: sums and histograms of all finished samples. `numbering`: which stick is the 1st, 2nd, ...
-    - `sticks`: those of the retained samples; `totals`: the `TOTALS` of each retained sample, (samples, 3). Standard
+    - `sticks`: those of the retained samples; `totals`: the `TOTALS` of each retained sample, (samples, 5). Standard
       errors, ranks and all joint distributions that were not summed rest on these.
     - `t1`: s. `position_unit`: the unit of `position`.
     """
@@ -99,6 +103,15 @@ class EnsembleStatistics(_ByQuantity):
         """The largest number that `order` takes."""
         return self.numbering.orders
 
+    @cached_property
+    def missing(self) -> frozenset[str]:
+        """The names of quantities that the sticks do not have, because nobody measured them."""
+        return frozenset({POSITION.name} if np.any(np.isnan(self.sticks.position)) else ())
+
+    def known(self, quantities: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
+        """Those of the `quantities` that the sticks have."""
+        return tuple(one for one in quantities if one.name not in self.missing)
+
     def unit_of(self, quantity: SampledQuantity) -> str:
         """The unit of a quantity for this system."""
         return self.position_unit if quantity.unit is None else quantity.unit
@@ -112,11 +125,17 @@ class EnsembleStatistics(_ByQuantity):
                 quantity,
                 sums,
                 bins[index],
-                self._clusters(self._column(quantity.name), self.sticks.sample),
+                self._clusters(self._column(quantity.name)[self._pooled], self.sticks.sample[self._pooled]),
                 index=index,
             )
             for index, quantity in enumerate(STICK_QUANTITIES)
+            if quantity.name not in self.missing
         }
+
+    @cached_property
+    def _pooled(self) -> np.ndarray:
+        """Which of the retained sticks are numbered, (sticks,)."""
+        return self.numbering.order_of(self.sticks) > 0
 
     @cached_property
     def slip_duration(self) -> Distribution:
@@ -147,7 +166,9 @@ class EnsembleStatistics(_ByQuantity):
     @cached_property
     def own_mean_duration(self) -> Distribution:
         """The mean stick duration of each sample that has sticks, s. Its mean is the mean of realisation means."""
-        time, count = (self.totals[:, TOTALS.index(name)] for name in ("stick_time", "stick_count"))
+        names = ("stick_time", "stick_count", "rest_time", "rest_count")
+        time, count, rest_time, rest_count = (self.totals[:, TOTALS.index(name)] for name in names)
+        time, count = time - rest_time, count - rest_count
         has = count > 0
         clusters = self._clusters(time[has] / count[has], np.flatnonzero(has))
         accumulator = self.accumulator
@@ -157,8 +178,9 @@ class EnsembleStatistics(_ByQuantity):
     def endings(self) -> dict[Ending, Estimate]:
         """Share of all sticks that ended in each way."""
         counts, total = self.accumulator.endings, self.accumulator.endings.sum()
-        clusters = self._clusters(self.sticks.ending, self.sticks.sample)
-        errors = clusters.errors_of_shares(self.sticks.ending.astype(np.int64), len(counts))
+        ending = self.sticks.ending[self._pooled].astype(np.int64)
+        clusters = self._clusters(ending, self.sticks.sample[self._pooled])
+        errors = clusters.errors_of_shares(ending, len(counts))
         return {
             ending: Estimate(
                 f"share of sticks {ending.name}",
@@ -186,6 +208,8 @@ class EnsembleStatistics(_ByQuantity):
         sums, label = self.accumulator.by_order.one(number - 1), f"share of samples that have a {ordinal(number)} stick"
         distributions = {}
         for index, quantity in enumerate(STICK_QUANTITIES):
+            if quantity.name in self.missing:
+                continue
             bins = self.accumulator.order_bins[index]
             bins = bins._replace(counts=bins.counts[number - 1])
             clusters = self._clusters(self._column(quantity.name)[at], np.flatnonzero(has))
@@ -207,13 +231,17 @@ class EnsembleStatistics(_ByQuantity):
         pair rests on the retained samples. Raises ValueError for other arguments.
         """
         (of_x, number_x), (of_y, number_y) = _stick_value("x", x), _stick_value("y", y)
+        for of in (of_x, of_y):
+            if of.name in self.missing:
+                raise ValueError(f"The sticks of this ensemble have no {of.name}, which was not measured.")
         if (number_x is None) != (number_y is None):
             raise ValueError(
                 "Arguments x and y must both have the number of a stick, such as ('duration', 1), or neither, but "
                 f"{x!r} and {y!r} were given."
             )
         if number_x is None or number_y is None:
-            values, owner = (self._column(of_x.name), self._column(of_y.name)), self.sticks.sample
+            values = tuple(self._column(of.name)[self._pooled] for of in (of_x, of_y))
+            owner = self.sticks.sample[self._pooled]
         else:
             skipped = self.numbering.skipped(self.sticks)
             has = self.sticks.count - skipped >= max(number_x, number_y)

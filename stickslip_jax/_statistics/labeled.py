@@ -25,9 +25,11 @@ def dataset_of_statistics(statistics: Any, bins: int) -> "xarray.Dataset":
         raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
     variables: _Entries = {}
     coordinates: _Entries = {"quantile": _entry("quantile", list(_SHARES), "share of values", "1")}
-    for quantity in DISTRIBUTIONS:
+    for quantity in statistics.known(DISTRIBUTIONS):
         _add_distribution(quantity.name, getattr(statistics, quantity.name), bins, variables, coordinates)
     for x, y in (*STREAMED_PAIRS, FIRST_TWO):
+        if {x, y} & statistics.missing:
+            continue
         _add_joint(f"{_key(x)}_and_{_key(y)}", statistics.joint(x, y), bins, variables, coordinates)
     _add_orders(statistics, variables, coordinates)
     shares = list(statistics.endings.values())
@@ -93,7 +95,7 @@ def _add_orders(statistics: Any, variables: _Entries, coordinates: _Entries) -> 
     coordinates["order"] = _entry("order", [one.number for one in orders], "number of the stick", "1")
     shares = [one.share for one in orders]
     _add_estimates("share_by_order", "order", shares, "share of samples that have the stick", "1", variables)
-    for quantity in STICK_QUANTITIES:
+    for quantity in statistics.known(STICK_QUANTITIES):
         means = [getattr(one, quantity.name).mean for one in orders]
         long_name, unit = f"mean {quantity.short_label} of the stick", statistics.unit_of(quantity)
         _add_estimates(f"{quantity.name}_by_order", "order", means, long_name, unit, variables)

@@ -101,8 +101,9 @@ FIRST_TWO: tuple[StickValue, StickValue] = (("duration", 1), ("duration", 2))
 """The pair of two sticks of a sample whose joint histogram is summed over all samples."""
 
 
-TOTALS = ("stick_time", "stick_count", "slip_count")
-"""The totals of each sample whose means and covariances an ensemble holds: stick time (s), sticks, slips."""
+TOTALS = ("stick_time", "stick_count", "slip_count", "rest_time", "rest_count")
+"""The totals of each sample whose means and covariances an ensemble holds: stick time (s), sticks, slips; and of the
+first two the part that is the initial rest: a stick that begins at t = 0, unless it counts (`Numbering`), else 0."""
 
 
 class Linear(NamedTuple):
@@ -111,6 +112,8 @@ class Linear(NamedTuple):
     stick_time: float = 0
     stick_count: float = 0
     slip_count: float = 0
+    rest_time: float = 0
+    rest_count: float = 0
     constant: float = 0
     t1: float = 0
 
@@ -147,7 +150,7 @@ class StatisticOfTotals:
         return self.numerator.slip_count == self.denominator.slip_count == 0
 
     def weights(self, t1: float) -> np.ndarray:
-        """Coefficients of `TOTALS` and the constant, of numerator and denominator, (2, 4); a constant denominator is 1.
+        """Coefficients of `TOTALS` and the constant, of numerator and denominator, (2, 6); a constant denominator is 1.
 
         - `t1`: s.
         """
@@ -190,8 +193,11 @@ mean_slip_count = StatisticOfTotals(
     "Mean number of slips in ``[0, t1]``, those cut by the horizon included.",
 )  # fmt: skip
 mean_stick_duration = StatisticOfTotals(
-    "mean_stick_duration", "mean stick duration (pooled)", "s", Linear(stick_time=1), Linear(stick_count=1),
+    "mean_stick_duration", "mean stick duration (pooled)", "s",
+    Linear(stick_time=1, rest_time=-1), Linear(stick_count=1, rest_count=-1),
     "Mean duration of all sticks of all samples, ``E[total stick time] / E[number of sticks]``, s.\n\n"
+    "A stick that begins at t = 0 is left out of both, unless the ensemble was simulated with "
+    "``count_initial_rest=True``, or with ``keep=\"totals\"``, which cannot tell it from the others. "
     "A stick cut by the horizon counts with the part before it. NaN if there was no stick.",
 )  # fmt: skip
 mean_slip_duration = StatisticOfTotals(

@@ -48,12 +48,12 @@ def summary_of(ensemble: Any) -> Summary:
     """The summary of an ensemble simulated with ``keep="statistics"`` or ``"sticks"``. Raises ValueError for others."""
     ensemble = require_ensemble(ensemble)
     statistics: EnsembleStatistics = ensemble.statistics
-    distributions = [getattr(statistics, quantity.name) for quantity in DISTRIBUTIONS]
+    distributions = [getattr(statistics, quantity.name) for quantity in statistics.known(DISTRIBUTIONS)]
     tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, distributions)))]
     orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
     present = [one for one in orders if one.duration.number > 0]
     if present:
-        quantities = [f"{one.short_label} ({statistics.unit_of(one)})" for one in STICK_QUANTITIES]
+        quantities = [f"{one.short_label} ({statistics.unit_of(one)})" for one in statistics.known(STICK_QUANTITIES)]
         rows = tuple(
             (str(one.number), _shown(one.share), *(_shown(of.mean) for of in one.distributions.values()))
             for one in present
@@ -69,12 +69,16 @@ def _notes(ensemble: Any, statistics: EnsembleStatistics) -> list[str]:
         shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in statistics.endings.items())
         notes.append(f"Share of sticks by ending: {shares}.")
     else:
-        notes.append("There is no stick.")
+        rest = " but those that begin at t = 0" if statistics.sticks.begins_at_zero.any() else ""
+        notes.append(f"There is no stick{rest}.")
     notes.append(
         "Sticks and slips cut by the horizon count with the part before it. Entropies: of histograms in 50 bins."
     )
     if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
-        notes.append("Sticks that begin at t = 0 are not numbered: the 1st is the next (count_initial_rest).")
+        notes.append(
+            "Sticks that begin at t = 0 count in the number of sticks and the stick fraction only; the 1st is the next "
+            "(count_initial_rest)."
+        )
     retained = len(statistics.totals)
     if retained < statistics.samples:
         notes.append(f"Standard errors were measured on the first {retained:,} samples.")

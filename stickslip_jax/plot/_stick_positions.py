@@ -47,6 +47,11 @@ def placed_sticks(
     """
     sticks = complete_sticks(result, also=also)
     system = _checked_system(system, None if isinstance(result, FirstSticks) else result.system)
+    if np.any(np.isnan(sticks.position)):
+        raise ValueError(
+            "Argument result must hold sticks with positions, but those of these sticks were not measured; draw "
+            "histogram(result), their durations."
+        )
     whole = system.coordinates[0].period
     voltage = bound.signal if isinstance(bound, RandomPhase) else bound
     if voltage is not None and np.ndim(getattr(system, "mu", 0.0)) > 0:

@@ -40,7 +40,7 @@ def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteStick
     """
     part = ""
     if isinstance(result, Ensemble):
-        sticks = result.finished_sticks()
+        sticks = result.numbered_sticks()
         used, duration = np.ones(len(sticks.start), bool), sticks.duration
         part = f" of the first {len(sticks.count):,} samples" if len(sticks.count) < result.finished else ""
     elif isinstance(result, FirstSticks):

@@ -11,11 +11,11 @@ import jax
 import numpy as np
 import xarray as xr
 
-from .. import __version__
+from .._ensemble.dataset import compression
 from .._ensemble.result import Ensemble
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks
-from .._status import Ending, Status
+from .._status import Ending
 from ._config import StudyConfig
 
 
@@ -28,10 +28,11 @@ def write_netcdf(
 ) -> None:
     """Write the data set of a study to `path`, a NetCDF 4 file.
 
-    Histograms and all else of ``ensemble.statistics.to_xarray()`` are in the group ``statistics``. Raises OSError if
-    the file cannot be written.
+    Histograms and all else of ``ensemble.statistics.to_xarray()`` are in the group ``statistics``. `load` makes the
+    ensemble of the file again. Raises OSError if the file cannot be written.
     """
-    dataset_of_study(config, ensemble, statistics, first_sticks).to_netcdf(path, engine="h5netcdf")
+    dataset = dataset_of_study(config, ensemble, statistics, first_sticks)
+    dataset.to_netcdf(path, engine="h5netcdf", encoding=compression(dataset))
     if ensemble.accumulator is not None:
         ensemble.statistics.to_xarray().to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
 
@@ -42,13 +43,13 @@ def dataset_of_study(
     statistics: Mapping[str, Estimate],
     first_sticks: FirstSticks | None = None,
 ) -> Any:
-    """An ``xarray.Dataset`` of the sticks, if they were kept (``ensemble.to_xarray()``), and of the statistics.
+    """An ``xarray.Dataset`` of the ensemble (``ensemble.to_xarray()``) and of the statistics.
 
     `first_sticks` become variables along ``sample``, ``first_stick_<column>``, NaN where there is none. Each statistic
     is a variable, its standard error another, ``<name>_standard_error``. All have ``units`` and ``long_name``; the
     attributes say what was simulated, by which versions, and how many samples did not finish.
     """
-    dataset = xr.Dataset() if ensemble.flat_sticks is None else ensemble.to_xarray()
+    dataset = ensemble.to_xarray()
     for name, estimate in statistics.items():
         error = f"{name}_standard_error"
         about = {"long_name": estimate.name, "units": estimate.unit, "ancillary_variables": error}
@@ -58,7 +59,7 @@ def dataset_of_study(
     if first_sticks is not None:
         for name, column in _first_stick_columns(first_sticks).items():
             dataset[f"first_stick_{name}"] = column
-    dataset.attrs.update({"title": "Ensemble of stick-slip motions", **_provenance(config, ensemble)})
+    dataset.attrs.update({"title": "Ensemble of stick-slip motions", **_provenance(config)})
     return dataset
 
 
@@ -72,14 +73,13 @@ def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray,
     }
 
 
-def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
-    """Attributes that say how the numbers were computed; parameters are called ``<section>_<key>``.
+def _provenance(config: StudyConfig) -> dict[str, Any]:
+    """Attributes that say how the numbers were computed, besides those of the ensemble; parameters are called
+    ``<section>_<key>``.
 
     Units are those of the configuration, which is an attribute itself.
     """
     attributes: dict[str, Any] = {
-        "source": f"stickslip_jax {__version__}",
-        "stickslip_jax_version": __version__,
         "jax_version": jax.__version__,
         "numpy_version": np.__version__,
         "python_version": platform.python_version(),
@@ -89,17 +89,7 @@ def _provenance(config: StudyConfig, ensemble: Ensemble) -> dict[str, Any]:
         "device": str(jax.devices()[0].device_kind),
         "date_created": datetime.now(UTC).isoformat(timespec="seconds"),
         "configuration": config.to_toml(),
-        "samples_finished": ensemble.finished,
-        "samples_near_grazing": ensemble.near_grazing_samples,
-        "compile_seconds": ensemble.compile_seconds,
-        "run_seconds": ensemble.run_seconds,
-        "threads_used": ensemble.threads,
     }
-    for status in Status:
-        if status is not Status.FINISHED:
-            attributes[f"samples_{status.name.lower()}"] = ensemble.status_counts[status]
-    if ensemble.key_data is not None:
-        attributes["key_data"] = np.array(ensemble.key_data, np.uint32)
     for section in ("system", "base", "run"):
         attributes |= _flat(section, getattr(config, section).model_dump(exclude_none=True))
     return attributes

@@ -76,7 +76,7 @@ def test_streamed_and_kept_ensembles_agree(kept):
     with pytest.raises(ValueError, match='keep="sticks"'):
         _ = streamed.sticks
     with pytest.raises(ValueError, match='keep="sticks"'):
-        streamed.to_xarray()
+        _ = streamed.slips
 
 
 def test_a_long_trajectory_outgrows_any_block():
@@ -154,11 +154,16 @@ def test_first_statistics_against_brute_force(kept):
     assert number.value == pytest.approx(count.mean(), rel=1e-12)
     assert number.standard_error == pytest.approx(count.std(ddof=1) / math.sqrt(n), rel=1e-12)
     pooled = ss.mean_stick_duration(kept)
-    ratio = time.sum() / count.sum()
+    rest = kept.sticks.start[:, 0] == 0  # sticks that begin at t = 0 are left out
+    assert 0 < rest.sum() < n
+    time_later, later = time - np.where(rest, kept.sticks.duration[:, 0], 0), count - rest
+    ratio = time_later.sum() / later.sum()
     assert pooled.value == pytest.approx(ratio, rel=1e-12)
     assert pooled.standard_error == pytest.approx(
-        np.std(time - ratio * count, ddof=1) / count.mean() / math.sqrt(n), rel=1e-10
+        np.std(time_later - ratio * later, ddof=1) / later.mean() / math.sqrt(n), rel=1e-10
     )
+    counted = ss.simulate_ensemble(SYSTEM, POISSON, samples=150, keep="sticks", count_initial_rest=True, **RUN)
+    assert ss.mean_stick_duration(counted).value == pytest.approx(time.sum() / count.sum(), rel=1e-12)
     slip = ss.mean_slip_duration(kept)
     ratio = (40 - time).sum() / slips.sum()
     assert slip.value == pytest.approx(ratio, rel=1e-12)

@@ -43,7 +43,7 @@ def test_histogram_of_an_ensemble_leaves_out_cut_sticks(many):
     """The distribution has all sticks, with errors and mean; the ensemble the complete ones."""
     every = plot.histogram(many.statistics.duration, bins=20)
     complete = plot.histogram(many, bins=20)
-    sticks = many.finished_sticks()
+    sticks = many.numbered_sticks()
     kept = sticks.duration[sticks.ending != ss.Ending.HORIZON]
     assert len(kept) < len(sticks.duration)
     heights, edges = steps(complete)

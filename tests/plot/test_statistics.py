@@ -11,7 +11,7 @@ from support.plot import MAP_LABELS, T1, band_of, error_bars, line, mesh, only, 
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._ensemble.result import Retained
+from stickslip_jax._ensemble.kept import Retained
 from stickslip_jax._statistics.convergence import convergence, histogram_convergence
 from stickslip_jax.plot import _style
 
@@ -24,7 +24,7 @@ def error_of_share(inside, owner, samples):
 
 
 def test_histogram_draws_density_errors_and_mean(many):
-    distribution, sticks = many.statistics.duration, many.finished_sticks()
+    distribution, sticks = many.statistics.duration, many.numbered_sticks()
     ax = plot.histogram(distribution, bins=20)
     heights, edges = steps(ax)
     counts, _ = np.histogram(sticks.duration, edges)
@@ -63,7 +63,7 @@ def test_histogram_of_whole_numbers_is_centered_on_them(many):
 
 @pytest.mark.parametrize("log", [False, True])
 def test_joint_histogram_and_its_sides(many, log):
-    sticks = many.finished_sticks()
+    sticks = many.numbered_sticks()
     main, above, right = plot.joint_histogram(many.statistics.joint("duration", "position"), bins=16, log=log)
     density, *edges = mesh(main)
     counts, *_ = np.histogram2d(sticks.duration, sticks.position, edges)
@@ -163,6 +163,7 @@ def test_raster_in_a_window_and_of_all_samples(many):
 def test_maps_and_durations_of_the_sticks_retained(many):
     sticks = many.finished_sticks()
     few = dataclasses.replace(many, retained=Retained(sticks.head(60), many.retained.totals[:60]))
+    sticks = many.numbered_sticks()
     for ensemble, samples in ((many, 200), (few, 60)):
         used = sticks.sample < samples
         complete = used & (sticks.ending != ss.Ending.HORIZON)
@@ -276,7 +277,7 @@ def test_one_sample_is_drawn_without_errors(single):
     assert not any(ax.containers for ax in (histogram, counts, panels[1], panels[2]))
     assert texts(means) == ["mean (no interval from one sample)"]
     assert not means.containers
-    assert texts(raster) == [f"{number} sticks in 1 of 1 realisation"]
+    assert texts(raster) == [f"{len(single.finished_sticks().start)} sticks in 1 of 1 realisation"]
     assert np.ptp(list(band_of(curve).values())) == pytest.approx(
         0, abs=100 * single.statistics.stick_fraction.resolution
     )

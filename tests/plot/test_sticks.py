@@ -77,7 +77,7 @@ def test_map_shows_every_complete_first_stick_below_the_bound(many):
 
 def test_map_of_all_sticks_in_half_a_circle(many):
     ax = plot.stick_map(many, period=np.pi)
-    flat = many.flat_sticks
+    flat = many.numbered_sticks()
     complete = flat.ending != ss.Ending.HORIZON
     assert points_of(ax)[:, 0] == pytest.approx(np.mod(flat.position[complete], np.pi))
     assert points_of(ax)[:, 1] == pytest.approx((flat.end - flat.start)[complete])
@@ -142,7 +142,7 @@ def test_durations_of_first_sticks_and_of_a_motor(many):
     first = ss.first_stick(many)
     texts = plot.histogram(first).get_legend().get_texts()
     assert texts[0].get_text() == f"{np.sum(first.ending != ss.Ending.HORIZON):,} sticks"
-    complete = np.sum(many.flat_sticks.ending != ss.Ending.HORIZON)
+    complete = np.sum(many.numbered_sticks().ending != ss.Ending.HORIZON)
     assert plot.histogram(many).get_legend().get_texts()[0].get_text().startswith(f"{complete:,} sticks")
 
 

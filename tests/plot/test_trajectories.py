@@ -186,7 +186,7 @@ def histogram(ax):
 def test_durations_count_every_complete_stick_once(ensemble):
     ax = plot.histogram(ensemble, bins=20)
     density, edges = histogram(ax)
-    flat = ensemble.flat_sticks
+    flat = ensemble.numbered_sticks()
     complete = flat.ending != ss.Ending.HORIZON
     assert 0 < np.sum(~complete) < np.sum(complete)
     counts, _ = np.histogram((flat.end - flat.start)[complete], edges)
@@ -201,7 +201,7 @@ def test_durations_with_given_edges_stay_a_density(ensemble):
     edges = [0.1, 0.2, 0.3]
     ax = plot.histogram(ensemble, bins=edges)
     density, drawn = histogram(ax)
-    flat = ensemble.flat_sticks
+    flat = ensemble.numbered_sticks()
     durations = (flat.end - flat.start)[flat.ending != ss.Ending.HORIZON]
     inside = np.mean((durations >= 0.1) & (durations <= 0.3))
     assert drawn.tolist() == edges

@@ -45,12 +45,31 @@ def test_tables_hold_every_stick(many, tmp_path, ending, read):
     path = many.write_sticks(tmp_path / f"sticks{ending}")
     table, sticks = read(path), many.flat_sticks
     assert list(table) == ["sample", "order", "start_s", "end_s", "duration_s", "position_m", "slip_displacement_m",
-                           "ending"]  # fmt: skip
+                           "is_initial_rest", "ending"]  # fmt: skip
     for name in ("start", "end", "duration"):
         np.testing.assert_array_equal(table[f"{name}_s"], getattr(sticks, name))
     np.testing.assert_array_equal(table["sample"], np.repeat(np.arange(200), sticks.count))
-    np.testing.assert_array_equal(table.groupby("sample")["order"].max(), sticks.count[sticks.count > 0])
+    rest = sticks.begins_at_zero
+    assert 0 < rest.sum() < len(rest)
+    np.testing.assert_array_equal(table.groupby("sample")["order"].max(), (sticks.count - rest)[sticks.count > 0])
+    np.testing.assert_array_equal(table["order"] == 0, table["is_initial_rest"])
+    np.testing.assert_array_equal(table["start_s"] == 0, table["is_initial_rest"])
+    for number in (1, 3):  # the numbers are those of the statistics
+        durations = table["duration_s"][table["order"] == number]
+        assert durations.mean() == pytest.approx(many.statistics.order(number).duration.mean.value, rel=1e-12)
     assert [ss.Ending[name] for name in table["ending"]] == list(sticks.ending)
+
+
+@pytest.mark.parametrize(("ending", "read"), [(".csv", pd.read_csv), (".parquet", pd.read_parquet)])
+def test_tables_hold_every_slip(many, tmp_path, ending, read):
+    table, slips = read(many.write_slips(tmp_path / f"slips{ending}")), many.slips
+    assert list(table) == ["sample", "start_s", "end_s", "duration_s", "is_censored"]
+    np.testing.assert_array_equal(table["sample"], np.repeat(np.arange(200), many.totals.slips))
+    for name, column in {"start": "start_s", "duration": "duration_s", "censored": "is_censored"}.items():
+        np.testing.assert_array_equal(table[column], getattr(slips, name)[slips.mask])
+    # What does not slip sticks.
+    slipped = table.groupby("sample")["duration_s"].sum()
+    np.testing.assert_allclose(40 - slipped, many.totals.stick_time, atol=1e-12)
 
 
 def test_tables_of_other_formats_are_refused(many, tmp_path, annotations_unchecked):

@@ -140,7 +140,7 @@ def test_sticks_from_the_start_are_numbered_on_request(rest):
     joint = many.statistics.joint(("duration", 1), ("duration", 2))
     assert joint.number == len(pair[0])
     assert joint.correlation.value == pytest.approx(np.corrcoef(*pair)[0, 1], rel=1e-9)
-    assert ("not numbered" in repr(many.summary())) == (not rest)
+    assert ("Sticks that begin at t = 0 count in" in repr(many.summary())) == (not rest)
 
 
 def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeypatch):
@@ -154,8 +154,8 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
     assert scaled.value == pytest.approx(exact.value)
     # Measured on some 110 of 300 samples: a standard deviation from so many is uncertain by 1 / sqrt(220) = 7 %.
     assert scaled.standard_error == pytest.approx(exact.standard_error, rel=0.3)
-    assert streamed.statistics.joint("start", "position").number == len(sticks.start)
-    assert streamed.statistics.joint("duration", "position").number == len(kept.flat_sticks.start)
+    assert streamed.statistics.joint("start", "position").number == len(streamed.numbered_sticks().start)
+    assert streamed.statistics.joint("duration", "position").number == len(kept.numbered_sticks().start)
     assert "errors were measured on the first" in repr(streamed.summary())
 
 

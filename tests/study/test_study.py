@@ -14,7 +14,7 @@ import stickslip_jax as ss
 from stickslip_jax.study._config import OutputConfig, RunConfig, StudyConfig
 from stickslip_jax.study._errors import StudyError
 from stickslip_jax.study._figures import beginning_of_sample_0
-from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, STICK_DURATIONS, result_folder
+from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, STICK_DURATIONS, SUMMARY, result_folder
 from stickslip_jax.study._reading import OPTIONS, read_config
 from stickslip_jax.study._report import as_json, table
 from stickslip_jax.study._run import STATISTICS, run_study
@@ -236,7 +236,7 @@ def test_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
 
 
 def test_every_variable_has_units_and_a_name(dataset):
-    assert len(dataset.data_vars) == 10 + 2 * len(STATISTICS)
+    assert len(dataset.data_vars) == 19 + 2 * len(STATISTICS)
     for variable in dataset.variables.values():
         assert variable.attrs["units"]
         assert variable.attrs["long_name"]
@@ -274,6 +274,27 @@ def test_file_says_where_it_comes_from(study, dataset):
     np.testing.assert_array_equal(attributes["key_data"], jax.random.key_data(jax.random.key(0)))
 
 
+def test_a_study_comes_back_as_an_ensemble(study):
+    """From its folder or its file; the summary, the table and the file agree on the pooled sticks."""
+    many = study.ensemble
+    for path in (study.directory, study.directory / DATA):
+        back = ss.load(path)
+        assert repr(back.summary()) == repr(many.summary()) == (study.directory / SUMMARY).read_text().rstrip("\n")
+        assert (back.system, back.law, back.y0, back.samples) == (many.system, many.law, many.y0, 40)
+        for number in (0, 39):
+            ours, theirs = back.realization(number), many.realization(number)
+            np.testing.assert_array_equal(ours[0].durations, theirs[0].durations)
+            assert ours[1] == theirs[1]
+    with xr.open_dataset(study.directory / DATA, group="statistics") as statistics:
+        pooled = study.statistics["mean_stick_duration"]
+        assert float(statistics["duration_mean"]) == pytest.approx(pooled.value, rel=1e-12)
+        assert many.statistics.duration.mean.value == float(statistics["duration_mean"])
+    sticks = many.flat_sticks
+    later = sticks.start > 0
+    assert 0 < np.sum(~later) < 40  # of those that begin at t = 0 none is pooled
+    assert pooled.value == pytest.approx(sticks.duration[later].mean(), rel=1e-12)
+
+
 def test_study_can_be_repeated_from_its_files(tmp_path, study, dataset):
     assert read_config(study.directory / CONFIG) == study.config
     assert read_config(config_file(tmp_path, dataset.attrs["configuration"])) == study.config
@@ -300,7 +321,7 @@ def test_statistics_alone_can_be_kept(tmp_path):
     config = config.model_copy(update={"run": config.run.model_copy(update={"keep": "statistics"})})
     study = run_study(config, progress=False)
     with xr.open_dataset(study.directory / DATA) as dataset:
-        assert len(dataset.variables) == 2 * len(STATISTICS)
+        assert "sample" not in dataset
         assert float(dataset["stick_fraction"]) == study.statistics["stick_fraction"].value
 
 

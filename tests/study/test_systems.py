@@ -16,7 +16,7 @@ import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax.study._errors import StudyError
 from stickslip_jax.study._figures import beginning_of_sample_0
-from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES
+from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, SUMMARY
 from stickslip_jax.study._reading import read_config
 from stickslip_jax.study._report import as_json, table
 from stickslip_jax.study._run import STATISTICS, run_study
@@ -174,7 +174,8 @@ def test_motor_cart(tmp_path):
             "ending": "ending",
         }.items():
             np.testing.assert_array_equal(dataset[f"first_stick_{name}"], getattr(first, expected))
-        assert dataset["stick_position"].attrs == {"long_name": "motor angle during the stick", "units": "rad"}
+        expected = {"long_name": "motor angle during the stick", "units": "rad", "period": 2 * math.pi}
+        assert dataset["stick_position"].attrs == expected
         assert dataset["first_stick_angle"].attrs["units"] == "rad"
         expected = {"run_initial_angle_low": 0.0, "run_initial_angle_high": 2 * math.pi, "base_random_phase": 1}
         assert {name: dataset.attrs[name] for name in expected} == expected
@@ -200,8 +201,9 @@ def test_motor_cart_by_statistics_alone(tmp_path, monkeypatch):
     study = run(tmp_path, CART + 'keep = "statistics"\n', out=str(tmp_path / "bare"))
     assert study.first_sticks is None
     assert "first stick" not in table(study)
-    with xr.open_dataset(study.directory / DATA) as dataset:
-        assert len(dataset.variables) == 2 * len(STATISTICS)
+    back = ss.load(study.directory)
+    assert back.keep == "statistics"
+    assert repr(back.summary()) == repr(whole.summary()) == (study.directory / SUMMARY).read_text().rstrip("\n")
 
 
 def test_samples_out_of_steps_are_reported(tmp_path):

@@ -32,7 +32,7 @@ def statistics_of(
         one = StickAccumulator.of(StickStream.of(sticks.only(chosen)), time[chosen], slips[chosen], t1, numbering)
         accumulator = one if accumulator is None else accumulator.merge(one)
     assert accumulator is not None
-    totals = np.stack([time, sticks.count, slips], axis=1).astype(float)
+    totals = np.stack([time, sticks.count, slips, *numbering.rest(sticks)], axis=1).astype(float)
     return EnsembleStatistics(accumulator, sticks, totals, t1, "m", numbering)
 
 

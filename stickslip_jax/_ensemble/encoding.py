@@ -1,0 +1,176 @@
+"""Objects of this package as JSON, with long arrays beside it, and back.
+
+A class is written by its public name and its fields. An object of a user's own class, or one that holds such an object,
+is written by the name of its class and as it prints, and comes back as `Unknown`.
+"""
+
+import dataclasses
+import json
+import math
+import sys
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._design.design import Design
+from .._numerics.dyadic import DyadicCounts
+from .._numerics.moments import Moments
+from .._numerics.power_sums import PowerSums
+from .._statistics.accumulator import StickAccumulator
+from .origins import GivenMotions, Origin
+from .unknown import Unknown, UnknownSystem
+
+_SHORT = 32  # entries: longer arrays stand beside the JSON
+_INTERNAL = (Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, Unknown, UnknownSystem)
+_LONGEST_TEXT = 1000  # of an object that prints itself
+
+
+class NotOursError(TypeError):
+    """An object that cannot be written by the names of this package."""
+
+
+class Encoder:
+    """Writes objects as JSON and collects long arrays in `floats` and `integers`, one after the other."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, list[np.ndarray]] = {"floats": [], "integers": []}
+        self._used = {"floats": 0, "integers": 0}
+
+    @property
+    def floats(self) -> np.ndarray:
+        """All long arrays of floating numbers, (numbers,), float64."""
+        return np.concatenate([np.zeros(0), *self._parts["floats"]])
+
+    @property
+    def integers(self) -> np.ndarray:
+        """All long arrays of whole numbers and truths, (numbers,), int64."""
+        return np.concatenate([np.zeros(0, np.int64), *self._parts["integers"]])
+
+    def text(self, value: Any) -> str:
+        """`value` as JSON; what is a user's own by its name and as it prints."""
+        return json.dumps(self.encoded(value))
+
+    def encoded(self, value: Any) -> Any:
+        """`value` as JSON takes it; what is a user's own by its name and as it prints."""
+        if type(value) is tuple:
+            return {"tuple": [self.encoded(part) for part in value]}
+        try:
+            return self._encoded(value)
+        except NotOursError:
+            printed = " ".join(repr(value).split())[:_LONGEST_TEXT]
+            return {"class": "Unknown", "fields": {"name": type(value).__name__, "text": printed}}
+
+    def _encoded(self, value: Any) -> Any:
+        if value is None or isinstance(value, (bool, str)) or type(value) is int:
+            return value
+        if isinstance(value, float) and not isinstance(value, np.generic):
+            return value if math.isfinite(value) else {"float": str(value)}
+        if isinstance(value, (np.ndarray, np.generic, jax.Array)):
+            return self._array(value)
+        if type(value) in (tuple, list):
+            return {type(value).__name__: [self._encoded(part) for part in value]}
+        if classes().get(type(value).__name__) is type(value):
+            return {"class": type(value).__name__, "fields": self._fields(value)}
+        if type(value).__module__.startswith("diffrax") and repr(value) == repr(type(value)()):
+            return {"diffrax": type(value).__name__}
+        raise NotOursError
+
+    def _fields(self, value: Any) -> dict[str, Any]:
+        if hasattr(value, "_fields"):
+            names = value._fields
+        else:
+            names = [field.name for field in dataclasses.fields(value) if field.init]
+        # Of these the parts may be a user's own, each by itself.
+        encoded = self.encoded if isinstance(value, Origin) else self._encoded
+        return {name: encoded(getattr(value, name)) for name in names}
+
+    def _array(self, value: Any) -> dict[str, Any]:
+        if isinstance(value, jax.Array) and jax.numpy.issubdtype(value.dtype, jax.dtypes.prng_key):
+            raise NotOursError
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub" or array.dtype == np.uint64:
+            raise NotOursError
+        about = {"of": "jax" if isinstance(value, jax.Array) else "numpy", "dtype": str(array.dtype)}
+        about |= {"shape": list(array.shape)}
+        if array.size <= _SHORT:
+            return about | {"values": [self._encoded(entry) for entry in array.reshape(-1).tolist()]}
+        store = "floats" if array.dtype.kind == "f" else "integers"
+        self._parts[store].append(array.reshape(-1).astype(np.float64 if store == "floats" else np.int64))
+        at = self._used[store]
+        self._used[store] += array.size
+        return about | {store: at}
+
+
+@dataclasses.dataclass(frozen=True)
+class Decoder:
+    """Reads what an `Encoder` wrote; `floats`, `integers`: its long arrays."""
+
+    floats: np.ndarray
+    integers: np.ndarray
+
+    def value(self, text: str) -> Any:
+        """The object in JSON. Raises ValueError, KeyError or TypeError for a text that no `Encoder` wrote."""
+        return self.decoded(json.loads(text))
+
+    def decoded(self, value: Any, checked: bool = True) -> Any:
+        """The object; `checked`: whether constructors check its numbers, which they cannot for a whole batch."""
+        if not isinstance(value, dict):
+            return value
+        if "class" in value:
+            return self._object(value["class"], value["fields"], checked)
+        if "shape" in value:
+            return self._array(value)
+        if "float" in value:
+            return float(value["float"])
+        if "diffrax" in value:
+            import diffrax  # noqa: PLC0415 - only where a solver was stored
+
+            return getattr(diffrax, value["diffrax"])()
+        ((kind, parts),) = value.items()
+        return {"tuple": tuple, "list": list}[kind](self.decoded(part, checked) for part in parts)
+
+    def _object(self, name: str, fields: dict[str, Any], checked: bool) -> Any:
+        kind = classes().get(name)
+        if kind is None:
+            raise ValueError(f"it holds a {name}, which this version of stickslip_jax does not know")
+        given = {key: self.decoded(part, checked and kind is not GivenMotions) for key, part in fields.items()}
+        if checked:
+            return kind(**{key: part for key, part in given.items() if not _is_default(kind, key, part)})
+        made = object.__new__(kind)
+        for key, part in given.items():
+            object.__setattr__(made, key, part)
+        return made
+
+    def _array(self, about: dict[str, Any]) -> Any:
+        shape, dtype = tuple(about["shape"]), np.dtype(about["dtype"])
+        size = math.prod(shape)
+        if "values" in about:
+            flat = [self.decoded(entry) for entry in about["values"]]
+        elif "floats" in about:
+            flat = self.floats[about["floats"] : about["floats"] + size]
+        else:
+            flat = self.integers[about["integers"] : about["integers"] + size]
+        array = np.asarray(flat).astype(dtype).reshape(shape)
+        if about["of"] == "jax":
+            return jax.numpy.asarray(array)
+        return array if shape else array[()]
+
+
+def _is_default(kind: type, name: str, value: Any) -> bool:
+    """Whether a field has its default, which then prints as if it had not been given."""
+    defaults = (
+        {field.name: field.default for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
+    )
+    default = defaults.get(name, dataclasses.MISSING)
+    return type(value) is type(default) and isinstance(value, (str, int, float)) and value == default
+
+
+def classes() -> dict[str, type]:
+    """The classes that are written by their names: the public ones, and those of what an ensemble sums."""
+    # Looked up when needed: the package's own names are complete only once all of it is imported.
+    public = vars(sys.modules[__name__.partition(".")[0]])
+    own = {
+        name: value for name, value in public.items() if isinstance(value, type) and hasattr(value, "__annotations__")
+    }
+    return own | {kind.__name__: kind for kind in _INTERNAL}

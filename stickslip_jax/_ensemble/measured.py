@@ -1,0 +1,163 @@
+"""Tables of measured sticks, checked and put in order."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .. import _checks
+from .._events.sticks import FlatSticks
+from .._status import Ending
+
+_NEEDED = ("sample", "start", "end", "duration", "position", "slip_displacement", "ending")
+_ROUND_OFF = 1e-9  # of the duration of the measurement: ends within it of the next start, or of t1, are on time
+
+
+def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
+    """The sticks of a table, in order of sample and time, and the unit in the name of its column of positions.
+
+    Arguments and errors of `Ensemble.from_sticks`.
+    """
+    columns, unit = _columns(table)
+    number, samples = _numbers_of_samples(columns["sample"], samples)
+    start = _numbers("start", columns)
+    end = _numbers("end", columns) if "end" in columns else start + _numbers("duration", columns)
+    order = np.lexsort((start, number))
+    number, start, end = number[order], start[order], end[order]
+    end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
+    _check_times(number, start, end, t1, order)
+    # An end within round-off of the next start is that start.
+    late = np.flatnonzero((number[1:] == number[:-1]) & (end[:-1] > start[1:]))
+    end[late] = start[late + 1]
+    nothing = np.full(len(start), np.nan)
+    position, displacement = (
+        _numbers(name, columns)[order] if name in columns else nothing for name in ("position", "slip_displacement")
+    )
+    ending = _endings(columns["ending"])[order] if "ending" in columns else np.where(end == t1, Ending.HORIZON, 0)
+    count = np.bincount(number, minlength=samples)
+    return FlatSticks(count, start, end, position, displacement, ending.astype(np.int8)), unit
+
+
+def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
+    """The columns of the table by name, and the unit of the position if its column's name says it."""
+    try:
+        given = {
+            str(name): np.asarray(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)
+        }
+    except (AttributeError, KeyError, TypeError):
+        raise ValueError(
+            "Argument table must be a pandas DataFrame or a dict of arrays with columns sample, start, and end or "
+            f"duration, but {_checks.show(table)} was given."
+        ) from None
+    found, unit = {}, None
+    for name, column in given.items():
+        short = next((one for one in _NEEDED if name == one or name.startswith(f"{one}_")), None)
+        if short is None or (short in found and name != short):
+            continue
+        if short in ("start", "end", "duration") and name not in (short, f"{short}_s"):
+            raise ValueError(f"Argument table must have times in s, but it has a column {name!r}; convert it.")
+        if short == "position" and name != short:
+            unit = name.removeprefix("position_")
+        found[short] = column
+    missing = [name for name in ("sample", "start") if name not in found]
+    if missing or not {"end", "duration"} & set(found):
+        names = ", ".join(map(repr, given)) or "none"
+        raise ValueError(
+            "Argument table must have the columns sample, start (s), and end (s) or duration (s), but its columns are "
+            f"{names}."
+        )
+    lengths = {name: np.shape(column) for name, column in found.items()}
+    if any(len(shape) != 1 for shape in lengths.values()) or len(set(lengths.values())) > 1:
+        shown = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
+        raise ValueError(f"Argument table must have columns of the same length, but their shapes are {shown}.")
+    for name in ("position", "slip_displacement"):  # all empty: not measured
+        if name in found and found[name].dtype.kind == "f" and len(found[name]) and np.all(np.isnan(found[name])):
+            del found[name]
+    return found, unit
+
+
+def _numbers(name: str, columns: dict[str, np.ndarray]) -> np.ndarray:
+    column = columns[name]
+    if column.dtype.kind not in "iuf":
+        raise ValueError(f"Argument table must have numbers in the column {name}, but its type is {column.dtype}.")
+    wrong = ~np.isfinite(column)
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(
+            f"Argument table must have finite numbers in the column {name}, but its row {at} has {column[at]}; leave "
+            "out the row, or a column that was not measured."
+        )
+    return column.astype(np.float64)
+
+
+def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.ndarray, int]:
+    """The number of each stick's sample, from 0, and how many samples there are."""
+    if labels.dtype.kind == "f" and np.all(labels == np.round(labels)):
+        labels = labels.astype(np.int64)
+    if labels.dtype.kind not in "iu":
+        if labels.dtype.kind not in "OUST":
+            raise ValueError(
+                f"Argument table must have whole numbers or names in the column sample, but its type is {labels.dtype}."
+            )
+        present, number = np.unique(labels.astype(str), return_inverse=True)
+        return number, _enough(samples, len(present))
+    least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
+    if samples is not None:
+        if least < 0 or most >= _checks.whole_number("samples", samples):
+            raise ValueError(
+                f"Argument table must have sample numbers from 0 to {samples - 1}, because samples = {samples}, but "
+                f"they are from {least} to {most}; renumber them from 0."
+            )
+        return labels.astype(np.int64), samples
+    if not len(labels):
+        raise ValueError(
+            "Argument samples must be given for a table without sticks: how many samples were measured; None was given."
+        )
+    present = np.unique(labels)
+    if least not in (0, 1) or len(present) != most - least + 1:
+        raise ValueError(
+            "Argument samples must be given where sample numbers have gaps or begin beyond 1, because samples without "
+            f"a stick count too; the table has {len(present)} samples, numbered from {least} to {most}."
+        )
+    return labels.astype(np.int64) - least, len(present)
+
+
+def _enough(samples: int | None, present: int) -> int:
+    if samples is None:
+        return present
+    if _checks.whole_number("samples", samples) < present:
+        raise ValueError(
+            f"Argument samples must be at least the {present} samples in the table, but {samples} was given."
+        )
+    return samples
+
+
+def _check_times(number: np.ndarray, start: np.ndarray, end: np.ndarray, t1: float, order: np.ndarray) -> None:
+    """Raise ValueError unless all sticks lie in [0, t1], have a duration, and do not overlap; names the first row."""
+    again = np.zeros(len(start), bool)
+    again[1:] = (number[1:] == number[:-1]) & (start[1:] < end[:-1] - _ROUND_OFF * t1)
+    for wrong, demand in (
+        (start < 0, "starts of 0 s or later"),
+        (end > t1, f"ends of at most t1 = {t1:g} s"),
+        (~(end > start), "sticks that end after they start"),
+        (again, "sticks of a sample that do not overlap"),
+    ):
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(
+                f"Argument table must have {demand}, but its row {order[at]} has a stick from {start[at]:g} to "
+                f"{end[at]:g} s."
+            )
+
+
+def _endings(column: np.ndarray) -> np.ndarray:
+    """`Ending` codes from codes or names."""
+    known = {str(key): int(ending) for ending in Ending for key in (ending.name, int(ending))}
+    codes = [known.get(str(entry)) for entry in column.tolist()]
+    if None in codes:
+        wrong = column[codes.index(None)]
+        raise ValueError(
+            f"Argument table must have {_checks.one_of(Ending.__members__)} in the column ending, but its row "
+            f"{codes.index(None)} has {_checks.show(wrong)}."
+        )
+    return np.array(codes, np.int8)

@@ -1,0 +1,145 @@
+"""Where the samples of an ensemble come from: parts that were joined, and realisations that were given."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .unknown import require_known
+
+
+class Origin(NamedTuple):
+    """What one part of a joined ensemble was simulated from; fields as those of `Ensemble`, which they replace."""
+
+    system: Any
+    law: Any
+    method: Any
+    y0: tuple[Any, ...]
+    key_data: tuple[int, ...] | None
+    first_sample: int
+    samples: int
+    design: Any = None
+    copula: Any = None
+
+    @classmethod
+    def of(cls, ensemble: Any) -> "Origin":
+        """The origin of an ensemble that was not joined."""
+        return cls(*(getattr(ensemble, name) for name in cls._fields))
+
+    def follows(self, before: "Origin") -> bool:
+        """Whether these are the samples after those of `before`, of the same system, law, method, start and key."""
+        if self.first_sample != before.first_sample + before.samples:
+            return False
+        return self.key_data is not None and self.same_run(before)
+
+    def same_run(self, other: "Origin") -> bool:
+        """Whether the samples were drawn by the same key from the same system, law and start, by the same method."""
+        drawn = zip(self[:4], other[:4], strict=True)
+        alike = self.design is other.design and same_object(self.copula, other.copula)
+        return alike and self.key_data == other.key_data and all(same_object(*pair) for pair in drawn)
+
+
+def same_object(one: Any, other: Any) -> bool:
+    """Whether two systems, laws, methods or states have the same class and the same numbers."""
+    try:
+        return type(one) is type(other) and bool(eqx.tree_equal(one, other))
+    except (TypeError, ValueError):  # a user's object that cannot be compared
+        return one is other
+
+
+class GivenMotions(eqx.Module):
+    """The base motions of all samples, which were given and not drawn: `bases` has a leading axis of samples."""
+
+    bases: Any
+
+    def base(self, number: int) -> Any:
+        """The base motion of sample `number`."""
+        return jax.tree.map(lambda leaf: single(leaf[number]) if np.ndim(leaf) else leaf, self.bases)
+
+
+def single(entry: Any) -> Any:
+    """One entry of a batch: a plain number, or an array of JAX."""
+    return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
+
+
+def origins_of(ensemble: Any) -> tuple[Origin, ...]:
+    """The origins of all parts of an ensemble, one if it was not joined."""
+    return ensemble.origins or (Origin.of(ensemble),)
+
+
+def check_dtype(dtype: str) -> None:
+    """Raise ValueError if JAX is set to another floating dtype, in which other random numbers would be drawn."""
+    if str(jnp.result_type(float)) != dtype:
+        raise ValueError(
+            f"This ensemble was simulated in {dtype}, and JAX is set to {jnp.result_type(float)}, which draws other "
+            f"numbers; call jax.config.update('jax_enable_x64', {dtype == 'float64'}) before anything else."
+        )
+
+
+def part_with(ensemble: Any, number: int) -> tuple[Any, int]:
+    """An ensemble that draws again what sample `number` was simulated from, and the number that it has there."""
+    for origin in origins_of(ensemble):
+        if number < origin.samples:
+            part = dataclasses.replace(ensemble, **origin._asdict(), origins=())
+            return part, number + origin.first_sample
+        number -= origin.samples
+    raise IndexError(number)
+
+
+def check_extendable(ensemble: Any) -> None:
+    """Raise ValueError unless more samples of `ensemble` can be simulated."""
+    if ensemble.origins:
+        raise ValueError(
+            f"This ensemble was joined from {len(ensemble.origins)} parts of different origin, which cannot be "
+            "extended; extend the last part, and concatenate then."
+        )
+    for what in ("system", "law", "method", *(f"y0[{index}]" for index in range(len(ensemble.y0)))):
+        require_known(what, ensemble.y0[int(what[3:-1])] if what.startswith("y0") else getattr(ensemble, what))
+    if isinstance(ensemble.law, GivenMotions):
+        raise ValueError(
+            "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
+            "concatenate."
+        )
+    if ensemble.design is not None or not all(entry.is_random for entry in ensemble.inputs.entries):
+        raise ValueError(
+            "This ensemble has a design or arrays with one number for each sample, which cannot be extended; simulate "
+            "more samples with other arrays, and concatenate."
+        )
+    check_dtype(ensemble.dtype)
+
+
+def known_inputs(ensemble: Any) -> dict[str, np.ndarray]:
+    """The numbers that differ from sample to sample, (samples,); none where it is not known what was simulated."""
+    try:
+        for origin in origins_of(ensemble):
+            require_whole(origin)
+    except ValueError:
+        return {}
+    return {} if isinstance(ensemble.law, GivenMotions) else ensemble.input_values
+
+
+def require_whole(ensemble: Any) -> None:
+    """Raise ValueError unless the system, the base motion and the start of `ensemble` are known."""
+    for what, name in {"system": "system", "law": "base motion", "y0": "initial state"}.items():
+        held = getattr(ensemble, what)
+        for one in held if isinstance(held, tuple) else (held,):
+            require_known(name, one)
+
+
+def given_realization(ensemble: Any, number: int) -> tuple[Any, Any, tuple[float, ...]] | None:
+    """The system, the base motion and the initial state of sample `number` where the base motions were given.
+
+    None where they were not; raises ValueError where they are not known.
+    """
+    require_whole(ensemble)
+    if not isinstance(ensemble.law, GivenMotions):
+        return None
+
+    def own(leaf):
+        return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == ensemble.samples else leaf
+
+    y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in ensemble.y0)
+    return jax.tree.map(own, ensemble.system), ensemble.law.base(number), y0

@@ -1,0 +1,161 @@
+"""Ensembles read from files and data sets, with all that they had when they were stored."""
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import _checks
+from .._events.sticks import NUMBERS, FlatSticks
+from .._statistics.accumulator import Numbering
+from .._statistics.registry import TOTALS
+from .._status import Status
+from .._systems.system import Coordinate, System
+from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
+from .encoding import Decoder
+from .kept import Retained, SampleTotals
+from .unknown import Unknown, UnknownSystem
+
+if TYPE_CHECKING:
+    import xarray
+
+_STUDY = "study.nc"  # the file of a study's data in its folder
+
+
+def write_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Path:
+    """Write the data set of an ensemble to `path`, a NetCDF 4 file; see `Ensemble.save`."""
+    shown = str(path) if isinstance(path, os.PathLike) else path
+    if not isinstance(path, (str, os.PathLike)) or Path(path).suffix.lower() != ".nc":
+        raise ValueError(f"Argument path must be a file name that ends in .nc, but {_checks.show(shown)} was given.")
+    path = Path(path)
+    try:
+        dataset.to_netcdf(path, engine="h5netcdf", encoding=compression(dataset))
+    except ImportError:
+        raise ImportError("Files of ensembles need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+    return path
+
+
+def dataset_in(path: str | os.PathLike[str]) -> "xarray.Dataset":
+    """The data set in a file. Raises the errors of `load`."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
+    try:
+        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
+    except ImportError:
+        raise ImportError("Files of ensembles need xarray: pip install 'stickslip_jax[study]'.") from None
+    path = Path(path)
+    path = path / _STUDY if path.is_dir() else path
+    if not path.exists():
+        raise FileNotFoundError(
+            "Argument path must name a file that Ensemble.save or stickslip study wrote, but there is no "
+            f"{str(path)!r}; the working folder is {str(Path.cwd())!r}."
+        )
+    try:
+        return xr.load_dataset(path, engine="h5netcdf")
+    except ImportError:
+        raise ImportError("Files of ensembles need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+    except Exception as error:  # of h5py, h5netcdf and xarray, which raise any kind for a damaged file
+        reason = " ".join(str(error).split())
+        raise ValueError(
+            f"Argument path must name a file that Ensemble.save or stickslip study wrote, but {str(path)!r} cannot be "
+            f"read as NetCDF ({_checks.show(reason)}): it is cut short, damaged, or of another kind."
+        ) from None
+
+
+def fields_of_dataset(dataset: Any, name: str = "dataset") -> dict[str, Any]:
+    """The fields of the `Ensemble` that a data set holds; `name`: of the argument, for messages.
+
+    Raises the errors of `Ensemble.from_xarray`.
+    """
+    attributes = getattr(dataset, "attrs", None)
+    if attributes is None or attributes.get("format") != FORMAT:
+        made_by = (attributes or {}).get("source", "")
+        shown = f"one written by {made_by!r}" if made_by else _checks.show(type(dataset).__name__)
+        raise ValueError(
+            f"Argument {name} must be what Ensemble.to_xarray, Ensemble.save or stickslip study of this version wrote, "
+            f"but {shown} was given, which does not say that it is an ensemble."
+        )
+    version = int(attributes["format_version"])
+    if version > FORMAT_VERSION:
+        raise ValueError(
+            f"Argument {name} must be of format {FORMAT_VERSION} or older, but it has format {version}, written by "
+            f"stickslip_jax {attributes.get('stickslip_jax_version')}; install that version or a newer one."
+        )
+    try:
+        return _fields(dataset)
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, json.JSONDecodeError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
+        raise ValueError(
+            f"Argument {name} must be a whole ensemble as it was stored, but this one was changed or damaged "
+            f"({_checks.show(reason)}); load the original file."
+        ) from None
+
+
+def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
+    attributes = dataset.attrs
+    decoder = Decoder(dataset[FLOATS].to_numpy(), dataset[INTEGERS].to_numpy())
+    state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
+    if state["totals"] != TOTALS:
+        raise ValueError(f"it sums {state['totals']}")
+    numbering = Numbering(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
+    key_data = attributes.get("key_data")
+    counts = {one: int(attributes[f"samples_{one.name.lower()}"]) for one in Status}
+    keep = str(attributes["keep"])
+    kept: dict[str, Any] = {"retained": None, "totals": None, "flat_sticks": None}
+    if keep == "sticks":
+        kept = _every_stick(dataset, state["sticks"], numbering)
+    elif keep == "statistics":
+        sticks = _flat_sticks(dataset, SAMPLE[keep])
+        own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
+        kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
+    if sum(counts.values()) != int(attributes["samples"]):
+        raise ValueError(f"it has {sum(counts.values())} of {attributes['samples']} samples")
+    return {
+        "system": _system(state["system"], Coordinate(*state["position"])),
+        **{name: state[name] for name in ("law", "method", "y0", "moments", "accumulator", "design", "copula")},
+        "origins": tuple(_origin(origin, Coordinate(*state["position"])) for origin in state["origins"]),
+        "t1": float(attributes["t1"]),
+        "numbering": numbering,
+        "samples": int(attributes["samples"]),
+        "first_sample": int(attributes["first_sample"]),
+        "key_data": None if key_data is None else tuple(int(word) for word in np.asarray(key_data)),
+        "dtype": str(attributes["dtype"]),
+        "status_counts": counts,
+        "near_grazing_samples": int(attributes["samples_near_grazing"]),
+        **kept,
+        "threads": int(attributes["threads_used"]),
+        "compile_seconds": float(attributes["compile_seconds"]),
+        "run_seconds": float(attributes["run_seconds"]),
+    }
+
+
+def _system(system: Any, position: Coordinate) -> System:
+    """`system`, or what stands for it where it is a user's own."""
+    return UnknownSystem(system.name, system.text, position) if isinstance(system, Unknown) else system
+
+
+def _origin(origin: Any, position: Coordinate) -> Any:
+    return origin._replace(system=_system(origin.system, position))
+
+
+def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
+    columns = {name: dataset[f"stick_{name}"].to_numpy() for name in (*NUMBERS, "ending")}
+    sticks = FlatSticks(dataset["stick_count"].to_numpy(), **columns)
+    owner, first = dataset["stick_sample"].to_numpy(), dataset[sample].to_numpy()
+    if int(sticks.count.sum()) != len(sticks.start) or not np.array_equal(first[sticks.sample], owner):
+        raise ValueError(f"it has {len(sticks.start)} of {int(sticks.count.sum())} sticks")
+    return sticks
+
+
+def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> dict[str, Any]:
+    sticks = _flat_sticks(dataset, "sample")
+    names = {"slips": "slip_count", "stick_time": "stick_time", "status": "status"}
+    names |= {"near_grazing_count": "near_grazing_count"}
+    if len(found) != len(sticks.count):
+        raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
+    totals = SampleTotals(found, **{name: dataset[of].to_numpy() for name, of in names.items()})
+    finished = totals.status == Status.FINISHED
+    own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
+    return {"totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}

@@ -1,0 +1,291 @@
+"""Ensembles in files and data sets: nothing changes on the way, and every bad file is one sentence."""
+
+import dataclasses
+import json
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+
+import stickslip_jax as ss
+from stickslip_jax import plot
+from stickslip_jax._events.sticks import NUMBERS, slips_between
+
+SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
+KEY = jax.random.key(2026)
+RUN = {"t1": 40.0, "y0": (0.0, 1.0), "key": KEY, "chunk": 64, "orders": 3}
+
+
+class _EndsEarly(ss.PoissonSwitching):
+    """A law of a user's own, in which some samples have too few intervals."""
+
+    def draw(self, key_data, number, dtype):
+        return jnp.where(number < 3, super().draw(key_data, number, dtype), 0)
+
+
+@pytest.fixture(scope="module")
+def kept():
+    return ss.simulate_ensemble(SYSTEM, POISSON, samples=90, keep="sticks", **RUN)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """A user's law; two thirds of its samples do not finish."""
+    run = {**RUN, "t1": 3.0}
+    return ss.simulate_ensemble(SYSTEM, _EndsEarly(1.0, 1.0), samples=90, keep="sticks", **run)
+
+
+def assert_same_arrays(one, other):
+    """The same arrays with the same types, to the last bit."""
+    ours, theirs = jax.tree.leaves(one), jax.tree.leaves(other)
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for mine, its in zip(ours, theirs, strict=True):
+        assert np.asarray(mine).dtype == np.asarray(its).dtype
+        np.testing.assert_array_equal(mine, its)
+
+
+def assert_same(one, other):
+    """The same ensemble: every field but those objects that are a user's own."""
+    for field in dataclasses.fields(one):
+        mine, its = getattr(one, field.name), getattr(other, field.name)
+        if field.name in ("system", "law", "method", "origins"):
+            assert repr(mine) == repr(its)
+        elif field.name == "status_counts":
+            assert mine == its
+        else:
+            assert_same_arrays(mine, its)
+
+
+@pytest.mark.parametrize("keep", ["sticks", "statistics", "totals"])
+@pytest.mark.parametrize("y0", [(0.0, 1.0), (0.0, ss.Uniform(-1.0, 1.0))], ids=["fixed", "drawn"])
+def test_what_is_stored_comes_back_to_the_last_bit(tmp_path, keep, y0):
+    many = ss.simulate_ensemble(SYSTEM, POISSON, samples=90, keep=keep, **{**RUN, "y0": y0})
+    back = ss.load(many.save(tmp_path / "many.nc"))
+    assert_same(back, many)
+    assert back.keep == keep
+    for number in (0, 89):
+        assert_same_arrays(back.realization(number), many.realization(number))
+    if keep != "totals":
+        assert repr(back.summary()) == repr(many.summary())
+        assert back.statistics.to_xarray().identical(many.statistics.to_xarray())
+    assert_same(ss.Ensemble.from_xarray(many.to_xarray()), many)
+
+
+def test_what_came_back_goes_on(tmp_path, kept):
+    back = ss.load(kept.save(tmp_path / "many.nc"))
+    assert ss.first_stick(back).start.tolist() == ss.first_stick(kept).start.tolist()
+    assert repr(ss.independent(back)) == repr(ss.independent(kept))
+    one, other = (plot.stick_map(many).collections[0].get_offsets() for many in (back, kept))
+    assert np.array_equal(one, other)
+    longer = back.extended(samples=38, chunk=64)
+    assert_same_arrays(longer.flat_sticks.start[: len(kept.flat_sticks.start)], kept.flat_sticks.start)
+    base, y0 = back.realization(7)
+    again = ss.simulate(back.system, base, t1=40.0, y0=y0)
+    count = kept.flat_sticks.count[7]
+    # As in `test_each_sample_is_the_simulation_of_its_own_key`: compiled apart, amplified in 40 s.
+    np.testing.assert_allclose(again.sticks.start[:count], kept.sticks.start[7, :count], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("extra", [{"file": False}, {"file": True}])
+def test_attributes_say_what_was_simulated(tmp_path, kept, extra):
+    data = xr.load_dataset(kept.save(tmp_path / "many.nc")) if extra["file"] else kept.to_xarray()
+    attributes = data.attrs
+    assert json.loads(attributes["system"])["fields"]["friction"]["fields"]["mu"] == 1.0
+    assert json.loads(attributes["law"]) == {
+        "class": "PoissonSwitching", "fields": {"speed": 1.0, "rate": 1.0, "first_sign": "random"},
+    }  # fmt: skip
+    assert json.loads(attributes["y0"]) == [0.0, 1.0]
+    np.testing.assert_array_equal(attributes["key_data"], jax.random.key_data(KEY))
+    expected = {
+        "t1": 40.0, "samples": 90, "first_sample": 0, "orders": 3, "count_initial_rest": 0, "dtype": "float64",
+        "method": "exact", "keep": "sticks", "stickslip_jax_version": ss.__version__, "format_version": 1,
+        "samples_finished": 90, "samples_base_too_short": 0, "samples_near_grazing": 0,
+    }  # fmt: skip
+    assert {name: attributes[name] for name in expected} == expected
+
+
+def test_ragged_arrays_have_the_sample_of_each_stick_and_slip(kept):
+    data = kept.to_xarray()
+    slips = slips_between(kept.sticks, 40.0)
+    mask = np.asarray(slips.mask)
+    owner = np.nonzero(mask)[0]
+    np.testing.assert_array_equal(data.slip_sample, owner)
+    for name in ("start", "end"):
+        np.testing.assert_array_equal(data[f"slip_{name}"], np.asarray(getattr(slips, name))[mask])
+        np.testing.assert_array_equal(getattr(kept.slips, name)[kept.slips.mask], data[f"slip_{name}"])
+    np.testing.assert_array_equal(data.slip_ending, np.asarray(slips.censored)[mask])
+    np.testing.assert_array_equal(data.slip_count, kept.slips.count)
+    rows = np.nonzero(kept.sticks.mask)
+    np.testing.assert_array_equal(data.stick_sample, rows[0])
+    rest = kept.sticks.start[rows[0], 0] == 0
+    np.testing.assert_array_equal(data.stick_order, rows[1] + 1 - rest)
+    by_order = data.stick_end.where(data.stick_order == 2, drop=True) - data.stick_start.where(
+        data.stick_order == 2, drop=True
+    )
+    assert float(by_order.mean()) == pytest.approx(kept.statistics.order(2).duration.mean.value, rel=1e-12)
+    # Groups of the sample index are the samples.
+    sums = (data.stick_end - data.stick_start).groupby(data.stick_sample).sum()
+    np.testing.assert_allclose(sums, kept.totals.stick_time[sums.stick_sample.to_numpy()], rtol=1e-12)
+
+
+def test_a_class_of_ones_own_comes_back_as_a_stand_in(tmp_path, short):
+    back = ss.load(short.save(tmp_path / "short.nc"))
+    assert 0 < back.finished < 90
+    assert back.status_counts == short.status_counts
+    assert repr(back.summary()) == repr(short.summary())
+    for name in NUMBERS:
+        assert_same_arrays(getattr(back.flat_sticks, name), getattr(short.flat_sticks, name))
+    assert_same_arrays(back.totals, short.totals)
+    assert np.all(back.slips.count[back.totals.status != ss.Status.FINISHED] == 0)
+    assert "_EndsEarly" in str(back.law)
+    assert "rate=1.0" in str(back.law)
+    for ask in (lambda: back.realization(0), lambda: back.extended(samples=1)):
+        with pytest.raises(ValueError, match=r"This ensemble does not know its .*_EndsEarly") as caught:
+            ask()
+        assert "\n" not in str(caught.value)
+    twice = ss.load(back.save(tmp_path / "again.nc"))
+    assert str(twice.law) == str(back.law)
+
+
+class _Own(ss.SwitchedSystem):
+    """A pendulum of a user's own, whose first number is an angle."""
+
+    stiffness: float = 4.0
+
+    @property
+    def shortest_time(self):
+        return 3.0
+
+    @property
+    def state_names(self):
+        return "angle in rad", "angular velocity in rad/s"
+
+    def rates(self, t, y, base, friction):
+        return y[1], -self.stiffness * y[0] - friction
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+
+def test_a_system_of_ones_own_leaves_its_sticks(tmp_path):
+    law = ss.Harmonic(amplitude=1.0, angular_frequency=1.3)
+    many = ss.simulate_ensemble(_Own(), ss.RandomPhase(law), t1=6.0, samples=8, key=KEY, keep="sticks")
+    back = ss.load(many.save(tmp_path / "own.nc"))
+    assert back.statistics.position.unit == "rad"
+    assert back.statistics.position.mean == many.statistics.position.mean
+    assert back.law == many.law
+    assert plot.stick_map(back).get_xlabel() == "angle where the stick begins (rad)"
+    assert_same_arrays(back.realization(3), many.realization(3))
+    with pytest.raises(ValueError, match=r"Argument system must be a system that can be simulated.*_Own"):
+        ss.simulate(back.system, law, t1=1.0)
+
+
+METHODS = [
+    ss.Exact(step=0.05), ss.Exact(solver=diffrax.Dopri8()), ss.Regularized(0.01, "tanh", step=0.002),
+    ss.Regularized(0.01, rtol=1e-6, solver=diffrax.Tsit5()),
+]  # fmt: skip
+LAWS = [
+    ss.SumOfHarmonics(np.arange(1, 41.0), np.linspace(0.1, 3, 40)),
+    ss.PiecewiseConstant(jnp.array([0.0, 3.0]), jnp.array([1.0, -1.0])),
+    ss.RandomSteps(speed=1.0, interval=0.7, levels=(-1.0, 0.5), probabilities=(0.25, 0.75)),
+    ss.WithJumps(ss.RandomPhase(ss.Harmonic(1.0, 2.0)), POISSON), ss.KanaiTajimi(rms=1.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_every_method_comes_back(kept, method):
+    back = ss.Ensemble.from_xarray(dataclasses.replace(kept, method=method).to_xarray())
+    assert repr(back.method) == repr(method)
+    assert type(back.method) is type(method)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_every_law_comes_back(tmp_path, kept, law):
+    back = ss.load(dataclasses.replace(kept, law=law).save(tmp_path / "many.nc"))
+    assert type(back.law) is type(law)
+    assert_same_arrays(back.law, law)
+    assert [type(leaf) for leaf in jax.tree.leaves(back.law)] == [type(leaf) for leaf in jax.tree.leaves(law)]
+
+
+@pytest.fixture
+def stored(tmp_path, kept):
+    return kept.save(tmp_path / "many.nc")
+
+
+def _newer(path):
+    data = xr.load_dataset(path)
+    data.attrs |= {"format_version": 7, "stickslip_jax_version": "9.1"}
+    data.to_netcdf(path, engine="h5netcdf")
+
+
+def _foreign(path):
+    xr.Dataset({"t": ("x", [1.0])}, attrs={"source": "CESM 2"}).to_netcdf(path, engine="h5netcdf")
+
+
+def _cut(path):
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+
+
+def _without(name):
+    def drop(path):
+        xr.load_dataset(path).drop_vars(name).to_netcdf(path, engine="h5netcdf")
+
+    return drop
+
+
+def _fewer_sticks(path):
+    xr.load_dataset(path).isel(stick=slice(10)).to_netcdf(path, engine="h5netcdf")
+
+
+def _fewer_samples(path):
+    data = xr.load_dataset(path)
+    data.isel(sample=slice(10), stick=slice(int(data.stick_count[:10].sum()))).to_netcdf(path, engine="h5netcdf")
+
+
+BAD_FILES = {
+    "newer": (_newer, ["must be of format 1 or older", "it has format 7", "stickslip_jax 9.1"]),
+    "of another program": (_foreign, ["one written by 'CESM 2'", "does not say that it is an ensemble"]),
+    "cut short": (_cut, ["cannot be read as NetCDF", "cut short"]),
+    "text": (lambda path: path.write_text("sample,start\n0,1\n"), ["cannot be read as NetCDF", "of another kind"]),
+    "empty": (lambda path: path.write_bytes(b""), ["cannot be read as NetCDF"]),
+    "without a column": (_without("stick_position"), ["was changed or damaged", "stick_position"]),
+    "without its sums": (_without("ensemble_state"), ["was changed or damaged", "ensemble_state"]),
+    "without some sticks": (_fewer_sticks, ["was changed or damaged", "10 of"]),
+    "without some samples": (_fewer_samples, ["was changed or damaged", "10 of 90 samples"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_bad_file_is_one_sentence(stored, case):
+    damage, expected = BAD_FILES[case]
+    damage(stored)
+    with pytest.raises(ValueError, match=r"\AArgument (path|dataset) must") as caught:
+        ss.load(stored)
+    message = str(caught.value)
+    assert all(part in message for part in expected), message
+    assert "\n" not in message
+    assert message.endswith(".")
+
+
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_a_file_that_is_not_there_and_what_is_no_file(tmp_path, kept):
+    with pytest.raises(FileNotFoundError, match=r"\AArgument path must name a file.*none\.nc'; the working folder is"):
+        ss.load(tmp_path / "none.nc")
+    with pytest.raises(ValueError, match="Argument path must be a file name, but 3 was given"):
+        ss.load(3)
+    with pytest.raises(ValueError, match=r"Argument path must be a file name that ends in \.nc, but '/"):
+        kept.save(tmp_path / "many.csv")
+    with pytest.raises(ValueError, match=r"Argument dataset must be what Ensemble\.to_xarray"):
+        ss.Ensemble.from_xarray({"stick_start": [1.0]})
+
+
+def test_another_precision_draws_nothing_again(kept):
+    single = dataclasses.replace(kept, dtype="float32")
+    for ask in (lambda: single.realization(0), lambda: single.extended(samples=1)):
+        with pytest.raises(ValueError, match="simulated in float32, and JAX is set to float64"):
+            ask()
