@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
@@ -54,6 +55,7 @@ class Distribution:
     - `sums`, `bins`: power sums (of vectors of length 1) and finest histogram of all values. `clusters`: the retained
       values.
     - `round_off`: values closer than this may be equal. `is_whole`: whether the values are whole numbers.
+    - `origin`: of the random numbers; see `Estimate`.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Distribution:
     clusters: Clusters
     round_off: float = 0.0
     is_whole: bool = False
+    origin: Hashable = dataclasses.field(default_factory=object)
 
     @property
     def mean(self) -> Estimate:
@@ -246,7 +249,8 @@ class Distribution:
         return self.unit if self.unit == "1" else f"{self.unit}^{power}"
 
     def _estimate(self, name: str, value: float, error: float, unit: str | None = None) -> Estimate:
-        return Estimate(f"{name} of {self.name}", value, error, self.unit if unit is None else unit, self.samples)
+        unit = self.unit if unit is None else unit
+        return Estimate(f"{name} of {self.name}", value, error, unit, self.samples, self.origin)
 
     def __repr__(self) -> str:
         if self.number == 0:

@@ -1,7 +1,7 @@
 """The statistics of the sticks and slips of an ensemble, by quantity and by order."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ from .registry import (
     StickValue,
     ordinal,
 )
-from .source import require_ensemble
+from .source import origin_of, require_ensemble
 
 if TYPE_CHECKING:
     import xarray
@@ -49,8 +49,9 @@ def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
     position = ensemble.system.stick_position.unit
     return EnsembleStatistics(
-        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering
-    )
+        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering,
+        origin_of(ensemble),
+    )  # fmt: skip
 
 
 class _ByQuantity:
@@ -79,7 +80,7 @@ class EnsembleStatistics(_ByQuantity):
     - `accumulator`: sums and histograms of all finished samples. `numbering`: which stick is the 1st, 2nd, ...
     - `sticks`: those of the retained samples; `totals`: the `TOTALS` of each retained sample, (samples, 3). Standard
       errors, ranks and all joint distributions that were not summed rest on these.
-    - `t1`: s. `position_unit`: the unit of `position`.
+    - `t1`: s. `position_unit`: the unit of `position`. `origin`: of the random numbers; see `Estimate`.
     """
 
     accumulator: StickAccumulator
@@ -88,6 +89,7 @@ class EnsembleStatistics(_ByQuantity):
     t1: float
     position_unit: str
     numbering: Numbering
+    origin: Hashable = dataclasses.field(default_factory=object)
 
     @property
     def samples(self) -> int:
@@ -166,6 +168,7 @@ class EnsembleStatistics(_ByQuantity):
                 float(errors[ending]),
                 "1",
                 self.samples,
+                self.origin,
             )
             for ending in Ending
         }
@@ -194,7 +197,8 @@ class EnsembleStatistics(_ByQuantity):
             )
         share = int(sums.number) / self.samples if self.samples else np.nan
         error = np.sqrt(share * (1 - share) / (self.samples - 1)) if self.samples > 1 else np.nan
-        return OrderStatistics(number, Estimate(label, share, float(error), "1", self.samples), distributions)
+        estimate = Estimate(label, share, float(error), "1", self.samples, self.origin)
+        return OrderStatistics(number, estimate, distributions)
 
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
         """The joint distribution of two quantities of a stick, or of two sticks of one sample.
@@ -229,6 +233,7 @@ class EnsembleStatistics(_ByQuantity):
             y=columns[1],
             bins=bins,
             streamed_correlation=correlation,
+            origin=self.origin,
         )
 
     def to_xarray(self, bins: int = DEFAULT_BINS) -> "xarray.Dataset":
@@ -272,7 +277,10 @@ class EnsembleStatistics(_ByQuantity):
         largest = max(self.t1, np.abs(ends).max()) if number else self.t1
         round_off = 4 * float(np.finfo(self.sticks.start.dtype).eps) * float(largest)
         label, unit = label or quantity.label, self.unit_of(quantity)
-        return Distribution(label, unit, number, self.samples, *ends, own, bins, clusters, round_off, quantity.is_whole)
+        whole = quantity.is_whole
+        return Distribution(
+            label, unit, number, self.samples, *ends, own, bins, clusters, round_off, whole, self.origin
+        )
 
     def _clusters(self, values: np.ndarray, owner: np.ndarray, of_all: bool = True) -> Clusters:
         retained = len(self.totals)
