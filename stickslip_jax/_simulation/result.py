@@ -3,7 +3,6 @@
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,12 +12,13 @@ from .. import _checks
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.path import Path
 from .._events.sticks import Slips, Sticks, Totals, slips_between
+from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
 from .._types import AnyArray, FloatArray, Scalar
 
 
-class Simulation(eqx.Module):
+class Simulation(WithMethods):
     """One simulated trajectory on ``[0, t1]``.
 
     - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).

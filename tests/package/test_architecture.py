@@ -23,6 +23,7 @@ ROWS = (
     "_types",
     "_status",
     "_checks",
+    "_methods",
     "_fields",
     "_fast_cpu",
     "_compilation_cache",
