@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import _checks
+from .. import _checks, _html
 from .._numerics.dyadic import DyadicCounts, joined_bins
 from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
@@ -252,12 +252,24 @@ class Distribution:
         unit = self.unit if unit is None else unit
         return Estimate(f"{name} of {self.name}", value, error, unit, self.samples, self.origin)
 
+    def _told(self) -> list[tuple[str, str]]:
+        """Name and number of each estimate that describes the distribution."""
+        told = (self.mean, self.standard_deviation, self.median, self.skewness, self.entropy())
+        if not self.is_whole:
+            told = (*told, self.differential_entropy, self.repeated_share)
+        return [(one.name.replace(f" of {self.name}", ""), one.without_name()) for one in told]
+
+    def _repr_html_(self) -> str:
+        head, *_ = repr(self).splitlines()
+        if self.number == 0:
+            return _html.titled(head)
+        ends = [("smallest", f"{self.smallest:.6g}"), ("largest", f"{self.largest:.6g}")]
+        rows = [(name, text.replace("+-", "±")) for name, text in [*self._told(), *ends]]
+        return _html.titled(head) + _html.table(rows) + _html.small_figure(self)
+
     def __repr__(self) -> str:
         if self.number == 0:
             return f"{self.name}: no values in {self.samples} samples"
         lines = [f"{self.name}: {self.number:,} values in {self.samples:,} samples"]
-        shown = (self.mean, self.standard_deviation, self.median, self.skewness, self.entropy())
-        if not self.is_whole:
-            shown = (*shown, self.differential_entropy, self.repeated_share)
-        lines += ["  " + str(estimate).replace(f" of {self.name}", "") for estimate in shown]
+        lines += [f"  {name}: {number}" for name, number in self._told()]
         return "\n".join([*lines, f"  from {self.smallest:.6g} to {self.largest:.6g} {self.unit}".removesuffix(" 1")])

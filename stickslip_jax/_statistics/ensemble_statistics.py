@@ -33,6 +33,7 @@ from .registry import (
     ordinal,
 )
 from .source import origin_of, require_ensemble
+from .summary import Summary, summary_of_distributions, summary_of_statistics
 
 if TYPE_CHECKING:
     import xarray
@@ -243,6 +244,12 @@ class EnsembleStatistics(_ByQuantity):
         """
         return dataset_of_statistics(self, bins)
 
+    def __repr__(self) -> str:
+        return repr(summary_of_statistics(self))
+
+    def _repr_html_(self) -> str:
+        return summary_of_statistics(self)._repr_html_()
+
     def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:
         """Histogram and correlation of a pair and whether they were summed over all samples."""
         if (x, y) == FIRST_TWO:
@@ -293,7 +300,7 @@ class EnsembleStatistics(_ByQuantity):
         return np.asarray(getattr(self.sticks, name), np.float64)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class OrderStatistics(_ByQuantity):
     """Statistics of the `number`-th stick, over the samples that have it.
 
@@ -304,6 +311,16 @@ class OrderStatistics(_ByQuantity):
     number: int
     share: Estimate
     distributions: Mapping[str, Distribution]
+
+    def __repr__(self) -> str:
+        return repr(self._summary)
+
+    def _repr_html_(self) -> str:
+        return self._summary._repr_html_()
+
+    @property
+    def _summary(self) -> Summary:
+        return summary_of_distributions(str(self.share), list(self.distributions.values()))
 
 
 def _stick_value(argument: str, value: Any) -> tuple[SampledQuantity, int | None]:

@@ -124,10 +124,10 @@ class Estimate:
         return _compared(self, other, operator.ge) if _is_number(other) else NotImplemented
 
     def __str__(self) -> str:
-        return f"{self.name}: {self._after_name()}"
+        return f"{self.name}: {self.without_name()}"
 
     def _repr_html_(self) -> str:
-        shown = html.escape(self._after_name().replace("+-", "±"))
+        shown = html.escape(self.without_name().replace("+-", "±"))
         return f"<span>{html.escape(self.name)}: <b>{shown}</b></span>"
 
     @property
@@ -135,7 +135,7 @@ class Estimate:
         """Whether it was computed from estimates whose errors are known, but not their correlation."""
         return bool(self._slopes) and all(math.isfinite(source.standard_error) for source in self._slopes)
 
-    def _after_name(self) -> str:
+    def without_name(self) -> str:
         """Value, standard error and unit, as far as they are known."""
         if math.isnan(self.value):
             return f"not defined (no such event in {self.samples} samples)"

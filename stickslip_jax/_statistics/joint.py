@@ -213,16 +213,12 @@ class JointDistribution:
             return f"{self.names[0]} and {self.names[1]}: no pairs"
         lines = [f"{self.names[0]} and {self.names[1]}: {self.number:,} pairs"]
         shown = (self.correlation, self.rank_correlation, self.mutual_information())
-        return "\n".join([*lines, *("  " + str(one).partition(" of ")[0] + _after_name(one) for one in shown)])
+        return "\n".join([*lines, *(f"  {one.name.partition(' of ')[0]}: {one.without_name()}" for one in shown)])
 
 
 def pearson_of(sums: PowerSums, x: int, y: int) -> float:
     """Pearson's correlation of the components `x` and `y` of vectors; NaN where one does not vary."""
     return float(sums.correlation[x, y])
-
-
-def _after_name(estimate: Estimate) -> str:
-    return str(estimate)[len(estimate.name) :]
 
 
 def _standardized(values: np.ndarray) -> np.ndarray:

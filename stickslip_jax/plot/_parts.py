@@ -45,7 +45,7 @@ def color_of(name: str) -> str:
 
 def with_error(estimate: Estimate) -> str:
     """Value, standard error and unit of an estimate, without its name."""
-    return str(estimate).removeprefix(f"{estimate.name}: ").replace("+-", "±")
+    return estimate.without_name().replace("+-", "±")
 
 
 def counted(number: int, word: str) -> str:

@@ -24,6 +24,7 @@ ROWS = (
     "_status",
     "_checks",
     "_methods",
+    "_html",
     "_fields",
     "_fast_cpu",
     "_compilation_cache",
