@@ -27,6 +27,11 @@ def quantity_label(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
 
 
+def unit_after(unit: str) -> str:
+    """A unit to stand after a number."""
+    return "" if unit == "1" else f" {unit}"
+
+
 def density_label(*units: str) -> str:
     """The name of the probability density over quantities of these units."""
     named = [unit for unit in units if unit != "1"]

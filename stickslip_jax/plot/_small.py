@@ -5,6 +5,7 @@ import io
 from collections.abc import Callable
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -41,7 +42,7 @@ def _image(size: tuple[float, float], panels: int, draw: Callable[[list[Axes]], 
         draw(axes)
         for ax in axes:
             for line in ax.lines:
-                line.set_rasterized(len(line.get_xdata(orig=False)) > _MANY)
+                line.set_rasterized(np.size(line.get_xdata(orig=False)) > _MANY)
         figure.align_ylabels(axes)
         written = io.StringIO()
         FigureCanvasSVG(figure).print_svg(written, metadata={"Date": None})
