@@ -101,7 +101,7 @@ def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curve
     labels = [label]
     if data.values.ndim == 2:
         name, unit = data.axis_labels[1].removesuffix(f" ({data.units[1]})"), _parts.unit_after(data.units[1])
-        own = [f"{name} = {value:.6g}{unit}" for value in data.coordinates[1]]
+        own = [f"{name} = {value:.4g}{unit}" for value in data.coordinates[1]]
         labels = own if label is None else [f"{label}, {text}" for text in own]
     columns = zip(values.T, low.T, high.T, labels, strict=True)
     curves = [_Curve(one, its_low, its_high, text) for one, its_low, its_high, text in columns]
