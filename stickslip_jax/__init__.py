@@ -23,6 +23,7 @@ from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
+from ._html import draw_with as _draw_with
 from ._sensitivity import (
     RealizationMeanDuration,
     Sensitivities,
@@ -83,6 +84,9 @@ def __getattr__(name: str):
     if name in _TESTS:
         return getattr(import_module(f"{__name__}._statistics.{_TESTS[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+_draw_with(lambda result: import_module(f"{__name__}.plot._small").small_figure(result))
 
 
 def __dir__() -> list[str]:

@@ -122,6 +122,12 @@ def truth(name: str, value: Any) -> None:
         raise ValueError(f"Argument {name} must be True or False, but {show(value)} was given.")
 
 
+def text(name: str, value: Any, or_none: bool = False) -> None:
+    """Check that ``value`` is a string, or None where that is allowed."""
+    if not (isinstance(value, str) or (or_none and value is None)):
+        raise ValueError(f"Argument {name} must be a string, but {show(value)} was given.")
+
+
 def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = None) -> int:
     """Check that ``value`` is a whole number of at least ``minimum``, at most ``maximum``, and return it as an int."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))

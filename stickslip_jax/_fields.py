@@ -7,10 +7,10 @@ import dataclasses
 from functools import cache
 from typing import Any, ClassVar, get_type_hints
 
-import equinox as eqx
 import numpy as np
 
 from . import _checks
+from ._methods import WithMethods
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
     return tuple((name, about, defaults[name] is None) for name, about in described(kind).items())
 
 
-class Checked(eqx.Module):
+class Checked(WithMethods):
     """A module whose constructor checks every field against its `Quantity` or `Choice`.
 
     `may_be_random`: whether its single numbers may differ from sample to sample.

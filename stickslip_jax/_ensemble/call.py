@@ -1,13 +1,11 @@
 """`simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics."""
 
 import dataclasses
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax
@@ -33,6 +31,7 @@ from .._systems.system import System
 from .._types import Array
 from .origins import check_extendable
 from .parts import EnsembleAccumulator, Keep, Part, prepare
+from .progress import progress_bar
 from .result import Ensemble
 from .run import MOST_SAMPLES, Run
 
@@ -84,7 +83,7 @@ def simulate_ensemble(
     - `orders`: statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
     - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
-    - `progress`: True shows a progress bar, False none; by default only on a terminal.
+    - `progress`: True shows a progress bar, False none; by default on a terminal and in a notebook.
     - `first_sample`: the number i of the first sample, where several machines share one ensemble (see `concatenate`).
 
     Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
@@ -166,7 +165,7 @@ def _compile(simulate: _Simulate, run: Run, keep: Keep) -> None:
 def _simulate_all(
     simulate: _Simulate, plan: "_Plan", samples: int, accumulator: EnsembleAccumulator, progress: bool | None
 ) -> None:
-    with _progress_bar(progress, samples) as advance:
+    with progress_bar(progress, samples) as advance:
         for number, part in _in_order(simulate, plan, samples):
             accumulator.add(part)
             advance(number)
@@ -313,20 +312,3 @@ def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[
                 yield number, future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
-    """A function to call with the number of newly finished samples; it updates the progress bar, if one is shown."""
-    if progress is False or (progress is None and not sys.stderr.isatty()):
-        yield lambda number: None
-        return
-    try:
-        from tqdm.auto import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        if progress is None:
-            yield lambda number: None
-            return
-        raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
-    with tqdm(total=samples, unit="sample", unit_scale=True) as bar:
-        yield bar.update

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks
+from .. import _checks, _html
 from .._design.design import Design
 from .._distributions.copula import GaussianCopula
 from .._dynamics.method import Exact, Regularized
@@ -23,7 +23,7 @@ from .._numerics.moments import Moments
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
-from .._statistics.registry import TOTALS
+from .._statistics.registry import STATISTICS, TOTALS
 from .._statistics.summary import Summary, summary_of
 from .._status import Status
 from .._systems.system import Coordinate, System
@@ -298,6 +298,19 @@ class Ensemble:
         from .tables import write_slips  # noqa: PLC0415 - needs an extra
 
         return write_slips(self, path)
+
+    def _repr_html_(self) -> str:
+        rows = [(name, _brief(getattr(self, name))) for name in ("system", "law", "method")]
+        rows += [(of.label, of(self).without_name().replace("+-", "±")) for of in STATISTICS.values()]
+        for status, count in self.status_counts.items():
+            if status and count:
+                rows.append(("NOT FINISHED, in no number above", f"{count:,} samples, because {status.meaning}"))
+        if self.near_grazing_samples:
+            rows.append(("decided by round-off (near-grazing)", f"{self.near_grazing_samples:,} samples"))
+        rows.append(("time", f"{self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile"))
+        title = f"Ensemble of {self.samples:,} samples on [0, {self.t1:g}] s"
+        figure = "" if self.retained is None else _html.small_figure(self)
+        return _html.titled(title) + _html.table(rows) + figure
 
     def __repr__(self) -> str:
         sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number

@@ -3,22 +3,22 @@
 from functools import partial
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .. import _checks
+from .. import _checks, _html
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.path import Path
 from .._events.sticks import Slips, Sticks, Totals, slips_between
+from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
 from .._types import AnyArray, FloatArray, Scalar
 
 
-class Simulation(eqx.Module):
+class Simulation(WithMethods):
     """One simulated trajectory on ``[0, t1]``.
 
     - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).
@@ -91,8 +91,34 @@ class Simulation(eqx.Module):
             )
         return jnp.asarray(times, self.sticks.start.dtype)
 
+    def _repr_html_(self) -> str | None:
+        if not self._is_one:
+            return None  # then __repr__ is shown
+        status = Status(int(self.status))
+        rows = [
+            ("system", type(self.system).__name__),
+            ("base", type(self.base).__name__),
+            ("method", str(self.method)),
+            ("status", status.meaning),
+            ("sticks", f"{int(self.sticks.count):,}"),
+            ("slips", f"{int(self.slips.count):,}"),
+            ("total stick time", f"{float(self.stick_time):.6g} s"),
+            ("stick fraction", f"{float(self.stick_fraction):.6g}"),
+            ("near-grazing instants", f"{int(self.near_grazing_count):,}"),
+        ]
+        title = f"Simulation on [0, {float(self.t1):g}] s"
+        if status != Status.FINISHED:
+            reached = f", NOT FINISHED: stopped at {float(self.time_reached):g} s"
+            return _html.titled(title + reached) + _html.table(rows)
+        return _html.titled(title) + _html.table(rows) + _html.small_figure(self)
+
+    @property
+    def _is_one(self) -> bool:
+        """Whether this is a single trajectory, which JAX does not trace."""
+        return np.ndim(self.status) == 0 and not any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self))
+
     def __repr__(self) -> str:
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)) or np.ndim(self.status) > 0:
+        if not self._is_one:
             return f"Simulation(status={self.status}, sticks={self.sticks!r})"
         status = Status(int(self.status))
         if status != Status.FINISHED:

@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
+from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
 
-from .. import _checks
+from .. import _checks, _html
 from .._numerics.dyadic import DyadicCounts, joined_bins
 from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
@@ -54,6 +55,7 @@ class Distribution:
     - `sums`, `bins`: power sums (of vectors of length 1) and finest histogram of all values. `clusters`: the retained
       values.
     - `round_off`: values closer than this may be equal. `is_whole`: whether the values are whole numbers.
+    - `origin`: of the random numbers; see `Estimate`.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Distribution:
     clusters: Clusters
     round_off: float = 0.0
     is_whole: bool = False
+    origin: Hashable = dataclasses.field(default_factory=object)
 
     @property
     def mean(self) -> Estimate:
@@ -246,14 +249,27 @@ class Distribution:
         return self.unit if self.unit == "1" else f"{self.unit}^{power}"
 
     def _estimate(self, name: str, value: float, error: float, unit: str | None = None) -> Estimate:
-        return Estimate(f"{name} of {self.name}", value, error, self.unit if unit is None else unit, self.samples)
+        unit = self.unit if unit is None else unit
+        return Estimate(f"{name} of {self.name}", value, error, unit, self.samples, self.origin)
+
+    def _told(self) -> list[tuple[str, str]]:
+        """Name and number of each estimate that describes the distribution."""
+        told = (self.mean, self.standard_deviation, self.median, self.skewness, self.entropy())
+        if not self.is_whole:
+            told = (*told, self.differential_entropy, self.repeated_share)
+        return [(one.name.replace(f" of {self.name}", ""), one.without_name()) for one in told]
+
+    def _repr_html_(self) -> str:
+        head, *_ = repr(self).splitlines()
+        if self.number == 0:
+            return _html.titled(head)
+        ends = [("smallest", f"{self.smallest:.6g}"), ("largest", f"{self.largest:.6g}")]
+        rows = [(name, text.replace("+-", "±")) for name, text in [*self._told(), *ends]]
+        return _html.titled(head) + _html.table(rows) + _html.small_figure(self)
 
     def __repr__(self) -> str:
         if self.number == 0:
             return f"{self.name}: no values in {self.samples} samples"
         lines = [f"{self.name}: {self.number:,} values in {self.samples:,} samples"]
-        shown = (self.mean, self.standard_deviation, self.median, self.skewness, self.entropy())
-        if not self.is_whole:
-            shown = (*shown, self.differential_entropy, self.repeated_share)
-        lines += ["  " + str(estimate).replace(f" of {self.name}", "") for estimate in shown]
+        lines += [f"  {name}: {number}" for name, number in self._told()]
         return "\n".join([*lines, f"  from {self.smallest:.6g} to {self.largest:.6g} {self.unit}".removesuffix(" 1")])

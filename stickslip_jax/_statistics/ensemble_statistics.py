@@ -1,7 +1,7 @@
 """The statistics of the sticks and slips of an ensemble, by quantity and by order."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +33,8 @@ from .registry import (
     StickValue,
     ordinal,
 )
-from .source import require_ensemble
+from .source import origin_of, require_ensemble
+from .summary import Summary, summary_of_distributions, summary_of_statistics
 
 if TYPE_CHECKING:
     import xarray
@@ -50,8 +51,9 @@ def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
     position = ensemble.system.stick_position.unit
     return EnsembleStatistics(
-        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering
-    )
+        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering,
+        origin_of(ensemble),
+    )  # fmt: skip
 
 
 class _ByQuantity:
@@ -83,7 +85,7 @@ class EnsembleStatistics(_ByQuantity):
     - `accumulator`: sums and histograms of all finished samples. `numbering`: which stick is the 1st, 2nd, ...
     - `sticks`: those of the retained samples; `totals`: the `TOTALS` of each retained sample, (samples, 5). Standard
       errors, ranks and all joint distributions that were not summed rest on these.
-    - `t1`: s. `position_unit`: the unit of `position`.
+    - `t1`: s. `position_unit`: the unit of `position`. `origin`: of the random numbers; see `Estimate`.
     """
 
     accumulator: StickAccumulator
@@ -92,6 +94,7 @@ class EnsembleStatistics(_ByQuantity):
     t1: float
     position_unit: str
     numbering: Numbering
+    origin: Hashable = dataclasses.field(default_factory=object)
 
     @property
     def samples(self) -> int:
@@ -188,6 +191,7 @@ class EnsembleStatistics(_ByQuantity):
                 float(errors[ending]),
                 "1",
                 self.samples,
+                self.origin,
             )
             for ending in Ending
         }
@@ -218,7 +222,8 @@ class EnsembleStatistics(_ByQuantity):
             )
         share = int(sums.number) / self.samples if self.samples else np.nan
         error = np.sqrt(share * (1 - share) / (self.samples - 1)) if self.samples > 1 else np.nan
-        return OrderStatistics(number, Estimate(label, share, float(error), "1", self.samples), distributions)
+        estimate = Estimate(label, share, float(error), "1", self.samples, self.origin)
+        return OrderStatistics(number, estimate, distributions)
 
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
         """The joint distribution of two quantities of a stick, or of two sticks of one sample.
@@ -257,6 +262,7 @@ class EnsembleStatistics(_ByQuantity):
             y=columns[1],
             bins=bins,
             streamed_correlation=correlation,
+            origin=self.origin,
         )
 
     def to_xarray(self, bins: int = DEFAULT_BINS) -> "xarray.Dataset":
@@ -265,6 +271,12 @@ class EnsembleStatistics(_ByQuantity):
         - `bins`: at most, of each histogram. Needs the extra ``study`` (else ImportError).
         """
         return dataset_of_statistics(self, bins)
+
+    def __repr__(self) -> str:
+        return repr(summary_of_statistics(self))
+
+    def _repr_html_(self) -> str:
+        return summary_of_statistics(self)._repr_html_()
 
     def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:
         """Histogram and correlation of a pair and whether they were summed over all samples."""
@@ -300,7 +312,10 @@ class EnsembleStatistics(_ByQuantity):
         largest = max(self.t1, np.abs(ends).max()) if number else self.t1
         round_off = 4 * float(np.finfo(self.sticks.start.dtype).eps) * float(largest)
         label, unit = label or quantity.label, self.unit_of(quantity)
-        return Distribution(label, unit, number, self.samples, *ends, own, bins, clusters, round_off, quantity.is_whole)
+        whole = quantity.is_whole
+        return Distribution(
+            label, unit, number, self.samples, *ends, own, bins, clusters, round_off, whole, self.origin
+        )
 
     def _clusters(self, values: np.ndarray, owner: np.ndarray, of_all: bool = True) -> Clusters:
         retained = len(self.totals)
@@ -313,7 +328,7 @@ class EnsembleStatistics(_ByQuantity):
         return np.asarray(getattr(self.sticks, name), np.float64)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class OrderStatistics(_ByQuantity):
     """Statistics of the `number`-th stick, over the samples that have it.
 
@@ -324,6 +339,16 @@ class OrderStatistics(_ByQuantity):
     number: int
     share: Estimate
     distributions: Mapping[str, Distribution]
+
+    def __repr__(self) -> str:
+        return repr(self._summary)
+
+    def _repr_html_(self) -> str:
+        return self._summary._repr_html_()
+
+    @property
+    def _summary(self) -> Summary:
+        return summary_of_distributions(str(self.share), list(self.distributions.values()))
 
 
 def _stick_value(argument: str, value: Any) -> tuple[SampledQuantity, int | None]:

@@ -1,16 +1,50 @@
-"""A number estimated from samples, with its error."""
+"""A number estimated from samples, with its error: it can be computed with like a number."""
 
 import dataclasses
+import html
 import math
+import operator
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from .. import _checks
+from .units import same_unit, unit_of_product
+
+_LONGEST_NAME = 100  # letters: a combination with a longer name only says of how many estimates it is
+_ROUND_OFF = 1e-15  # what is left, relative to each, of two derivatives that cancel
+
+
+class _Source(NamedTuple):
+    """An estimate from samples, which others are computed from."""
+
+    origin: Hashable
+    name: str
+    value: float
+    standard_error: float
+    samples: int
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """An estimate: its value and standard error (one standard deviation), both in `unit`.
 
-    `samples`: the number of independent samples it is from. A value or error that these do not determine is NaN.
+    - `samples`: the number of independent samples it is from. A value or error that these do not determine is NaN.
+    - `origin`: which random numbers it is from; for estimates of an ensemble, its key. By default its own.
+
+    It is a number where one is asked for (``float(estimate)`` is its value), and can be added, subtracted, multiplied
+    and divided, with numbers and with other estimates; ``f"{estimate:.3f}"`` formats the value. A plain number that is
+    added is in the estimate's unit; units multiply and divide as they should.
+
+    Errors go along to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the error
+    0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
+    different keys, are taken to be independent. Two different estimates of one origin are not, and how they are
+    correlated is not known: what is computed from both has a value, but the error NaN. Of a combination `samples` is
+    such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
+
+    ``<``, ``<=``, ``>`` and ``>=`` compare values, which says nothing about significance: for that, see whether
+    ``(a - b).interval()`` holds 0. ``==`` asks whether two estimates are the same in all that they say.
     """
 
     name: str
@@ -18,6 +52,10 @@ class Estimate:
     standard_error: float
     unit: str
     samples: int
+    origin: Hashable = dataclasses.field(default_factory=object, compare=False, repr=False)
+    _slopes: Mapping[_Source, float] | None = dataclasses.field(default=None, init=False, compare=False, repr=False)
+
+    __array_ufunc__ = None  # arithmetic with NumPy's numbers is left to the methods below
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Confidence interval at `level`, by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
@@ -32,14 +70,82 @@ class Estimate:
         half_width = float(special.stdtrit(self.samples - 1, (1 + level) / 2)) * self.standard_error
         return self.value - half_width, self.value + half_width
 
+    def __float__(self) -> float:
+        return float(self.value)
+
+    def __format__(self, how: str) -> str:
+        return format(self.value, how) if how else str(self)
+
+    def __neg__(self) -> "Estimate":
+        return _combined(f"-{_inside(self)}", -self.value, self.unit, (-1.0, self))
+
+    def __pos__(self) -> "Estimate":
+        return self
+
+    def __abs__(self) -> "Estimate":
+        return _combined(f"|{self.name}|", abs(self.value), self.unit, (math.copysign(1.0, self.value), self))
+
+    def __add__(self, other: Any) -> "Estimate":
+        return _sum(self, other, "+") if _is_number(other) else NotImplemented
+
+    def __radd__(self, other: Any) -> "Estimate":
+        if isinstance(other, int) and other == 0:  # where sum() begins
+            return self
+        return _sum(other, self, "+") if _is_number(other) else NotImplemented
+
+    def __sub__(self, other: Any) -> "Estimate":
+        return _sum(self, other, "-") if _is_number(other) else NotImplemented
+
+    def __rsub__(self, other: Any) -> "Estimate":
+        return _sum(other, self, "-") if _is_number(other) else NotImplemented
+
+    def __mul__(self, other: Any) -> "Estimate":
+        return _product(self, other) if _is_number(other) else NotImplemented
+
+    def __rmul__(self, other: Any) -> "Estimate":
+        return _product(other, self) if _is_number(other) else NotImplemented
+
+    def __truediv__(self, other: Any) -> "Estimate":
+        return _quotient(self, other) if _is_number(other) else NotImplemented
+
+    def __rtruediv__(self, other: Any) -> "Estimate":
+        return _quotient(other, self) if _is_number(other) else NotImplemented
+
+    def __lt__(self, other: Any) -> bool:
+        return _compared(self, other, operator.lt) if _is_number(other) else NotImplemented
+
+    def __le__(self, other: Any) -> bool:
+        return _compared(self, other, operator.le) if _is_number(other) else NotImplemented
+
+    def __gt__(self, other: Any) -> bool:
+        return _compared(self, other, operator.gt) if _is_number(other) else NotImplemented
+
+    def __ge__(self, other: Any) -> bool:
+        return _compared(self, other, operator.ge) if _is_number(other) else NotImplemented
+
     def __str__(self) -> str:
+        return f"{self.name}: {self.without_name()}"
+
+    def _repr_html_(self) -> str:
+        shown = html.escape(self.without_name().replace("+-", "±"))
+        return f"<span>{html.escape(self.name)}: <b>{shown}</b></span>"
+
+    @property
+    def _is_correlated(self) -> bool:
+        """Whether it was computed from estimates whose errors are known, but not their correlation."""
+        return bool(self._slopes) and all(math.isfinite(source.standard_error) for source in self._slopes)
+
+    def without_name(self) -> str:
+        """Value, standard error and unit, as far as they are known."""
         if math.isnan(self.value):
-            return f"{self.name}: not defined (no such event in {self.samples} samples)"
+            return f"not defined (no such event in {self.samples} samples)"
         unit = "" if self.unit == "1" else f" {self.unit}"
         if math.isnan(self.standard_error):
             why = "no error from one sample" if self.samples < 2 else "error not known"
-            return f"{self.name}: {self.value:.6g}{unit} ({why})"
-        return f"{self.name}: {format_with_error(self.value, self.standard_error)}{unit}"
+            if self._is_correlated:
+                why = "error not known: of estimates from the same random numbers"
+            return f"{self.value:.6g}{unit} ({why})"
+        return f"{format_with_error(self.value, self.standard_error)}{unit}"
 
 
 def check_level(level: float) -> None:
@@ -57,3 +163,111 @@ def format_with_error(value: float, error: float) -> str:
     if decimals > 9:
         return f"{value:.6g} +- {error:.2g}"
     return f"{value:.{decimals}f} +- {error:.{decimals}f}"
+
+
+def _is_number(other: Any) -> bool:
+    """Whether an estimate can be computed with `other`: an estimate, or a real number that JAX does not trace."""
+    if isinstance(other, Estimate):
+        return True
+    if isinstance(other, (bool, str, bytes)) or other is None or _checks.is_traced(other) or np.ndim(other) > 0:
+        return False
+    return np.asarray(other).dtype.kind in "iuf"
+
+
+def _value_of(other: Any) -> float:
+    return float(other.value if isinstance(other, Estimate) else other)
+
+
+def _inside(other: Any) -> str:
+    """The name of a number or an estimate in the name of a combination."""
+    if not isinstance(other, Estimate):
+        return f"{float(other):.6g}"
+    return other.name if other._slopes is None else f"({other.name})"
+
+
+def _one_unit(one: Any, other: Any, what: str) -> str:
+    """The unit of both numbers; a plain number has that of the other. Raises ValueError where they differ."""
+    units = [number.unit for number in (one, other) if isinstance(number, Estimate)]
+    if not same_unit(units[0], units[-1]):
+        raise ValueError(
+            f"Estimates must have one unit to be {what}, but {_checks.show(units[0])} and {_checks.show(units[-1])} "
+            "were given; multiply or divide one by a quantity that has the missing unit."
+        )
+    return units[0]
+
+
+def _compared(one: Any, other: Any, how: Callable[[float, float], bool]) -> bool:
+    _one_unit(one, other, "compared")
+    return how(_value_of(one), _value_of(other))
+
+
+def _sum(one: Any, other: Any, sign: str) -> Estimate:
+    unit, slope = _one_unit(one, other, "added or subtracted"), 1.0 if sign == "+" else -1.0
+    value = _value_of(one) + slope * _value_of(other)
+    return _combined(f"{_inside(one)} {sign} {_inside(other)}", value, unit, (1.0, one), (slope, other))
+
+
+def _product(one: Any, other: Any) -> Estimate:
+    unit = unit_of_product(_unit_of(one), _unit_of(other))
+    a, b = _value_of(one), _value_of(other)
+    return _combined(f"{_inside(one)} * {_inside(other)}", a * b, unit, (b, one), (a, other))
+
+
+def _quotient(one: Any, other: Any) -> Estimate:
+    unit = unit_of_product(_unit_of(one), _unit_of(other), -1)
+    a, b = _value_of(one), _value_of(other)
+    if b == 0 and not isinstance(other, Estimate):
+        raise ZeroDivisionError(f"The estimate {one.name!r} was divided by zero.")
+    inverse = 1 / b if b else math.nan
+    return _combined(f"{_inside(one)} / {_inside(other)}", a * inverse, unit, (inverse, one), (-a * inverse**2, other))
+
+
+def _unit_of(other: Any) -> str:
+    return other.unit if isinstance(other, Estimate) else "1"
+
+
+def _combined(name: str, value: float, unit: str, *parts: tuple[float, Any]) -> Estimate:
+    """The estimate `value` with the error that follows from its derivatives by `parts`, (derivative, part) each."""
+    slopes: dict[_Source, float] = {}
+    for slope, part in parts:
+        if isinstance(part, Estimate):
+            for source, inner in _slopes_of(part).items():
+                before, more = slopes.get(source, 0.0), slope * inner
+                slopes[source] = 0.0 if abs(before + more) <= _ROUND_OFF * abs(more) else before + more
+    slopes = {source: slope for source, slope in slopes.items() if slope != 0}
+    if len(name) > _LONGEST_NAME:
+        name = f"combination of {len(slopes)} estimates"
+    numbers = [part.samples for _, part in parts if isinstance(part, Estimate)]
+    error, samples = _error_and_samples(slopes, min(numbers))
+    combined = Estimate(name, value, error, unit, samples)
+    object.__setattr__(combined, "_slopes", slopes)
+    return combined
+
+
+def _slopes_of(estimate: Estimate) -> Mapping[_Source, float]:
+    """The derivatives of an estimate by those that it was computed from; by itself, if it is from samples."""
+    if estimate._slopes is not None:
+        return estimate._slopes
+    own = _Source(
+        estimate.origin, estimate.name, float(estimate.value), float(estimate.standard_error), estimate.samples
+    )
+    return {own: 1.0}
+
+
+def _error_and_samples(slopes: Mapping[_Source, float], fewest: int) -> tuple[float, int]:
+    """The standard error of a combination, and one more than its degrees of freedom (Welch 1947), rounded down.
+
+    `fewest`: the samples where there is no error. NaN where two of the sources are of one origin.
+    """
+    uncertain = {source: slope for source, slope in slopes.items() if source.standard_error != 0}
+    if not uncertain:
+        return 0.0, fewest
+    if len({source.origin for source in uncertain}) < len(uncertain):
+        return math.nan, fewest
+    variances = [(slope * source.standard_error) ** 2 for source, slope in uncertain.items()]
+    total = math.fsum(variances)
+    if not (math.isfinite(total) and total > 0 and all(source.samples > 1 for source in uncertain)):
+        return math.sqrt(total) if total >= 0 else math.nan, fewest
+    shares = [variance / total for variance in variances]
+    freedom = 1 / sum(share**2 / (source.samples - 1) for share, source in zip(shares, uncertain, strict=True))
+    return math.sqrt(total), max(2, math.floor(freedom * (1 + 1e-12)) + 1)

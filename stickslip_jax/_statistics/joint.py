@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
@@ -61,6 +62,7 @@ class JointDistribution:
     - `names`: of x and y, in text. `labels`: on axes of figures. `units`: of x and y.
     - `x`, `y`: the retained pairs. `bins`: counts of all pairs and `streamed_correlation`: Pearson's, of all pairs;
       None where the pairs were not summed.
+    - `origin`: of the random numbers; see `Estimate`.
     """
 
     names: tuple[str, str]
@@ -70,6 +72,7 @@ class JointDistribution:
     y: Clusters
     bins: DyadicCounts | None
     streamed_correlation: float | None
+    origin: Hashable = dataclasses.field(default_factory=object)
 
     @property
     def number(self) -> int:
@@ -203,23 +206,19 @@ class JointDistribution:
 
     def _estimate(self, name: str, value: float, error: float, unit: str = "1") -> Estimate:
         samples = self.x.of_all
-        return Estimate(f"{name} of {self.names[0]} and {self.names[1]}", value, error, unit, samples)
+        return Estimate(f"{name} of {self.names[0]} and {self.names[1]}", value, error, unit, samples, self.origin)
 
     def __repr__(self) -> str:
         if self.number == 0:
             return f"{self.names[0]} and {self.names[1]}: no pairs"
         lines = [f"{self.names[0]} and {self.names[1]}: {self.number:,} pairs"]
         shown = (self.correlation, self.rank_correlation, self.mutual_information())
-        return "\n".join([*lines, *("  " + str(one).partition(" of ")[0] + _after_name(one) for one in shown)])
+        return "\n".join([*lines, *(f"  {one.name.partition(' of ')[0]}: {one.without_name()}" for one in shown)])
 
 
 def pearson_of(sums: PowerSums, x: int, y: int) -> float:
     """Pearson's correlation of the components `x` and `y` of vectors; NaN where one does not vary."""
     return float(sums.correlation[x, y])
-
-
-def _after_name(estimate: Estimate) -> str:
-    return str(estimate)[len(estimate.name) :]
 
 
 def _standardized(values: np.ndarray) -> np.ndarray:

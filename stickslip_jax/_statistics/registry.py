@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from .estimate import Estimate
-from .source import EnsembleLike, require_ensemble
+from .source import EnsembleLike, origin_of, require_ensemble
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,11 +170,12 @@ class StatisticOfTotals:
         above, below = self.weights(ensemble.t1)
         denominator = below[-1] + float(below[:-1] @ moments.mean)
         if moments.number == 0 or not denominator > 0:
-            return Estimate(self.label, math.nan, math.nan, self.unit, moments.number)
+            return Estimate(self.label, math.nan, math.nan, self.unit, moments.number, origin_of(ensemble))
         value = float(above[-1] + float(above[:-1] @ moments.mean)) / float(denominator)
         gradient = (above[:-1] - value * below[:-1]) / denominator
         variance = float(gradient @ moments.covariance_of_mean @ gradient)
-        return Estimate(self.label, value, math.sqrt(max(variance, 0.0)), self.unit, moments.number)
+        error = math.sqrt(max(variance, 0.0))
+        return Estimate(self.label, value, error, self.unit, moments.number, origin_of(ensemble))
 
     def __repr__(self) -> str:
         return self.name

@@ -1,5 +1,6 @@
 """What the statistics need of an ensemble, and the check that it is one."""
 
+from collections.abc import Hashable
 from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 from .. import _checks
@@ -45,6 +46,15 @@ def require_ensemble(ensemble: Any) -> Any:
             "a single simulation has .stick_fraction, .sticks and .slips itself."
         )
     return ensemble
+
+
+def origin_of(ensemble: Any) -> Hashable:
+    """What the samples of an ensemble have in common with those of others: its key; without one, their own means."""
+    key_data = getattr(ensemble, "key_data", None)
+    if key_data is not None:
+        return tuple(int(word) for word in key_data)
+    moments = ensemble.moments
+    return ("no key", float(ensemble.t1), int(moments.number), *map(float, moments.mean))
 
 
 def require_statistic(statistic: Any) -> None:

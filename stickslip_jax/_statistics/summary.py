@@ -1,16 +1,18 @@
 """The statistics of an ensemble as tables to read, in text and in HTML."""
 
 import dataclasses
-import html
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from .. import _html
 from .distribution import Distribution
-from .ensemble_statistics import EnsembleStatistics
 from .estimate import Estimate, format_with_error
 from .registry import DISTRIBUTIONS, STICK_QUANTITIES
 from .source import require_ensemble
+
+if TYPE_CHECKING:
+    from .ensemble_statistics import EnsembleStatistics
 
 _Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
 _HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
@@ -33,21 +35,22 @@ class Summary:
             widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
             lines = ["  ".join(_aligned(row, widths)).rstrip() for row in (head, *rows)]
             parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
-        return "\n\n".join([*parts, "\n".join(self.notes)])
+        return "\n\n".join([*parts, "\n".join(self.notes)] if self.notes else parts)
 
     def _repr_html_(self) -> str:
-        parts = [f"<p><b>{html.escape(self.title)}</b></p>"]
-        for caption, head, rows in self.tables:
-            cells = "".join(f"<th>{html.escape(text)}</th>" for text in head)
-            body = "".join("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>" for row in rows)
-            parts.append(f"<table><caption>{html.escape(caption)}</caption><tr>{cells}</tr>{body}</table>")
-        return "".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)])
+        parts = [_html.table(rows, head, caption) for caption, head, rows in self.tables]
+        return "".join([_html.titled(self.title), *parts, *map(_html.escaped, self.notes)])
 
 
 def summary_of(ensemble: Any) -> Summary:
     """The summary of an ensemble simulated with ``keep="statistics"`` or ``"sticks"``. Raises ValueError for others."""
     ensemble = require_ensemble(ensemble)
-    statistics: EnsembleStatistics = ensemble.statistics
+    statistics: "EnsembleStatistics" = ensemble.statistics
+    return dataclasses.replace(summary_of_statistics(statistics), notes=tuple(_notes(ensemble, statistics)))
+
+
+def summary_of_statistics(statistics: "EnsembleStatistics") -> Summary:
+    """The tables alone, without what only the ensemble knows: which samples did not finish."""
     distributions = [getattr(statistics, quantity.name) for quantity in statistics.known(DISTRIBUTIONS)]
     tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, distributions)))]
     orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
@@ -59,11 +62,15 @@ def summary_of(ensemble: Any) -> Summary:
             for one in present
         )
         tables.append(("By order (mean +- standard error)", ("stick", "samples that have it", *quantities), rows))
-    title = f"{statistics.samples:,} samples on [0, {ensemble.t1:g}] s"
-    return Summary(title, tuple(tables), tuple(_notes(ensemble, statistics)))
+    return Summary(f"{statistics.samples:,} samples on [0, {statistics.t1:g}] s", tuple(tables), ())
 
 
-def _notes(ensemble: Any, statistics: EnsembleStatistics) -> list[str]:
+def summary_of_distributions(title: str, distributions: Sequence[Distribution]) -> Summary:
+    """One table, a row for each of some distributions."""
+    return Summary(title, (("Mean +- standard error", _HEAD, tuple(map(_row, distributions))),), ())
+
+
+def _notes(ensemble: Any, statistics: "EnsembleStatistics") -> list[str]:
     notes = []
     if statistics.duration.number:
         shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in statistics.endings.items())

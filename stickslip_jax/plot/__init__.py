@@ -15,6 +15,7 @@ Nothing is simulated here. Bad arguments raise ValueError with the name of the a
 """
 
 from ._convergences import convergence
+from ._curves import curve
 from ._histograms import histogram
 from ._histories import time_history
 from ._joint_histograms import joint_histogram
@@ -29,6 +30,7 @@ from ._stick_maps import stick_map
 
 __all__ = [
     "convergence",
+    "curve",
     "histogram",
     "joint_histogram",
     "means_by_order",

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.patches import StepPatch
 
 from .. import _checks
 from .._statistics.distribution import Distribution
@@ -13,8 +15,12 @@ from ._sticks import complete_sticks, edges_of_bins, outside
 from ._types import Bins, SimulatedSticks
 
 
-def histogram(result: Distribution | SimulatedSticks, *, bins: Bins = 50, ax: Axes | None = None) -> Axes:
+def histogram(
+    result: Distribution | SimulatedSticks, *, bins: Bins = 50, label: str | None = None, ax: Axes | None = None
+) -> Axes:
     """Draw the histogram of one quantity, or of the durations of complete sticks, as a probability density.
+
+    Call it again with the same `ax` to compare: each histogram has a colour of its own, and all fit into the axes.
 
     - `result`: a distribution, such as ``ensemble.statistics.duration`` or ``.order(2).start``. Its histogram is drawn
       over all samples, with bars of one standard error and the mean; sticks and slips cut by the horizon are included
@@ -28,6 +34,7 @@ def histogram(result: Distribution | SimulatedSticks, *, bins: Bins = 50, ax: Ax
       numbers are centred on them. Of sticks, the number of equal bins from 0 to the longest duration, or their
       increasing edges, s. Sticks outside the edges are not drawn but count: density times bin width stays the share of
       all complete sticks.
+    - `label`: what is drawn, before the number of values in the legend.
     - `ax`: where to draw; by default the axes of a new figure.
 
     The height is a density, 1/unit; of whole numbers it is the share of values per whole number. Returns the axes, with
@@ -35,21 +42,48 @@ def histogram(result: Distribution | SimulatedSticks, *, bins: Bins = 50, ax: Ax
     given with a distribution, and for arguments of another kind.
     """
     bars = _bars_of_distribution(result, bins) if isinstance(result, Distribution) else _bars_of_sticks(result, bins)
+    _checks.text("label", label, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    ax.set_xlabel(bars.xlabel)
-    ax.set_ylabel(bars.ylabel)
+    earlier = _outlines(ax)
+    _name_axis(ax.xaxis, bars.xlabel, earlier)
+    _name_axis(ax.yaxis, bars.ylabel, earlier)
+    text = bars.label if label is None else f"{label}: {bars.label}"
     if bars.empty:
-        _parts.note(ax, bars.label)
+        _say_empty(ax, text, earlier)
         return ax
     if bars.is_whole:
         _parts.whole_numbers(ax.xaxis)
-    _parts.draw_histogram(ax, bars.edges, bars.heights, bars.errors, bars.color, label=bars.label)
+    color = _style.free_color(bars.color, [outline.get_edgecolor() for outline in earlier])
+    _parts.draw_histogram(ax, bars.edges, bars.heights, bars.errors, color, label=text)
     if bars.mean is not None:
-        _draw_mean(ax, bars.mean)
-    ax.set_xlim(bars.edges[0], bars.edges[-1])
+        _draw_mean(ax, bars.mean, color if earlier or label else _style.MASS)
+    edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
+    ax.set_xlim(edges.min(), edges.max())
+    ax.autoscale(axis="y")
     ax.set_ylim(bottom=0)
     _style.legend_above(ax, columns=1)
     return ax
+
+
+def _outlines(ax: Axes) -> list[StepPatch]:
+    """The outlines of the histograms in `ax`."""
+    return [patch for patch in ax.patches if isinstance(patch, StepPatch) and not patch.get_fill()]
+
+
+def _name_axis(axis: Axis, name: str, earlier: list[StepPatch]) -> None:
+    """Name an axis, after the names that it has from `earlier` histograms."""
+    before = axis.get_label_text() if earlier else ""
+    if name not in before:
+        axis.set_label_text(f"{before}, {name}" if before else name)
+
+
+def _say_empty(ax: Axes, text: str, earlier: list[StepPatch]) -> None:
+    """Say that there is nothing to draw: in empty axes, or in the legend where there are others."""
+    if not earlier:
+        _parts.note(ax, text)
+        return
+    ax.plot([], [], ls="none", label=text)
+    _style.legend_above(ax, columns=1)
 
 
 class _Bars(NamedTuple):
@@ -111,9 +145,9 @@ def _bars_of_sticks(result: SimulatedSticks, bins: Bins) -> _Bars:
     )
 
 
-def _draw_mean(ax: Axes, mean: Estimate) -> None:
+def _draw_mean(ax: Axes, mean: Estimate, color: str) -> None:
     """The mean, with its standard error to both sides."""
     if np.isfinite(mean.standard_error):
         ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
-        ax.axvspan(*ends, color=_style.MASS, alpha=0.25, lw=0)
-    ax.axvline(mean.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label=f"mean {_parts.with_error(mean)}")
+        ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
+    ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=f"mean {_parts.with_error(mean)}")

@@ -1,28 +1,37 @@
 """A quantity over two parameters, as a map."""
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from .. import _checks
 from . import _parts, _style
-from ._types import Numbers
+from ._labeled import Labeled, is_labeled, labeled
+from ._types import LabeledData, Numbers
 
 _GRAY = "#DDDDDD"
 
 
 def parameter_map(
-    x: Numbers,
-    y: Numbers,
-    values: Numbers | Sequence[Numbers],
+    x: Numbers | LabeledData,
+    y: Numbers | str | None = None,
+    values: Numbers | Sequence[Numbers] | None = None,
     *,
-    xlabel: str,
-    ylabel: str,
-    label: str,
+    errors: Numbers | Sequence[Numbers] | LabeledData | str | None = None,
+    error_share: float = 0.1,
+    xlabel: str | None = None,
+    ylabel: str | None = None,
+    label: str | None = None,
+    xlog: bool = False,
+    ylog: bool = False,
+    log: bool = False,
     contours: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
@@ -32,42 +41,163 @@ def parameter_map(
 
     - `x`, `y`: values of the parameters, increasing, evenly spaced or not; (nx,) and (ny,), each two or more.
     - `values`: of the quantity, (nx, ny); NaN where it is not defined or was not computed.
-    - `xlabel`, `ylabel`, `label`: names of the parameters and of the quantity, with their units.
-    - `contours`: whether to draw lines of equal values, too.
+
+      Or `x` alone: an ``xarray.DataArray``, whose first dimension is on the abscissa; or an ``xarray.Dataset``, and `y`
+      the name of a variable. Their attributes ``long_name`` and ``units`` name axes and colours.
+    - `errors`: standard errors of the values, (nx, ny); of a Dataset the name of a variable, by default as in `curve`.
+      Dots mark cells where the error is above the share `error_share` of the value, or not known.
+    - `xlabel`, `ylabel`, `label`: of the parameters and the quantity, with units, where nothing else says them.
+    - `xlog`, `ylog`, `log`: whether the axes and the colours are logarithmic. Values that are not positive have no
+      logarithmic colour, and are drawn like missing ones.
+    - `contours`: whether to draw lines of equal values, too, except in flat regions, where their course is chance:
+      where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`, below
+      four of its standard errors.
     - `ax`: where to draw; by default the axes of a new figure.
 
     Returns the axes, with a note in them if no value is known. Raises ValueError for arrays of other shapes, infinite
     numbers, parameters that do not increase, and arguments of another kind.
     """
-    x, y, values = _checked(x, y, values)
-    for name, text in (("xlabel", xlabel), ("ylabel", ylabel), ("label", label)):
-        if not isinstance(text, str):
-            raise ValueError(f"Argument {name} must be a string, but {_checks.show(text)} was given.")
-    _checks.truth("contours", contours)
+    for name, truth in (("xlog", xlog), ("ylog", ylog), ("log", log), ("contours", contours)):
+        _checks.truth(name, truth)
+    _checks.positive("error_share", error_share)
+    grid = _map_of(x, y, values, errors, (xlabel, ylabel, label), (xlog, ylog))
     ax = _style.axes_or_new(ax, (5.6, 4.2))
-    edges = _edges(x), _edges(y)
-    unknown = np.isnan(values)
-    if np.any(unknown):
-        _draw_unknown(ax, *edges, unknown)
-    if not np.all(unknown):
-        mesh = ax.pcolormesh(*edges, np.ma.masked_array(values, unknown).T, cmap="viridis_r", rasterized=True)
-        figure = ax.get_figure(root=True)
-        assert figure is not None
-        bar = figure.colorbar(mesh, ax=ax, label=label)
-        if contours and np.nanmin(values) < np.nanmax(values):
-            _draw_contours(ax, bar, x, y, values)
-    else:
-        _parts.note(ax, "no values")
-    ax.set_xlim(edges[0][0], edges[0][-1])
-    ax.set_ylim(edges[1][0], edges[1][-1])
-    ax.set_xlabel(xlabel)
-    ax.set_ylabel(ylabel)
-    if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=1)
+    _draw(ax, grid, log, contours, error_share)
     return ax
 
 
-def _checked(x: Numbers, y: Numbers, values: Numbers | Sequence[Numbers]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+class _Map(NamedTuple):
+    """A map with cells (nx, ny).
+
+    - `centers`, `edges` of the cells along both axes; `logs`: whether these are logarithmic.
+    - `values`, NaN where unknown; `errors`: their standard errors, or None. `names`: of the axes and of the values.
+    """
+
+    centers: tuple[np.ndarray, np.ndarray]
+    edges: tuple[np.ndarray, np.ndarray]
+    logs: tuple[bool, bool]
+    values: np.ndarray
+    errors: np.ndarray | None
+    names: tuple[str, str, str]
+
+
+def _map_of(
+    x: Any, y: Any, values: Any, errors: Any, given: tuple[str | None, str | None, str | None], logs: tuple[bool, bool]
+) -> _Map:
+    """The map to draw, checked; `given`: names of the axes and of the values."""
+    names = given
+    if is_labeled(x):
+        found = _read(x, y, values, errors)
+        (x, y), values, errors = found.coordinates, found.values, found.errors
+        known = (found.axis_labels[0], found.axis_labels[1], found.label)
+        names = tuple(one if own is None else own for own, one in zip(given, known, strict=True))
+    for name, text in zip(("xlabel", "ylabel", "label"), names, strict=True):
+        _checks.text(name, text)
+    x, y, values = _checked(x, y, values)
+    for name, centers, is_log in (("x", x, logs[0]), ("y", y, logs[1])):
+        if is_log and centers[0] <= 0:
+            raise ValueError(
+                f"Argument {name} must hold positive numbers on a logarithmic axis, but {centers[0]:g} is the first."
+            )
+    errors = None if errors is None else _checked_errors(errors, values)
+    edges, (across, up, colors) = (_edges(x, logs[0]), _edges(y, logs[1])), map(str, names)
+    return _Map((x, y), edges, logs, values, errors, (across, up, colors))
+
+
+def _read(x: Any, y: Any, values: Any, errors: Any) -> Labeled:
+    if values is not None:
+        raise ValueError(
+            "Argument values must be left out with a labelled array, which holds them, but "
+            f"{_checks.show(values)} was given."
+        )
+    return labeled(x, y, errors, (2,))
+
+
+def _checked_errors(errors: Any, values: np.ndarray) -> np.ndarray:
+    _checks.numeric("errors", np.nan_to_num(np.asarray(errors, float), nan=0.0, posinf=np.inf, neginf=-np.inf), ndim=2)
+    array = np.asarray(errors, float)
+    if array.shape != values.shape or np.any(array < 0):
+        raise ValueError(
+            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
+            f"array of shape {array.shape} with smallest entry {np.nanmin(array, initial=np.inf):g} was given."
+        )
+    return array
+
+
+def _draw(ax: Axes, grid: _Map, log: bool, contours: bool, error_share: float) -> None:
+    """The cells, what is said of them in the legend, and the axes."""
+    if log:
+        grid = grid._replace(values=np.where(grid.values > 0, grid.values, np.nan))
+    unknown = np.isnan(grid.values)
+    if np.any(unknown):
+        _draw_unknown(ax, *grid.edges, unknown, "no positive value" if log else "no value")
+    if np.all(unknown):
+        _parts.note(ax, "no values")
+    else:
+        _draw_values(ax, grid, log, contours)
+    if grid.errors is not None:
+        _draw_uncertain(ax, grid, grid.errors, error_share)
+    for axis, edges, is_log in zip((ax.xaxis, ax.yaxis), grid.edges, grid.logs, strict=True):
+        _set_axis(axis, edges, is_log)
+    ax.set_xlabel(grid.names[0])
+    ax.set_ylabel(grid.names[1])
+    if _parts.has_labels(ax):
+        _style.legend_above(ax, columns=1)
+
+
+def _draw_values(ax: Axes, grid: _Map, log: bool, contours: bool) -> None:
+    """The colours, their scale, and lines of equal values."""
+    cells = np.ma.masked_invalid(grid.values).T
+    norm = LogNorm() if log else Normalize()
+    mesh = ax.pcolormesh(*grid.edges, cells, cmap="viridis_r", norm=norm, rasterized=True)
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    bar = figure.colorbar(mesh, ax=ax, label=grid.names[2])
+    if contours and np.nanmin(grid.values) < np.nanmax(grid.values):
+        values, errors = grid.values, grid.errors
+        if log:
+            values, errors = np.log(values), None if errors is None else errors / values
+        _draw_contours(ax, bar, grid, _flat(values, errors))
+
+
+def _set_axis(axis: Axis, edges: np.ndarray, is_log: bool) -> None:
+    """The limits and the scale of an axis."""
+    ax = axis.axes
+    (ax.set_xlim if axis is ax.xaxis else ax.set_ylim)(edges[0], edges[-1])
+    if is_log:
+        (ax.set_xscale if axis is ax.xaxis else ax.set_yscale)("log")
+        _style.log_axis(axis)
+
+
+def _flat(values: np.ndarray, errors: np.ndarray | None) -> np.ndarray:
+    """Where the values around a cell hardly change, so that the course of lines would be chance, (nx, ny).
+
+    The slope, per cell, is that of a plane through the three by three cells around. If these have independent errors,
+    each of its two components has `_SLOPE_ERROR` times their standard error, and by chance the slope exceeds four times
+    that in one of 3000 cells (Rayleigh's distribution, exp(-8)).
+    """
+    slope = np.hypot(_slope(values), _slope(values.T).T)
+    least = np.full(values.shape, (np.nanmax(values) - np.nanmin(values)) / (4 * (max(values.shape) - 1)))
+    if errors is not None:
+        least = np.maximum(least, 4 * _SLOPE_ERROR * np.nan_to_num(errors, nan=np.inf))
+    return slope < least
+
+
+_SLOPE_ERROR = 6**-0.5  # of (a + b + c - d - e - f) / 6
+
+
+def _slope(values: np.ndarray) -> np.ndarray:
+    """The change of `values` (nx, ny) from row to row, averaged over three columns; one-sided at the ends and NaN."""
+    wide = np.pad(values, 1, constant_values=np.nan)
+    columns = np.stack([wide[:, :-2], wide[:, 1:-1], wide[:, 2:]])
+    number = np.isfinite(columns).sum(axis=0)
+    mean = np.where(number > 0, np.nansum(columns, axis=0) / np.maximum(number, 1), np.nan)
+    before, here, after = mean[:-2], mean[1:-1], mean[2:]
+    both = (after - before) / 2
+    return np.nan_to_num(np.where(np.isnan(both), np.where(np.isnan(after), here - before, after - here), both))
+
+
+def _checked(x: Any, y: Any, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The three arrays as floats. Raises ValueError for unsuitable ones."""
     for name, given in (("x", x), ("y", y)):
         _checks.numeric(name, given, ndim=1)
@@ -85,27 +215,44 @@ def _checked(x: Numbers, y: Numbers, values: Numbers | Sequence[Numbers]) -> tup
     return np.asarray(x, float), np.asarray(y, float), array
 
 
-def _edges(centers: np.ndarray) -> np.ndarray:
+def _edges(centers: np.ndarray, is_log: bool) -> np.ndarray:
     """The edges of cells: half way between neighbouring centres, and as far beyond the first and the last."""
+    if is_log:
+        return np.exp(_edges(np.log(centers), False))
     middle = (centers[1:] + centers[:-1]) / 2
     return np.concatenate([[2 * centers[0] - middle[0]], middle, [2 * centers[-1] - middle[-1]]])
 
 
-def _draw_unknown(ax: Axes, x_edges: np.ndarray, y_edges: np.ndarray, unknown: np.ndarray) -> None:
+def _draw_unknown(ax: Axes, x_edges: np.ndarray, y_edges: np.ndarray, unknown: np.ndarray, label: str) -> None:
     across, up = np.nonzero(unknown)
     corners = _parts.rectangles(x_edges[across], x_edges[across + 1], y_edges[up], y_edges[up + 1])
     look = {"facecolor": _GRAY, "edgecolor": _style.FORWARD, "hatch": "////", "lw": 0}
-    ax.add_collection(PolyCollection(corners, label="no value", **look), autolim=False)
+    ax.add_collection(PolyCollection(corners, label=label, **look), autolim=False)
 
 
-def _draw_contours(ax: Axes, bar: Colorbar, x: np.ndarray, y: np.ndarray, values: np.ndarray) -> None:
+def _draw_uncertain(ax: Axes, grid: _Map, errors: np.ndarray, share: float) -> None:
+    """Dots over the cells whose values are uncertain."""
+    across, up = np.nonzero(~(errors <= share * np.abs(grid.values)) & np.isfinite(grid.values))
+    if not len(across):
+        return
+    x, y = grid.edges
+    corners = _parts.rectangles(x[across], x[across + 1], y[up], y[up + 1])
+    label = f"standard error above {100 * share:.4g} % of the value"
+    if np.any(np.isnan(errors[across, up])):
+        label += ", or not known"
+    look = {"facecolor": "none", "edgecolor": _style.SERIES[2], "hatch": "...", "lw": 0}
+    ax.add_collection(PolyCollection(corners, label=label, **look), autolim=False)
+
+
+def _draw_contours(ax: Axes, bar: Colorbar, grid: _Map, flat: np.ndarray) -> None:
     """Labelled lines of equal values, at the ticks of the colour bar, interpolated between the centres of the cells."""
-    levels = [level for level in bar.get_ticks() if np.nanmin(values) < level < np.nanmax(values)]
+    lowest, highest = np.nanmin(grid.values), np.nanmax(grid.values)
+    levels = [level for level in bar.get_ticks() if lowest < level < highest]
     if not levels:
         return
-    known = np.ma.masked_invalid(values).T
+    known = np.ma.masked_array(grid.values, np.isnan(grid.values) | flat).T
     halo: list[AbstractPathEffect] = [withStroke(linewidth=2, foreground="white")]
-    lines = ax.contour(x, y, known, levels=levels, colors=_style.MASS, linewidths=0.8)
+    lines = ax.contour(*grid.centers, known, levels=levels, colors=_style.MASS, linewidths=0.8)
     lines.set_path_effects(halo)
     for text in ax.clabel(lines, fontsize="small", fmt="%g"):
         text.set_path_effects(halo)

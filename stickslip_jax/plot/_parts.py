@@ -27,6 +27,11 @@ def quantity_label(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
 
 
+def unit_after(unit: str) -> str:
+    """A unit to stand after a number."""
+    return "" if unit == "1" else f" {unit}"
+
+
 def density_label(*units: str) -> str:
     """The name of the probability density over quantities of these units."""
     named = [unit for unit in units if unit != "1"]
@@ -45,7 +50,7 @@ def color_of(name: str) -> str:
 
 def with_error(estimate: Estimate) -> str:
     """Value, standard error and unit of an estimate, without its name."""
-    return str(estimate).removeprefix(f"{estimate.name}: ").replace("+-", "±")
+    return estimate.without_name().replace("+-", "±")
 
 
 def counted(number: int, word: str) -> str:

@@ -55,8 +55,7 @@ def stick_fraction_curve(
     values = _checked_values(parameter_values, xlabel)
     curve = _curve(fractions, len(values), errors, level)
     for name, text in (("xlabel", xlabel), ("label", label), ("band_label", band_label)):
-        if text is not None and not isinstance(text, str):
-            raise ValueError(f"Argument {name} must be a string, but {_checks.show(text)} was given.")
+        _checks.text(name, text, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     color = _style.SERIES[len(ax.lines) % len(_style.SERIES)]
     order = np.argsort(values, kind="stable")

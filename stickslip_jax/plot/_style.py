@@ -3,11 +3,16 @@
 The colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind readers can distinguish.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import to_rgba
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.typing import ColorType
 
 from .. import _checks
 from ._types import SeveralAxes
@@ -22,6 +27,8 @@ AT_REST = "#56B4E9"
 BAND = "#F0E442"
 SERIES = ("#0072B2", "#009E73", "#CC79A7", "#000000", "#E69F00")
 
+LINES = ("-", "--", ":", "-.")
+
 STICK_WIDTH = 3.2
 SLIP_WIDTH = 1.2
 
@@ -33,6 +40,32 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     if not isinstance(ax, Axes):
         raise ValueError(f"Argument ax must be a matplotlib Axes, but {_checks.show(ax)} was given.")
     return ax
+
+
+def free_color(preferred: str, used: Iterable[ColorType]) -> str:
+    """`preferred`, or where that is `used` the first of `SERIES` that is not; the first of all where all are used."""
+    taken = {to_rgba(color, 1.0) for color in used}
+    return next((color for color in (preferred, *SERIES) if to_rgba(color) not in taken), preferred)
+
+
+def free_look(ax: Axes) -> tuple[str, str]:
+    """Colour and line style of the next curve in `ax`: those that no curve in it has yet."""
+    taken = {(to_rgba(line.get_color()), line.get_linestyle()) for line in ax.lines}
+    looks = [(color, style) for style in LINES for color in SERIES]
+    return next((look for look in looks if (to_rgba(look[0]), look[1]) not in taken), looks[0])
+
+
+def log_axis(axis: Axis) -> None:
+    """Make an axis logarithmic, with plain numbers at its ticks, as many as its limits leave room for."""
+    low, high = axis.get_view_interval()
+    decades = math.log10(high / low)
+    if decades > 5:
+        return  # powers of ten
+    steps = tuple(range(1, 10)) if decades < 0.7 else (1, 2, 5) if decades < 2.5 else (1,)
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(LogLocator(subs=tuple(range(1, 10))))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def axes_in(axes: SeveralAxes | None) -> tuple[Axes, ...]:

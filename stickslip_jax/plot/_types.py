@@ -1,7 +1,7 @@
 """What the figures take, as names for annotations."""
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,13 @@ from .._excitation.voltage import SourceVoltage
 from .._simulation.result import Simulation
 from .._statistics.first_sticks import FirstSticks
 from .._types import AnyArray
+
+if TYPE_CHECKING:
+    import xarray
+
+    LabeledData: TypeAlias = xarray.DataArray | xarray.Dataset
+else:  # it is an extra
+    LabeledData = Any
 
 SimulatedSticks: TypeAlias = Ensemble | FirstSticks | Simulation
 """Results that hold sticks one by one: an ensemble, the first sticks of its samples, one simulation or a batch."""

@@ -23,6 +23,8 @@ ROWS = (
     "_types",
     "_status",
     "_checks",
+    "_methods",
+    "_html",
     "_fields",
     "_fast_cpu",
     "_compilation_cache",

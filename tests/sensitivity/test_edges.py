@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._inputs.numbers import with_numbers
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._numerics.roots import steepest_fall
 from stickslip_jax._sensitivity import sequences, windows
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
 from stickslip_jax._sensitivity.estimators import Columns
 from stickslip_jax._sensitivity.first_look import problem_of
-from stickslip_jax._inputs.numbers import with_numbers
 from stickslip_jax._sensitivity.problem import buffer_sizes_for
 from stickslip_jax._sensitivity.runs import Accumulator, derivatives_of
 from stickslip_jax._sensitivity.statistic import StickSequence

@@ -1,0 +1,55 @@
+"""The progress bar of an ensemble, on terminals and in notebooks."""
+
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+_DELAY = 1.0  # s: what takes less shows no bar unless one is asked for
+
+
+@contextmanager
+def progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
+    """A function to call with the number of newly finished samples; it updates the progress bar, if one is shown.
+
+    - `progress`: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
+      a notebook.
+    - `samples`: their number.
+
+    Raises ImportError for True without the extra ``study``.
+    """
+    notebook = in_notebook()
+    if progress is False or (progress is None and not (notebook or sys.stderr.isatty())):
+        yield _nothing
+        return
+    try:
+        bar_class = _bar_class(notebook)
+    except ImportError:
+        if progress is None:
+            yield _nothing
+            return
+        raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
+    # In a notebook, what stays is kept with it for ever.
+    look = {"leave": False, "delay": _DELAY} if notebook and progress is None else {}
+    with bar_class(total=samples, unit="sample", unit_scale=True, **look) as bar:
+        yield bar.update
+
+
+def in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", _nothing)()
+    return getattr(shell, "kernel", None) is not None
+
+
+def _bar_class(notebook: bool) -> Any:
+    """A bar of the notebook where it can be shown, else one of text; ``tqdm.auto`` would warn that it cannot."""
+    if notebook and importlib.util.find_spec("ipywidgets") is not None:
+        from tqdm.notebook import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
+    else:
+        from tqdm.std import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
+    return tqdm
+
+
+def _nothing(*_: Any) -> None:
+    pass

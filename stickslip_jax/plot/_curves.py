@@ -1,0 +1,250 @@
+"""Any statistic against a parameter."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from .._statistics.estimate import Estimate, check_level
+from . import _parts, _style
+from ._labeled import Labeled, is_labeled, labeled
+from ._types import LabeledData, Numbers
+
+_MOST_MARKERS = 60
+
+Uncertainty: TypeAlias = Literal["bars", "band"]
+
+
+def curve(
+    x: Numbers | LabeledData,
+    y: Sequence[Estimate] | Numbers | str | None = None,
+    *,
+    errors: Numbers | LabeledData | str | None = None,
+    level: float | None = 0.9,
+    uncertainty: Uncertainty = "bars",
+    along: str | None = None,
+    xlabel: str | None = None,
+    ylabel: str | None = None,
+    label: str | None = None,
+    xlog: bool = False,
+    ylog: bool = False,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a statistic against a parameter, with error bars or a band. Call it again with the same `ax` to compare.
+
+    - `x`, `y`: values of the parameter, (points,) in any order, and for each an `Estimate`, such as
+      ``ss.mean_stick_duration(ensemble)`` or ``ensemble.statistics.duration.median``, or a number, NaN for a gap.
+
+      Or `x` alone: an ``xarray.DataArray`` with one dimension, or two, for several curves; or an ``xarray.Dataset``,
+      and `y` the name of a variable. Their attributes ``long_name`` and ``units`` name the axes.
+    - `errors`: standard errors of numbers, in their shape; of a Dataset the name of a variable, by default that which
+      the attribute ``ancillary_variables`` names, or that called like `y` and ``_error`` or ``_standard_error``.
+    - `level`: of the confidence intervals that are drawn, by Student's t for estimates, else by the normal
+      distribution. None: one standard error to both sides.
+    - `uncertainty`: how these are drawn, "bars" or "band".
+    - `along`: of an array with two dimensions, which is on the abscissa; by default the first.
+    - `xlabel`, `ylabel`: names of the axes, with units, where nothing else says them.
+    - `label`: name of the curve in the legend; of several, before the value of the other coordinate.
+    - `xlog`, `ylog`: whether an axis is logarithmic. Others than positive values are left out, and counted.
+    - `ax`: where to draw; by default the axes of a new figure.
+
+    Returns the axes, with a note in them if there is nothing to draw. Raises ValueError for arguments of another kind,
+    length or unit.
+    """
+    _check_options(level, uncertainty, xlog, ylog, {"xlabel": xlabel, "ylabel": ylabel, "label": label})
+    if is_labeled(x):
+        curves = _of_labeled(labeled(x, y, errors, (1, 2), along), level, label)
+    else:
+        curves = _of_numbers(x, y, errors, level, label)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    ax.set_xlabel(_name("xlabel", xlabel, curves.xlabel, ax.get_xlabel()))
+    ax.set_ylabel(_name("ylabel", ylabel, curves.ylabel, ax.get_ylabel()))
+    _draw_all(ax, curves, uncertainty, level, (xlog, ylog))
+    return ax
+
+
+class _Curve(NamedTuple):
+    """Values with the ends of their intervals, NaN where not known, (points,) each."""
+
+    values: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    label: str | None
+
+
+class _Curves(NamedTuple):
+    """Curves over the same `x`, (points,) and increasing, and the names of the axes where they are known."""
+
+    x: np.ndarray
+    curves: list[_Curve]
+    xlabel: str | None = None
+    ylabel: str | None = None
+
+
+def _check_options(level: float | None, uncertainty: str, xlog: bool, ylog: bool, texts: dict[str, str | None]) -> None:
+    if level is not None:
+        check_level(level)
+    if uncertainty not in get_args(Uncertainty):
+        raise ValueError(f'Argument uncertainty must be "bars" or "band", but {_checks.show(uncertainty)} was given.')
+    _checks.truth("xlog", xlog)
+    _checks.truth("ylog", ylog)
+    for name, text in texts.items():
+        _checks.text(name, text, or_none=True)
+
+
+def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curves:
+    """One curve of a labelled array with one dimension, or one for each index of its second."""
+    values = data.values.reshape(len(data.coordinates[0]), -1)
+    low, high = (ends.reshape(values.shape) for ends in _ends(data.values, data.errors, level))
+    labels = [label]
+    if data.values.ndim == 2:
+        name, unit = data.axis_labels[1].removesuffix(f" ({data.units[1]})"), _parts.unit_after(data.units[1])
+        own = [f"{name} = {value:.4g}{unit}" for value in data.coordinates[1]]
+        labels = own if label is None else [f"{label}, {text}" for text in own]
+    columns = zip(values.T, low.T, high.T, labels, strict=True)
+    curves = [_Curve(one, its_low, its_high, text) for one, its_low, its_high, text in columns]
+    return _Curves(data.coordinates[0], curves, data.axis_labels[0], data.label)
+
+
+def _of_numbers(x: object, y: object, errors: object, level: float | None, label: str | None) -> _Curves:
+    _checks.numeric("x", x, ndim=1)
+    places = np.asarray(x, float)
+    order = np.argsort(places, kind="stable")
+    estimates = list(y) if isinstance(y, (list, tuple)) and any(isinstance(one, Estimate) for one in y) else []
+    if not estimates:
+        _checks.numeric("y", _finite(y), ndim=1)
+        values, name = np.asarray(y, float), None
+        low, high = _ends(values, errors, level)
+    else:
+        name = _name_of(estimates)
+        if errors is not None:
+            raise ValueError(
+                f"Argument errors must be left out with estimates, but {_checks.show(errors)} was given; estimates "
+                "have their own."
+            )
+        values = np.array([one.value for one in estimates], float)
+        ends = [_interval(one, level) for one in estimates]
+        low, high = np.array(ends, float).reshape(-1, 2).T
+    if len(values) != len(places):
+        raise ValueError(f"Argument y must have the length {len(places)} of x, but it has {len(values)}.")
+    return _Curves(places[order], [_Curve(values[order], low[order], high[order], label)], ylabel=name)
+
+
+def _finite(values: object) -> object:
+    """The values with zeros for NaN, to be checked for all else; as they are if they are no numbers."""
+    try:
+        return np.nan_to_num(np.asarray(values, float), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    except (TypeError, ValueError):
+        return values
+
+
+def _name_of(estimates: list[Estimate]) -> str | None:
+    """The name and unit of all estimates; None if they have several names."""
+    if not all(isinstance(one, Estimate) for one in estimates):
+        raise ValueError(f"Argument y must hold estimates or numbers only, but {_checks.show(estimates)} was given.")
+    units, names = {one.unit for one in estimates}, {one.name for one in estimates}
+    if len(units) > 1:
+        raise ValueError(f"Argument y must hold estimates of one unit, but {', '.join(sorted(units))} were given.")
+    return _parts.quantity_label(*names, *units) if len(names) == 1 else None
+
+
+def _interval(one: Estimate, level: float | None) -> tuple[float, float]:
+    if level is not None:
+        return one.interval(level)
+    return one.value - one.standard_error, one.value + one.standard_error
+
+
+def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """The ends of the intervals about `values`, NaN without errors."""
+    if errors is None:
+        return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
+    _checks.numeric("errors", _finite(errors), ndim=values.ndim)
+    sides = np.asarray(errors, float)
+    if sides.shape != values.shape or np.any(sides < 0):
+        raise ValueError(
+            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
+            f"array of shape {sides.shape} with smallest entry {np.nanmin(sides, initial=np.inf):g} was given."
+        )
+    if level is not None:
+        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
+        sides = sides * special.ndtri((1 + level) / 2)
+    return values - sides, values + sides
+
+
+def _name(argument: str, given: str | None, known: str | None, before: str) -> str:
+    """The name of an axis: what is given, else what it has already, else what is known."""
+    name = given or before or known
+    if not name:
+        raise ValueError(
+            f"Argument {argument} must be given, the name of the axis with its unit, because what is drawn does not "
+            "say it."
+        )
+    return name
+
+
+def _draw_all(
+    ax: Axes, curves: _Curves, uncertainty: Uncertainty, level: float | None, logs: tuple[bool, bool]
+) -> None:
+    """Draw the curves, and set the scales and the legend."""
+    xlog, ylog = logs
+    if xlog and np.any(curves.x <= 0):
+        raise ValueError(
+            f"Argument x must hold positive numbers on a logarithmic axis, but {_checks.show(curves.x)} was given."
+        )
+    if xlog:
+        ax.set_xscale("log")
+    elif np.all(curves.x == np.round(curves.x)):
+        _parts.whole_numbers(ax.xaxis)
+    if ylog:
+        ax.set_yscale("log")
+    drawn = [_draw(ax, curves.x, one, uncertainty, ylog) for one in curves.curves]
+    if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
+        _parts.note(ax, "no values")
+    for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
+        _style.log_axis(axis)
+    if any(np.any(np.isfinite(one.low)) for one in curves.curves):
+        _explain(ax, uncertainty, level)
+    if _parts.has_labels(ax):
+        _style.legend_above(ax, columns=2)
+
+
+def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: bool) -> bool:
+    """Draw a curve with its uncertainty; whether there was anything to draw."""
+    values, low, high, label = one
+    left_out = ylog & (values <= 0)
+    if np.any(left_out):
+        values = np.where(left_out, np.nan, values)
+        lost = f"{_parts.counted(int(left_out.sum()), 'value')} of zero or less left out"
+        label = lost if label is None else f"{label} ({lost})"
+    if ylog and uncertainty == "band":
+        low = np.where(low <= 0, values * 1e-12, low)
+    if not np.any(np.isfinite(values)):
+        return False
+    color, style = _style.free_look(ax)
+    marker = "o" if len(x) <= _MOST_MARKERS else None
+    known = np.isfinite(low) & np.isfinite(values)
+    if np.any(known) and uncertainty == "band":
+        limits = ax.dataLim.frozen()
+        ax.fill_between(x, low, high, where=known, color=color, alpha=0.25, lw=0)
+        if ylog:  # the axis need not reach down to where the band ends for want of a logarithm
+            ax.dataLim.set(limits)
+            ax.update_datalim(np.column_stack([x, np.where(low > 1e-6 * values, low, values)])[known])
+            ax.update_datalim(np.column_stack([x, high])[known])
+    elif np.any(known):
+        sides = np.stack([values - low, high - values])[:, known]
+        ax.errorbar(x[known], values[known], sides, ls="none", ecolor=color, elinewidth=1.0, capsize=2.0)
+    ax.plot(x, values, color=color, ls=style, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
+    return True
+
+
+def _explain(ax: Axes, uncertainty: Uncertainty, level: float | None) -> None:
+    """Say at the end of the legend what bars or bands are."""
+    text = "one standard error" if level is None else f"{100 * level:.4g} % confidence interval"
+    text, marker = f"{uncertainty}: {text}", "|" if uncertainty == "bars" else "s"
+    for line in list(ax.lines):
+        if line.get_label() == text:
+            line.remove()
+    ax.plot([], [], ls="none", marker=marker, ms=9, color=_style.FORWARD, label=text)
