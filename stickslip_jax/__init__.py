@@ -10,13 +10,14 @@ from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps
-from ._excitation.ground import GroundAcceleration
+from ._excitation.ground import GroundAcceleration, GroundMotion
 from ._excitation.kanai_tajimi import KanaiTajimi
 from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.piecewise import VelocitySteps
 from ._excitation.random import InitialState, RandomPhase
 from ._excitation.reading import read_acceleration_csv, read_at2, read_recorded_csv
 from ._excitation.recorded import Recorded
+from ._excitation.segments import SegmentLaw, VelocitySegments
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
@@ -107,6 +108,7 @@ __all__ = [
     "FrictionCurve",
     "FrictionLaw",
     "GroundAcceleration",
+    "GroundMotion",
     "Harmonic",
     "Histogram",
     "HistogramConvergence",
@@ -129,6 +131,7 @@ __all__ = [
     "RealizationMeanDuration",
     "Recorded",
     "Regularized",
+    "SegmentLaw",
     "Sensitivities",
     "Sensitivity",
     "Signal",
@@ -153,6 +156,7 @@ __all__ = [
     "Triangular",
     "Truncated",
     "Uniform",
+    "VelocitySegments",
     "VelocitySteps",
     "VelocityWeakening",
     "Weibull",
