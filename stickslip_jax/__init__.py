@@ -10,6 +10,7 @@ from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps
+from ._excitation.gaussian import GaussianProcess
 from ._excitation.ground import GroundAcceleration, GroundMotion
 from ._excitation.kanai_tajimi import KanaiTajimi
 from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
@@ -18,7 +19,15 @@ from ._excitation.random import InitialState, RandomPhase
 from ._excitation.reading import read_acceleration_csv, read_at2, read_recorded_csv
 from ._excitation.recorded import Recorded
 from ._excitation.segments import SegmentLaw, VelocitySegments
+from ._excitation.semi_markov import SemiMarkovSwitching
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
+from ._excitation.spectra import (
+    CloughPenzienSpectrum,
+    KanaiTajimiSpectrum,
+    PowerSpectrum,
+    TabulatedSpectrum,
+    VelocitySpectrum,
+)
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
@@ -91,6 +100,7 @@ __all__ = [
     "BangBangLaw",
     "BaseMotion",
     "Beta",
+    "CloughPenzienSpectrum",
     "ConditionalMeans",
     "Constant",
     "Convergence",
@@ -107,6 +117,7 @@ __all__ = [
     "FirstSticks",
     "FrictionCurve",
     "FrictionLaw",
+    "GaussianProcess",
     "GroundAcceleration",
     "GroundMotion",
     "Harmonic",
@@ -116,6 +127,7 @@ __all__ = [
     "JointDistribution",
     "JointHistogram",
     "KanaiTajimi",
+    "KanaiTajimiSpectrum",
     "Keep",
     "LogNormal",
     "MassSpring",
@@ -124,6 +136,7 @@ __all__ = [
     "OrderStatistics",
     "PiecewiseConstant",
     "PoissonSwitching",
+    "PowerSpectrum",
     "Quantity",
     "RandomNumber",
     "RandomPhase",
@@ -132,6 +145,7 @@ __all__ = [
     "Recorded",
     "Regularized",
     "SegmentLaw",
+    "SemiMarkovSwitching",
     "Sensitivities",
     "Sensitivity",
     "Signal",
@@ -152,11 +166,13 @@ __all__ = [
     "SumOfHarmonics",
     "SwitchedSystem",
     "System",
+    "TabulatedSpectrum",
     "TestedQuantity",
     "Triangular",
     "Truncated",
     "Uniform",
     "VelocitySegments",
+    "VelocitySpectrum",
     "VelocitySteps",
     "VelocityWeakening",
     "Weibull",
