@@ -45,9 +45,9 @@ class GaussianProcess(RandomSignal):
 
     A sample is ``mean + sum_j a_j cos(w_j t + phase_j)`` with random phases, amplitudes of Rayleigh's distribution, and
     frequencies of which one is drawn, by the density, from each of as many strata of equal variance. So whatever their
-    number, the value at any time is exactly Gaussian, variance and correlation are those of the spectrum (except that it
-    is constant inside each of 1024 parts of the band), and no sample repeats itself. (With amplitudes and frequencies
-    that are fixed it would, after ``2 pi harmonics / cutoff``: Shinozuka and Deodatis 1991.)
+    number, the value at any time is exactly Gaussian, variance and correlation are those of the spectrum (except that
+    it is constant inside each of 1024 parts of the band), and no sample repeats itself. (With evenly spaced frequencies
+    it would, after ``2 pi harmonics / cutoff``: Shinozuka and Deodatis 1991.)
 
     The number of harmonics bounds how far values at different times are from being jointly Gaussian: the correlation at
     a lag differs from sample to sample by a standard deviation of at most ``1 / sqrt(harmonics)``, and fourth moments
@@ -145,10 +145,8 @@ class GaussianProcess(RandomSignal):
 
     def _band(self, numpy: Any, rule: tuple[np.ndarray, np.ndarray] = _RULES[0]) -> _Band:
         """The parts of the band, integrated by the `rule` on [0, 1] with the functions of `numpy`, NumPy or JAX."""
-        edges = numpy.asarray(self.cutoff * (np.arange(_PARTS + 1) / _PARTS), float)
-        if len(self.spectrum.corners):
-            corners = numpy.clip(numpy.asarray(self.spectrum.corners, float), 0, self.cutoff)
-            edges = numpy.sort(numpy.concatenate([edges, corners]))
-        widths, (nodes, weights) = edges[1:] - edges[:-1], rule
-        densities = self.spectrum.density(edges[:-1, None] + widths[:, None] * nodes[None])
-        return _Band(edges, widths * numpy.sum(weights[None] * densities, axis=1))
+        edges = self.spectrum.edges(self.cutoff, _PARTS, numpy)
+        begins, widths = edges[:-1], edges[1:] - edges[:-1]
+        # No array of all nodes: its sums along one axis would not compile into a native loop.
+        rates = [w * self.spectrum.density(begins + widths * node) for node, w in zip(*rule, strict=True)]
+        return _Band(edges, widths * sum(rates))

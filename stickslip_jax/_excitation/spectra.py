@@ -29,10 +29,12 @@ class PowerSpectrum(Checked):
     def density(self, angular_frequency: Any) -> Any:
         """The density at each of these angular frequencies, rad/s, positive, any shape; zero or positive."""
 
-    @property
-    def corners(self) -> AnyArray | tuple[()]:
-        """Angular frequencies where it is not smooth, rad/s."""
-        return ()
+    def edges(self, cutoff: Any, parts: int, numpy: Any) -> Any:
+        """Edges of about so many parts of ``[0, cutoff]`` in which the density is smooth, rad/s, (edges,).
+
+        `numpy`: NumPy or ``jax.numpy``, whose functions to use.
+        """
+        return numpy.asarray(cutoff * (np.arange(parts + 1) / parts), float)
 
     @property
     def varies(self) -> bool:
@@ -104,9 +106,8 @@ class VelocitySpectrum(PowerSpectrum):
     def density(self, angular_frequency: Any) -> Any:
         return self.acceleration.density(angular_frequency) / angular_frequency**2
 
-    @property
-    def corners(self) -> AnyArray | tuple[()]:
-        return self.acceleration.corners
+    def edges(self, cutoff: Any, parts: int, numpy: Any) -> Any:
+        return self.acceleration.edges(cutoff, parts, numpy)
 
     @property
     def varies(self) -> bool:
@@ -147,9 +148,12 @@ class TabulatedSpectrum(PowerSpectrum):
         known = all(isinstance(values, np.ndarray) for values in (angular_frequency, frequencies, densities))
         return (np if known else jnp).interp(angular_frequency, frequencies, densities, left=0, right=0)
 
-    @property
-    def corners(self) -> AnyArray | tuple[()]:
-        return self.angular_frequencies
+    def edges(self, cutoff: Any, parts: int, numpy: Any) -> Any:
+        frequencies = numpy.asarray(self.angular_frequencies, float)
+        each = -(-parts // (len(frequencies) - 1))
+        inside = (frequencies[1:] - frequencies[:-1])[:, None] * (np.arange(each) / each)[None]
+        every = numpy.concatenate([(frequencies[:-1, None] + inside).reshape(-1), frequencies[-1:]])
+        return numpy.clip(every, 0, cutoff)
 
 
 class _OwnSpectrum(PowerSpectrum):
