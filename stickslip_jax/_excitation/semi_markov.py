@@ -120,7 +120,7 @@ class SemiMarkovSwitching(BangBangLaw):
                 float(jnp.sum(leaf))  # raises what the caller explains
         with jax.ensure_compile_time_eval():
             middle = np.asarray(self.gap.icdf(jnp.arange(1, _CELLS) / _CELLS), float)
-        shortest = max(float(self.gap.support[0]), 0.0)
+            shortest = max(float(self.gap.support[0]), 0.0)
         above = np.concatenate([[0.0], np.maximum(middle - shortest, 0)])
         horizon, mean = float(t1), shortest + above.mean()
         if not mean > 0:
@@ -147,7 +147,8 @@ def _check_distribution(name: str, given: Any, unit: str, *, positive: bool) -> 
         )
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(given)):
         return
-    below = float(given.cdf(0.0)) if positive else 0.0
+    with jax.ensure_compile_time_eval():
+        below = float(given.cdf(0.0)) if positive else 0.0
     if below > 0:
         raise ValueError(
             f"{what}, but {_checks.show(given)} was given, of whose draws {below:.2g} are zero or negative; "
