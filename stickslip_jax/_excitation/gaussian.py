@@ -30,6 +30,19 @@ class _Band(NamedTuple):
     variances: Any
 
 
+class GaussianSample(SumOfHarmonics):
+    """A realisation of a `GaussianProcess`, whose `cutoff` (rad/s) is above all frequencies that were drawn.
+
+    The time step follows the cutoff, so that it is the same for all samples.
+    """
+
+    cutoff: Any = None
+
+    @property
+    def shortest_period(self) -> Scalar:
+        return 2 * math.pi / self.cutoff
+
+
 class GaussianProcess(RandomSignal):
     """A stationary Gaussian base velocity (or motion in general) with a given power spectrum.
 
@@ -52,7 +65,7 @@ class GaussianProcess(RandomSignal):
     The number of harmonics bounds how far values at different times are from being jointly Gaussian: the correlation at
     a lag differs from sample to sample by a standard deviation of at most ``1 / sqrt(harmonics)``, and fourth moments
     are wrong by at most ``3 variance^2 / harmonics``. Averages over a long sample vary too much from sample to sample
-    with fewer than ``enough_harmonics(t1)``. The time of a simulation grows in proportion to the number.
+    with fewer than ``enough_harmonics(t1)``. The time of a simulation grows nearly in proportion to the number.
 
     Raises ValueError for numbers outside these bounds, a spectrum that is negative, zero or infinite, or one that
     varies so quickly that 1024 parts of the band do not resolve it.
@@ -116,7 +129,8 @@ class GaussianProcess(RandomSignal):
         """The number of harmonics with which averages over ``[0, t1]`` (s) vary from sample to sample as they should.
 
         The width of the band, ``variance^2 / integral of density^2``, holds ``width t1 / (2 pi)`` frequencies that can
-        be told apart in the time t1. Twice as many harmonics lie closer together than that.
+        be told apart in the time t1. Twice as many harmonics lie closer together than that: the mean square of a
+        sample then has a variance that is about a tenth too large; with a quarter of them it would be doubled.
         """
         _checks.positive("t1", t1, "s")
         edges, variances = self._band(jnp)
@@ -124,7 +138,7 @@ class GaussianProcess(RandomSignal):
         squared = jnp.sum(jnp.where(widths > 0, variances**2 / jnp.where(widths > 0, widths, 1), 0))
         return math.ceil(float(jnp.sum(variances) ** 2 / squared) * float(t1) / math.pi)
 
-    def realized(self, key_data: KeyData, dtype) -> SumOfHarmonics:
+    def realized(self, key_data: KeyData, dtype) -> GaussianSample:
         own, number = random_words(key_data, jnp.asarray(_STREAM)), self.harmonics
         strata = jnp.arange(number, dtype=jnp.uint32)
         for_amplitude = fine_uniform(*random_words(own, 2 * strata), dtype)
@@ -136,7 +150,8 @@ class GaussianProcess(RandomSignal):
         variance = below[-1] if self.rms is None else self.rms**2
         # Each has an equal share of the variance, the mean of amplitude^2 / 2.
         amplitudes = jnp.sqrt(-2 * jnp.asarray(variance / number, dtype) * jnp.log(for_amplitude))
-        return SumOfHarmonics(amplitudes, frequencies, 2 * np.pi * for_phase, jnp.asarray(self.mean, dtype))
+        phases, cutoff = 2 * np.pi * for_phase, jnp.asarray(self.cutoff, dtype)
+        return GaussianSample(amplitudes, frequencies, phases, jnp.asarray(self.mean, dtype), cutoff)
 
     @property
     def _of_spectrum(self) -> Array:

@@ -165,19 +165,20 @@ class TestAgainstPoisson:
 
     def test_sensitivities(self):
         """By the mean gap, ``-rate^2`` times that by the rate; and by the speed."""
-        case = {"t1": 30.0, "samples": 65_536, "estimator": "corrected"}
-        found = ss.sensitivity(
-            ss.mean_stick_count, SYSTEM, ss.SemiMarkovSwitching(ss.Exponential(0.8), 1.0), key=jax.random.key(1),
-            wrt=("gap.mean", "law.speed"), relative_bandwidth=0.02, **case,
-        )  # fmt: skip
+        system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(4 / 2.8))
+        y0 = ss.Uniform(-0.65, 0.65), ss.Uniform(-0.9, 0.9)
+        case = {"t1": 50.0, "y0": y0, "samples": 16_384, "estimator": "corrected"}
+        law, poisson = ss.SemiMarkovSwitching(ss.Exponential(0.5), 1.0), ss.PoissonSwitching(1.0, 2.0)
+        pairs = {"gap.mean": ("rate", -4.0), "law.speed": ("law.speed", 1.0)}
+        found = ss.sensitivity(ss.mean_stick_count, system, law, key=jax.random.key(1), wrt=tuple(pairs), **case)
         expected = ss.sensitivity(
-            ss.mean_stick_count, SYSTEM, ss.PoissonSwitching(1.0, 1.25), key=jax.random.key(2),
-            wrt=("rate", "law.speed"), **case,
-        )  # fmt: skip
-        for name, other, factor in (("gap.mean", "rate", -(1.25**2)), ("law.speed", "law.speed", 1.0)):
+            ss.mean_stick_count, system, poisson, key=jax.random.key(2), wrt=("rate", "law.speed"), **case
+        )
+        for name, (other, factor) in pairs.items():
             error = math.hypot(found[name].standard_error, factor * expected[other].standard_error)
             assert abs(found[name].derivative - factor * expected[other].derivative) < 4 * error
-            assert abs(found[name].derivative) > 4 * error
+            if name == "law.speed":
+                assert abs(found[name].derivative) > 10 * error
 
 
 class TestCapacity:
