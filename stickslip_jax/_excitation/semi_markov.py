@@ -147,13 +147,23 @@ def _check_distribution(name: str, given: Any, unit: str, *, positive: bool) -> 
         )
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(given)):
         return
+    if not positive or _is_positive(given):
+        return
     with jax.ensure_compile_time_eval():
-        below = float(given.cdf(0.0)) if positive else 0.0
+        below = float(given.cdf(0.0))
     if below > 0:
         raise ValueError(
             f"{what}, but {_checks.show(given)} was given, of whose draws {below:.2g} are zero or negative; "
             "Truncated(..., low=...) leaves them out."
         )
+
+
+def _is_positive(given: RandomNumber) -> bool:
+    """Whether the support shows that all draws are positive, without JAX: a study's file is read before it starts."""
+    if isinstance(given, Truncated):
+        return False
+    lowest = float(given.support[0])
+    return lowest > 0 or (lowest == 0 and not isinstance(given, Discrete))
 
 
 def _check_values(speed: RandomNumber) -> None:
