@@ -13,7 +13,7 @@ from .._distributions.families import Discrete
 from .._distributions.random_number import RandomNumber, Truncated
 from .._fields import Choice
 from .._numerics.random_bits import fine_uniform, random_words
-from .._types import Array, FloatArray, Number, Scalar
+from .._types import Array, FloatArray, Scalar
 from .laws import BangBangLaw, Interval
 from .segments import BEGINNING
 
@@ -26,7 +26,7 @@ class SemiMarkovSwitching(BangBangLaw):
 
     - `gap`: distribution of the time between switches, s, such as ``Weibull(scale=2.0, shape=1.5)``, whose draws are
       all positive.
-    - `speed`: m/s; a positive number, or a distribution that each interval draws anew.
+    - `speed`: m/s; a positive number, the same for all samples, or a distribution that each interval draws anew.
     - `alternating`: True (the default) for velocities ``+speed`` and ``-speed`` in turn; `speed` is then positive.
       False for velocities drawn from the distribution `speed` with their signs. Each is then drawn on condition that it
       differs from the one before, which only matters for `Discrete` speeds: a value of probability p is then in the
@@ -43,7 +43,7 @@ class SemiMarkovSwitching(BangBangLaw):
     """
 
     gap: RandomNumber
-    speed: Number
+    speed: Any
     alternating: bool = eqx.field(static=True, default=True)
     first_sign: Annotated[
         str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
