@@ -67,6 +67,10 @@ class GaussianProcess(RandomSignal):
     are wrong by at most ``3 variance^2 / harmonics``. Averages over a long sample vary too much from sample to sample
     with fewer than ``enough_harmonics(t1)``. The time of a simulation grows nearly in proportion to the number.
 
+    Derivatives of stick counts and durations by what moves the frequencies (`cutoff`, parameters of `spectrum`): take
+    ``sensitivity(..., estimator="finite-difference")``, the default, because phases grow with time and the corrected
+    estimator would need narrow windows.
+
     Raises ValueError for numbers outside these bounds, a spectrum that is negative, zero or infinite, or one that
     varies so quickly that 1024 parts of the band do not resolve it.
     """
