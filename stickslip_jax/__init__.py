@@ -12,14 +12,24 @@ from ._ensemble.parts import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps
-from ._excitation.ground import GroundAcceleration
+from ._excitation.gaussian import GaussianProcess
+from ._excitation.ground import GroundAcceleration, GroundMotion
 from ._excitation.kanai_tajimi import KanaiTajimi
 from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.piecewise import VelocitySteps
 from ._excitation.random import InitialState, RandomPhase
 from ._excitation.reading import read_acceleration_csv, read_at2, read_recorded_csv
 from ._excitation.recorded import Recorded
+from ._excitation.segments import SegmentLaw, VelocitySegments
+from ._excitation.semi_markov import SemiMarkovSwitching
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
+from ._excitation.spectra import (
+    CloughPenzienSpectrum,
+    KanaiTajimiSpectrum,
+    PowerSpectrum,
+    TabulatedSpectrum,
+    VelocitySpectrum,
+)
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
@@ -97,6 +107,7 @@ __all__ = [
     "BangBangLaw",
     "BaseMotion",
     "Beta",
+    "CloughPenzienSpectrum",
     "ConditionalMeans",
     "Constant",
     "Convergence",
@@ -114,7 +125,9 @@ __all__ = [
     "FrictionCurve",
     "FrictionLaw",
     "GaussianCopula",
+    "GaussianProcess",
     "GroundAcceleration",
+    "GroundMotion",
     "Harmonic",
     "Histogram",
     "HistogramConvergence",
@@ -122,6 +135,7 @@ __all__ = [
     "JointDistribution",
     "JointHistogram",
     "KanaiTajimi",
+    "KanaiTajimiSpectrum",
     "Keep",
     "LogNormal",
     "MassSpring",
@@ -130,6 +144,7 @@ __all__ = [
     "OrderStatistics",
     "PiecewiseConstant",
     "PoissonSwitching",
+    "PowerSpectrum",
     "Quantity",
     "RandomNumber",
     "RandomPhase",
@@ -137,6 +152,8 @@ __all__ = [
     "RealizationMeanDuration",
     "Recorded",
     "Regularized",
+    "SegmentLaw",
+    "SemiMarkovSwitching",
     "Sensitivities",
     "Sensitivity",
     "Signal",
@@ -158,10 +175,13 @@ __all__ = [
     "SumOfHarmonics",
     "SwitchedSystem",
     "System",
+    "TabulatedSpectrum",
     "TestedQuantity",
     "Triangular",
     "Truncated",
     "Uniform",
+    "VelocitySegments",
+    "VelocitySpectrum",
     "VelocitySteps",
     "VelocityWeakening",
     "Weibull",

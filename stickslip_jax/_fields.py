@@ -140,10 +140,13 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
 class Checked(WithMethods):
     """A module whose constructor checks every field against its `Quantity` or `Choice`.
 
-    `may_be_random`: whether its single numbers may differ from sample to sample.
+    - `may_be_random`: whether its single numbers may differ from sample to sample.
+    - `own_distributions`: fields whose distributions it draws from itself, again and again, as the gaps between the
+      switches of a base; other distributions stand for a number that is drawn once for every sample.
     """
 
     may_be_random: ClassVar[bool] = True
+    own_distributions: ClassVar[tuple[str, ...]] = ()
 
     def __check_init__(self):
         vary = False

@@ -11,20 +11,24 @@ import numpy as np
 from .. import _checks
 from .._numerics.random_bits import key_data_of, random_words
 from .._types import Array, KeyData, Scalar
-from .ground import GroundMotion
+from .ground import GroundAcceleration, GroundMotion
 from .laws import BangBangLaw
 from .piecewise import VelocitySteps
-from .random import RandomPhase
+from .random import RandomSignal
+from .recorded import Recorded
 from .sampled import SampledLaw, UserLaw
 from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
 from .voltage import SourceVoltage
 
+_MOTION = 1  # number of the key data of a random motion in segments, among those of the jumps
+
 
 class WithJumps(eqx.Module):
     """A base velocity that is the sum of a continuous motion and of one that jumps.
 
-    - `motion`: a `Signal` such as `Harmonic`, a `RandomPhase`, a `Recorded`, or a motion of your own.
+    - `motion`: a `Signal` such as `Harmonic`, a `RandomPhase`, a `GaussianProcess`, a `Recorded`, a `SegmentLaw` or a
+      motion of your own.
     - `jumps`: a law such as `PoissonSwitching`, or a realisation of one.
 
     Raises ValueError for anything else.
@@ -51,8 +55,10 @@ class WithJumps(eqx.Module):
             raise ValueError("Argument key must be a key such as jax.random.key(0), but None was given.")
         motion, jumps = self.motion, self.jumps
         own = [None, None] if key is None else [jax.random.fold_in(key, part) for part in (0, 1)]
-        if isinstance(motion, RandomPhase) and own[1] is not None:
+        if isinstance(motion, RandomSignal) and own[1] is not None:
             motion = motion.sample(own[1], t1)
+        elif isinstance(motion, SegmentLaw) and motion.is_random and own[0] is not None:
+            motion = motion.sample(jax.random.fold_in(own[0], _MOTION), t1)
         if isinstance(jumps, BangBangLaw):
             jumps = jumps.sample(own[0], t1, capacity=capacity)
         return WithJumps(motion, jumps)
@@ -80,6 +86,29 @@ class GivenSteps(BangBangLaw):
         return *drawn, ()
 
 
+class _Apart(SegmentLaw):
+    """A random law that draws from key data of its own, where it is added to another."""
+
+    law: SegmentLaw
+    is_random = True
+
+    @property
+    def jumps(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its law
+        return self.law.jumps
+
+    def segments(self, t1) -> int:
+        return self.law.segments(t1)
+
+    def begin(self, key_data, dtype):
+        return self.law.begin(_part(key_data, _MOTION), dtype)
+
+    def draw(self, key_data, number, dtype):
+        return self.law.draw(_part(key_data, _MOTION), number, dtype)
+
+    def next_segment(self, memory, drawn, dtype):
+        return self.law.next_segment(memory, drawn, dtype)
+
+
 class Excitation(eqx.Module):
     """The parts of a base motion, ground motion or voltage.
 
@@ -88,20 +117,20 @@ class Excitation(eqx.Module):
     - `parts_differ`: whether each part draws from key data of its own.
     """
 
-    smooth: Signal | RandomPhase | None
+    smooth: Signal | RandomSignal | None
     base: tuple[SegmentLaw, ...] = ()
     ground: tuple[SegmentLaw, ...] = ()
     parts_differ: bool = eqx.field(static=True, default=False)
 
     @property
     def signal(self) -> Signal | None:
-        """The smooth part of an excitation without random phases."""
-        assert not isinstance(self.smooth, RandomPhase)
+        """The smooth part of an excitation that is not random."""
+        assert not isinstance(self.smooth, RandomSignal)
         return self.smooth
 
     def realized(self, key_data: KeyData, dtype) -> Signal | None:
         """The smooth part of the realisation that `key_data` draw."""
-        if isinstance(self.smooth, RandomPhase):
+        if isinstance(self.smooth, RandomSignal):
             return self.smooth.realized(_part(key_data, 1) if self.parts_differ else key_data, dtype)
         return self.signal
 
@@ -121,7 +150,7 @@ class UserBaseMotion(Protocol):
         """Its time derivative, m/s^2."""
 
 
-BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomPhase | WithJumps | UserBaseMotion | UserLaw
+BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomSignal | WithJumps | UserBaseMotion | UserLaw
 """Excitation of a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
 
 
@@ -133,11 +162,12 @@ def excitation_of(base: Any, name: str = "base") -> Excitation:
         return Excitation(None, (), (base,))
     if isinstance(base, SegmentLaw):
         return Excitation(None, (base,))
-    if isinstance(base, (Signal, RandomPhase)):
+    if isinstance(base, (Signal, RandomSignal)):
         return Excitation(base)
     if isinstance(base, WithJumps):
         motion, jumps = excitation_of(base.motion), excitation_of(base.jumps)
-        return Excitation(motion.smooth, motion.base + jumps.base, parts_differ=True)
+        apart = tuple(_Apart(law) if law.is_random else law for law in motion.base)
+        return Excitation(motion.smooth, apart + jumps.base, parts_differ=True)
     if _is_users(base):
         return Excitation(UserMotion(base))
     raise ValueError(
@@ -146,8 +176,25 @@ def excitation_of(base: Any, name: str = "base") -> Excitation:
     )
 
 
+def place_in_excitation(base: BaseMotion, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Where in ``excitation_of(base)`` the number is that `base` has at `path`."""
+    if isinstance(base, WithJumps):
+        part, *rest = path
+        if part == "jumps":
+            return "base", -1, *rest
+        apart = isinstance(base.motion, SegmentLaw) and base.motion.is_random
+        return place_in_excitation(base.motion, ("law", *rest) if apart else tuple(rest))
+    if isinstance(base, GroundMotion):
+        return "ground", 0, *path
+    if isinstance(base, SegmentLaw):
+        return "base", 0, *path
+    if isinstance(base, (Signal, RandomSignal)):
+        return "smooth", *path
+    return "smooth", "motion", *path  # a user's object, wrapped
+
+
 def _is_users(base: Any) -> bool:
-    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomPhase))
+    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal))
     return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
 
 
@@ -155,12 +202,12 @@ def is_random(base: BaseMotion) -> bool:
     """Whether `base` is a law whose realisations differ, so that one must be drawn before `simulate`."""
     if isinstance(base, WithJumps):
         return is_random(base.motion) or is_random(base.jumps)
-    return isinstance(base, (RandomPhase, SampledLaw)) or (isinstance(base, SegmentLaw) and base.is_random)
+    return isinstance(base, (RandomSignal, SampledLaw)) or (isinstance(base, SegmentLaw) and base.is_random)
 
 
 def law_of(base: Any) -> Any:
     """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
-    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomPhase, WithJumps, SampledLaw))
+    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal, WithJumps, SampledLaw))
     return base if known or _is_users(base) or not callable(getattr(base, "sample", None)) else SampledLaw(base)
 
 
@@ -180,7 +227,7 @@ def longest_time(base: BaseMotion) -> float:
     """Duration of a recorded motion, s; infinity for one that is not recorded, or whose times are traced."""
     if isinstance(base, WithJumps):
         return min(longest_time(base.motion), longest_time(base.jumps))
-    times = getattr(base, "times", None) if isinstance(base, SegmentLaw) and not isinstance(base, BangBangLaw) else None
+    times = base.times if isinstance(base, (Recorded, GroundAcceleration)) else None
     return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
 
 

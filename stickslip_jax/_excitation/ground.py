@@ -8,19 +8,27 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, FloatArray
+from .._types import AnyArray, Array, FloatArray
 from .recorded import Recorded, check_times
-from .segments import SegmentLaw
+from .segments import GivenSegments, SegmentLaw
 
 
 class GroundMotion(SegmentLaw):
-    """Base class of ground accelerations, piecewise linear in time.
+    """Base class of ground accelerations (m/s^2), piecewise linear in time; subclass it as shown for `SegmentLaw`.
 
     They excite a `MassSpring` described by its position relative to the ground: there the base is at rest, and the
     acceleration of the ground acts as the force ``-mass * acceleration``.
     """
 
     jumps = False
+
+    def realization(self, durations: Array, values: Array, slopes: Array) -> SegmentLaw:
+        """The realisation with these segments, arrays (segments,)."""
+        return GroundSegments(durations, values, slopes, may_jump=False)
+
+
+class GroundSegments(GivenSegments, GroundMotion):  # pyright: ignore[reportIncompatibleVariableOverride] - a property
+    """One realisation of a ground acceleration, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s)."""
 
 
 class GroundAcceleration(GroundMotion):

@@ -126,7 +126,9 @@ class KanaiTajimi(GroundMotion):
         following = (filtered * self.envelope(end)).astype(dtype)
         return duration, value, (following - value) / duration, (x, v, following)
 
-    def sample(self, key: Array, t1: Scalar, *, points: int | None = None) -> GroundAcceleration:
+    def sample(  # pyright: ignore[reportIncompatibleMethodOverride] - points, which are one more than segments
+        self, key: Array, t1: Scalar, *, points: int | None = None
+    ) -> GroundAcceleration:
         """One realisation that covers ``[0, t1]``: the motion that a simulation of this law draws from the same key.
 
         - `key`: a key from ``jax.random.key(seed)``. `t1`: duration to cover, s.

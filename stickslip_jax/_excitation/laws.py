@@ -20,15 +20,12 @@ from jax.errors import ConcretizationTypeError
 from .. import _checks
 from .._fields import Choice, Quantity
 from .._numerics.known import NotKnown, largest, smallest
-from .._numerics.random_bits import exponential, key_data_of, random_words, uniform
+from .._numerics.random_bits import exponential, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
 from .piecewise import VelocitySteps
-from .segments import SegmentLaw
+from .segments import BEGINNING, LARGEST_CAPACITY, SegmentLaw, checked_capacity
 
 Interval = tuple[FloatArray, FloatArray, Any]
-LARGEST_CAPACITY = 2**31
-"""Intervals of one realisation are numbered in 32 bits."""
-_BEGINNING = np.uint32(0xFFFFFFFF)  # number of the random words that the beginning of a realisation is drawn from
 
 
 class BangBangLaw(SegmentLaw):
@@ -89,21 +86,9 @@ class BangBangLaw(SegmentLaw):
         _checks.positive("t1", t1, "s")
         if capacity is None:
             capacity = self._capacity_or_explain(t1)
-        if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
-            raise ValueError(f"Argument capacity must be at most {LARGEST_CAPACITY}, but {capacity} was given.")
+        checked_capacity(capacity)
         key_data = self.key_data(key)
         return VelocitySteps(*_sample(self, key_data, capacity, jnp.result_type(float)))
-
-    def key_data(self, key: Array | None) -> Array:
-        """The two 32-bit words of `key`; zeros for a law without randomness. Raises ValueError for a missing key."""
-        if not self.is_random:
-            return jnp.zeros(2, jnp.uint32)
-        if key is None:
-            raise ValueError(
-                f"Argument key must be a key such as jax.random.key(0) for the random law "
-                f"{type(self).__name__}, but None was given."
-            )
-        return key_data_of(key)
 
     def checked_capacity(self, t1: Scalar) -> int:
         """The `capacity`. Raises ValueError for more intervals than 32 bits can number."""
@@ -195,7 +180,7 @@ class PoissonSwitching(BangBangLaw):
     def begin(self, key_data, dtype):
         if self.first_sign != "random":
             return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        high, _ = random_words(key_data, jnp.asarray(_BEGINNING))
+        high, _ = random_words(key_data, jnp.asarray(BEGINNING))
         return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
 
     def draw(self, key_data, number, dtype):
@@ -251,7 +236,7 @@ class RandomSteps(BangBangLaw):
         return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
 
     def begin(self, key_data, dtype):
-        high, _ = random_words(key_data, jnp.asarray(_BEGINNING))
+        high, _ = random_words(key_data, jnp.asarray(BEGINNING))
         return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.level_probabilities, dtype)))
 
     def draw(self, key_data, number, dtype):

@@ -1,5 +1,6 @@
-"""Random phases; the type of initial states."""
+"""Random signals, among them random phases; the type of initial states."""
 
+import abc
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, KeyData, Number, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
@@ -16,7 +18,24 @@ from .voltage import SourceVoltage
 _FIRST_PHASE = 0xFFFFFF00  # number of the random word that the first phase is drawn from
 
 
-class RandomPhase(eqx.Module):
+class RandomSignal(Checked):
+    """Base class of smooth random functions of time: each realisation is a `Signal`."""
+
+    @abc.abstractmethod
+    def realized(self, key_data: KeyData, dtype) -> Signal:
+        """The realisation drawn by `key_data`."""
+
+    @property
+    @abc.abstractmethod
+    def shortest_period(self) -> Scalar | None:
+        """The period (s) of the fastest oscillation of any realisation, as that of a `Signal`."""
+
+    def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
+        """The realisation drawn by `key`, from ``jax.random.key(seed)``; it has no end, and `t1` is not used."""
+        return self.realized(key_data_of(key), jnp.result_type(float))
+
+
+class RandomPhase(RandomSignal):
     """A signal whose phase is uniform on ``[0, 2 pi]``; each harmonic of a sum has its own, independent of the others.
 
     `signal`: a `Harmonic`, a `SumOfHarmonics` or a `SourceVoltage` (Lima and Sampaio 2022, section 6); its own phases
@@ -25,16 +44,16 @@ class RandomPhase(eqx.Module):
 
     signal: Signal
 
-    def __check_init__(self):
+    def check_relations(self) -> None:
         if not isinstance(self.signal, (Harmonic, SumOfHarmonics, SourceVoltage)):
             raise ValueError(
                 "Argument signal must be a Harmonic, a SumOfHarmonics or a SourceVoltage, but "
                 f"{_checks.show(self.signal)} was given."
             )
 
-    def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
-        """The signal with phases drawn by `key`, from ``jax.random.key(seed)``; `t1` is not used."""
-        return self.realized(key_data_of(key), jnp.result_type(float))
+    @property
+    def shortest_period(self) -> Scalar | None:
+        return self.signal.shortest_period
 
     def realized(self, key_data: KeyData, dtype) -> Signal:
         """The signal with phases drawn by `key_data`."""

@@ -5,13 +5,27 @@ length, and an ensemble can draw segments while it simulates.
 """
 
 import abc
+from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jax.errors import ConcretizationTypeError
 
+from .. import _checks
 from .._fields import Checked
-from .._types import Array, FloatArray, KeyData, Scalar
+from .._numerics.random_bits import key_data_of, random_words, uniform
+from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
+
+LARGEST_CAPACITY = 2**31
+"""Segments of one realisation are numbered in 32 bits."""
+BEGINNING = np.uint32(0xFFFFFFFF)
+"""Number of the random words that the beginning of a realisation is drawn from."""
+_MOST_DOUBLINGS = 6  # of the number of segments, before a realisation is left too short
 
 
 class Segment(NamedTuple):
@@ -34,10 +48,40 @@ class SegmentState(NamedTuple):
 
 
 class SegmentLaw(Checked):
-    """Base class of the laws of piecewise-linear functions of time.
+    """Base class of the laws of piecewise-linear base velocity. Subclass it to write one of your own.
 
-    `is_random`: whether realisations differ. `jumps`: whether the value jumps between segments; a stick on a base
-    whose velocity jumps ends there.
+    Segment number i is computed from the key, i, and a memory of the segments before it: so a realisation has no fixed
+    length, and an ensemble draws segments while it simulates. Write `segments`, `begin`, `draw` and `next_segment` in
+    JAX; `sample` follows. For example a base that accelerates and brakes, to a new speed every few seconds::
+
+        class Ramps(ss.SegmentLaw):
+            speed: Annotated[float, ss.Quantity("m/s", above=0)]
+            rate: Annotated[float, ss.Quantity("1/s", above=0)]
+            is_random = True
+            jumps = False
+
+            def segments(self, t1):
+                mean = self.rate * t1
+                return math.ceil(mean + 6 * math.sqrt(mean) + 12)
+
+            def begin(self, key_data, dtype):
+                return jnp.zeros((), dtype)  # the base starts at rest
+
+            def draw(self, key_data, number, dtype):
+                u, v = self.uniforms(key_data, number, dtype)
+                return ss.Exponential(1 / self.rate).icdf(u), ss.Uniform(-self.speed, self.speed).icdf(v)
+
+            def next_segment(self, memory, drawn, dtype):
+                duration, velocity = drawn
+                return duration, memory, (velocity - memory) / duration, velocity
+
+        law = Ramps(speed=1.0, rate=0.5)
+        ss.simulate_ensemble(system, law, t1=100.0, samples=1000, key=jax.random.key(0))
+        ss.simulate(system, law.sample(jax.random.key(0), 100.0), t1=100.0)
+
+    Class attributes: `is_random`, whether realisations differ; `jumps`, whether the velocity (m/s) jumps between
+    segments: a stick on a base whose velocity jumps ends there. For piecewise-constant velocity subclass
+    `BangBangLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
     """
 
     is_random: ClassVar[bool]
@@ -45,11 +89,11 @@ class SegmentLaw(Checked):
 
     @abc.abstractmethod
     def segments(self, t1: Scalar) -> int:
-        """About how many segments there are on ``[0, t1]``; `t1` (s) must not be traced."""
+        """The number of segments that nearly every realisation on ``[0, t1]`` needs at most; `t1` (s) is not traced."""
 
     @abc.abstractmethod
     def begin(self, key_data: KeyData, dtype) -> Any:
-        """The memory before the first segment, drawn by the key data."""
+        """The memory before the first segment, drawn by the key data: an array or a tuple of arrays, or ``()``."""
 
     @abc.abstractmethod
     def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
@@ -61,6 +105,134 @@ class SegmentLaw(Checked):
 
         A duration of 0 means that there is no further segment.
         """
+
+    @staticmethod
+    def uniforms(key_data: KeyData, number: Array | None, dtype) -> tuple[FloatArray, FloatArray]:
+        """Two independent random numbers, uniform on (0, 1), for segment `number`; None: for `begin`.
+
+        A `RandomNumber` makes others of them: ``ss.Weibull(2.0, 1.5).icdf(u)``. To draw more than two, or by other
+        functions, make a key: ``jax.random.fold_in(jax.random.wrap_key_data(jnp.stack(key_data)), number)``.
+        """
+        high, low = random_words(key_data, jnp.asarray(BEGINNING if number is None else number))
+        return uniform(high, dtype), uniform(low, dtype)
+
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> Any:
+        """One realisation that covers ``[0, t1]``, for `simulate`; a law without randomness is its own.
+
+        - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness. `t1`: duration to cover, s.
+        - `capacity`: number of segments of the realisation. By default enough for it, or under ``vmap`` over keys what
+          `segments` says; where that is too few, `simulate` reports ``Status.BASE_TOO_SHORT``. It must be given under
+          ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
+
+        Returns `VelocitySegments`. Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a
+        capacity below 1.
+        """
+        _checks.positive("t1", t1, "s")
+        if not self.is_random:
+            return self
+        key_data, dtype = self.key_data(key), jnp.result_type(float)
+        size = checked_capacity(capacity if capacity is not None else _known_capacity(self, t1, self.segments))
+        drawn = _sample(self, key_data, size, dtype)
+        for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
+            if _lasts(drawn[0], t1):
+                break
+            size *= 2
+            drawn = _sample(self, key_data, checked_capacity(size), dtype)
+        return self.realization(*drawn)
+
+    def realization(self, durations: Array, values: Array, slopes: Array) -> "SegmentLaw":
+        """The realisation with these segments, arrays (segments,)."""
+        return VelocitySegments(durations, values, slopes, self.jumps)
+
+    def key_data(self, key: Array | None) -> Array:
+        """The two 32-bit words of `key`; zeros for a law without randomness. Raises ValueError for a missing key."""
+        if not self.is_random:
+            return jnp.zeros(2, jnp.uint32)
+        if key is None:
+            raise ValueError(
+                f"Argument key must be a key such as jax.random.key(0) for the random law "
+                f"{type(self).__name__}, but None was given."
+            )
+        return key_data_of(key)
+
+
+class GivenSegments(SegmentLaw):
+    """Base class of realisations in segments, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s).
+
+    Arrays (segments,); the segments follow one another from t = 0, unused ones at the end have duration 0. `may_jump`:
+    whether the value jumps between them.
+    """
+
+    durations: AnyArray = eqx.field(converter=jnp.asarray)
+    values: AnyArray = eqx.field(converter=jnp.asarray)
+    slopes: AnyArray = eqx.field(converter=jnp.asarray)
+    may_jump: bool = eqx.field(static=True, default=True)
+    is_random = False
+
+    @property
+    def jumps(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of the law it is drawn from
+        """Whether the value jumps between segments."""
+        return self.may_jump
+
+    def check_relations(self) -> None:
+        arrays = {name: getattr(self, name) for name in ("durations", "values", "slopes")}
+        if len({np.shape(array) for array in arrays.values()}) > 1 or np.ndim(self.durations) == 0:
+            raise ValueError(
+                "Arguments durations, values and slopes must have the same shape (segments,), but they have shapes "
+                f"{', '.join(str(np.shape(array)) for array in arrays.values())}."
+            )
+        if any(_checks.is_traced(array) for array in arrays.values()):
+            return
+        used = np.asarray(self.durations) != 0
+        if not np.all(np.asarray(self.durations) >= 0):
+            raise ValueError(
+                f"Argument durations must be zero or positive (in s), but {_checks.show(self.durations)} was given."
+            )
+        for name in ("values", "slopes"):
+            _checks.numeric(name, np.asarray(arrays[name])[used], ndim=None)
+
+    @property
+    def times(self) -> Array:
+        """Times at which the segments begin, s, (segments,)."""
+        durations = jnp.asarray(self.durations)
+        zero = jnp.zeros_like(durations[..., :1])
+        return jnp.concatenate([zero, jnp.cumsum(durations, axis=-1)[..., :-1]], axis=-1)
+
+    def value(self, t: AnyArray | float) -> Array:
+        """The value at times `t` (s, any shape); at a jump, the one after it. One realisation only."""
+        # Unused segments are moved to infinity, so that the search skips them.
+        begins = jnp.where(self.durations > 0, self.times, jnp.inf)
+        here = jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
+        return jnp.asarray(self.values)[here] + jnp.asarray(self.slopes)[here] * (t - self.times[here])
+
+    def segments(self, t1) -> int:
+        return np.shape(self.durations)[-1]
+
+    def begin(self, key_data, dtype):
+        return ()
+
+    def draw(self, key_data, number, dtype):
+        size = np.shape(self.durations)[-1]
+        here = jnp.minimum(number.astype(jnp.int32), size - 1)
+        duration, value, slope = (
+            jnp.asarray(array, dtype)[here] for array in (self.durations, self.values, self.slopes)
+        )
+        return jnp.where(number < size, duration, 0), value, slope
+
+    def next_segment(self, memory, drawn, dtype):
+        return *drawn, ()
+
+
+class VelocitySegments(GivenSegments):
+    """One realisation of a piecewise-linear base velocity, ``values[i] + slopes[i] (t - times[i])``.
+
+    - `durations` (s), `values` (m/s, at the beginning of each segment) and `slopes` (m/s^2): arrays (segments,). The
+      segments follow one another from t = 0; unused ones at the end have duration 0.
+    - `may_jump`: whether the velocity jumps between segments, which ends a stick.
+
+    The ``sample`` method of a `SegmentLaw` makes them; for a record of your own use `Recorded`. Raises ValueError for
+    arrays of different shapes, negative durations, and numbers that are not finite.
+    """
 
 
 def first_segment(law: SegmentLaw, key_data: KeyData, dtype) -> SegmentState:
@@ -92,3 +264,45 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
     for segment in segments:
         value, slope = value + segment.value + segment.slope * (t - segment.begin), slope + segment.slope
     return value, slope
+
+
+def checked_capacity(capacity: Any) -> int:
+    """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
+    if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
+        raise ValueError(f"Argument capacity must be at most {LARGEST_CAPACITY}, but {capacity} was given.")
+    return int(capacity)
+
+
+def _known_capacity(law: SegmentLaw, t1: Scalar, segments: Callable[[Scalar], int]) -> int:
+    """The number of segments until `t1`. Raises ValueError where it depends on traced numbers."""
+    try:
+        return segments(t1)
+    except ConcretizationTypeError:
+        raise ValueError(
+            "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation (their "
+            f"values are not known then); find one with {type(law).__name__}(...).segments(t1)."
+        ) from None
+
+
+def _lasts(durations: Array, t1: Scalar) -> bool:
+    """Whether segments with these durations cover ``[0, t1]``, or there are no more; True where it is not known."""
+    if _checks.is_traced(durations) or _checks.is_traced(t1):
+        return True
+    # `cumsum` adds them in the order in which a simulation does.
+    return bool(durations[-1] == 0) or float(np.cumsum(np.asarray(durations))[-1]) >= float(t1)
+
+
+@partial(jax.jit, static_argnames=("size", "dtype"))
+def _sample(law: SegmentLaw, key_data: Array, size: int, dtype) -> tuple[Array, Array, Array]:
+    """Durations, values and slopes of the first `size` segments; zeros after the last."""
+    own = (key_data[0], key_data[1])
+
+    def step(carry, number):
+        memory, spent = carry
+        duration, value, slope, memory = law.next_segment(memory, law.draw(own, number, dtype), dtype)
+        spent = spent | ~(duration > 0)
+        duration, value, slope = (jnp.where(spent, 0, jnp.asarray(x, dtype)) for x in (duration, value, slope))
+        return (memory, spent), (duration, value, slope)
+
+    start = law.begin(own, dtype), jnp.zeros((), bool)
+    return lax.scan(step, start, jnp.arange(size, dtype=jnp.uint32))[1]

@@ -358,9 +358,9 @@ def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Pat
     if isinstance(tree, RandomNumber) or (about is not None and varies(tree, about)):
         yield path, tree, about
     elif isinstance(tree, eqx.Module):
-        abouts = described(type(tree))
+        abouts, own = described(type(tree)), getattr(tree, "own_distributions", ())
         for field in dataclasses.fields(tree):
-            if not field.metadata.get("static", False):
+            if not field.metadata.get("static", False) and field.name not in own:
                 yield from varying(getattr(tree, field.name), (*path, field.name), abouts.get(field.name))
     elif isinstance(tree, Model):
         for name, part in tree._asdict().items():

@@ -118,7 +118,8 @@ def _numbers(tree: Any, path: Path, *, whole: bool = False) -> Iterator[tuple[Pa
                 if value is None and field.name in ("damping", "mu_static"):
                     yield (*path, field.name), None
                 else:
-                    yield from _numbers(value, (*path, field.name), whole=whole)
+                    inside = field.name in getattr(tree, "own_distributions", ())
+                    yield from _numbers(value, (*path, field.name), whole=whole and not inside)
     elif isinstance(tree, (tuple, list)):
         for index, value in enumerate(tree):
             yield from _numbers(value, (*path, index), whole=whole)

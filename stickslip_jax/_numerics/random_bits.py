@@ -63,13 +63,18 @@ def _joined_words(words: KeyData, counter: Array) -> Array:
 
 
 def exponential(high: Array, low: Array, dtype) -> FloatArray:
-    """Exponential deviates of mean 1 from random words: ``-log(u)``, ``u = (j + 1/2) / 2^52`` (2^23 in float32)."""
+    """Exponential deviates of mean 1 from random words: ``-log(u)``, u from `fine_uniform`."""
+    return -log(fine_uniform(high, low, dtype))
+
+
+def fine_uniform(high: Array, low: Array, dtype) -> FloatArray:
+    """Uniform deviates from both random words: ``(j + 1/2) / 2^52`` (2^23 in float32)."""
     if jnp.dtype(dtype) == jnp.float64:
         mantissa = ((high.astype(jnp.uint64) << np.uint64(32)) | low.astype(jnp.uint64)) >> np.uint64(12)
         one_to_two = jax.lax.bitcast_convert_type(mantissa | np.uint64(0x3FF0000000000000), jnp.float64)
-        return -log(one_to_two - (1 - 2.0**-53))
+        return one_to_two - (1 - 2.0**-53)
     one_to_two = jax.lax.bitcast_convert_type((high >> np.uint32(9)) | np.uint32(0x3F800000), jnp.float32)
-    return -log(one_to_two - np.float32(1 - 2.0**-24))
+    return one_to_two - np.float32(1 - 2.0**-24)
 
 
 def uniform(words: Array, dtype) -> FloatArray:

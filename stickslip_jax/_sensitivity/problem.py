@@ -7,11 +7,7 @@ from .._dynamics.lanes import BLOCK, Engine
 from .._dynamics.method import EXACT
 from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
-from .._excitation.excitation import WithJumps
-from .._excitation.ground import GroundMotion
-from .._excitation.laws import BangBangLaw
-from .._excitation.random import RandomPhase
-from .._excitation.smooth import Signal
+from .._excitation.excitation import place_in_excitation
 from .._inputs.inputs import Inputs
 from .._inputs.numbers import Parameter, Path
 from .._types import AnyArray, Array
@@ -129,16 +125,7 @@ class Problem(NamedTuple):
     def _path(self, path: Path) -> Path:
         if path[0] != "law" or self.by_intervals:
             return path
-        where, rest = ("excitation", "smooth"), path[1:]
-        if isinstance(self.law, BangBangLaw):
-            where = ("excitation", "base", 0)
-        elif isinstance(self.law, GroundMotion):
-            where = ("excitation", "ground", 0)
-        elif isinstance(self.law, WithJumps):  # the smooth part, and jumps, the last part of the base
-            where, rest = (where if path[1] == "motion" else ("excitation", "base", -1)), path[2:]
-        elif not isinstance(self.law, (Signal, RandomPhase)):  # a user's object, wrapped
-            where = (*where, "motion")
-        return (*where, *rest)
+        return ("excitation", *place_in_excitation(self.law, path[1:]))
 
 
 def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:

@@ -12,7 +12,7 @@ from .._dynamics.lanes import Engine
 from .._dynamics.switched.engine import Lane, SegmentLaws, advance
 from .._dynamics.switched.lanes import Shared, SwitchedEngine
 from .._events.sticks import StickRecord, start_totals
-from .._excitation.random import RandomPhase
+from .._excitation.random import RandomSignal
 from .._types import Array, BoolArray, FloatArray, IntArray
 from .edges import Edges, IntervalLane, cross_with_edges
 from .step_edges import Moment, crossed_at, edges_of_moment, may_be_near
@@ -97,7 +97,7 @@ class TracedSteps(Engine):
         smooth, lane = self.engine.begin(key_data, dtype)
         laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
         ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
-        is_certain = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomPhase)
+        is_certain = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomSignal)
         certain = jnp.min(jnp.stack(ends)) if is_certain else jnp.zeros((), dtype)
         return Sample(smooth, certain), StepMotion(lane, -jnp.ones((), dtype))
 

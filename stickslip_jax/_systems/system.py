@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._excitation.excitation import Excitation
-from .._excitation.random import RandomPhase
+from .._excitation.random import RandomPhase, RandomSignal
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
@@ -190,15 +190,14 @@ class System(Checked):
         return None
 
 
-def voltage_of(excitation: Excitation) -> Signal | None:
+def voltage_of(excitation: Excitation) -> Signal | RandomSignal | None:
     """The smooth part of `excitation` without its random phase."""
     return excitation.smooth.signal if isinstance(excitation.smooth, RandomPhase) else excitation.smooth
 
 
 def shortest_period(excitation: Excitation) -> Scalar | None:
     """The shortest period of the smooth part of `excitation`, s; infinity if there is none, None if it is not known."""
-    smooth = voltage_of(excitation)
-    return float("inf") if smooth is None else smooth.shortest_period
+    return float("inf") if excitation.smooth is None else excitation.smooth.shortest_period
 
 
 def require_system(system: Any) -> System:

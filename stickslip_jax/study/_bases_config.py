@@ -15,6 +15,7 @@ from .._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, Poisson
 from .._excitation.random import RandomPhase
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._excitation.voltage import SourceVoltage
+from ._random_config import GaussianProcessConfig, SemiMarkovSwitchingConfig
 from ._records_config import GroundAccelerationConfig, RecordedConfig
 from ._sections import DescribedSection, Section, default_tag, section_of
 
@@ -109,11 +110,18 @@ class KanaiTajimiConfig(section_of(KanaiTajimi, "law")):
 
 
 _JumpsConfig = Annotated[
-    PoissonSwitchingConfig | SquareWaveConfig | RandomStepsConfig | ConstantConfig | PiecewiseConstantConfig,
+    PoissonSwitchingConfig
+    | SemiMarkovSwitchingConfig
+    | SquareWaveConfig
+    | RandomStepsConfig
+    | ConstantConfig
+    | PiecewiseConstantConfig,
     Field(discriminator="law"),
     default_tag("law", "PoissonSwitching"),
 ]
-_MotionConfig = Annotated[HarmonicConfig | SumOfHarmonicsConfig | RecordedConfig, Field(discriminator="law")]
+_MotionConfig = Annotated[
+    HarmonicConfig | SumOfHarmonicsConfig | GaussianProcessConfig | RecordedConfig, Field(discriminator="law")
+]
 
 
 class WithJumpsConfig(Section):
@@ -137,12 +145,14 @@ class WithJumpsConfig(Section):
 
 BaseConfig = Annotated[
     PoissonSwitchingConfig
+    | SemiMarkovSwitchingConfig
     | SquareWaveConfig
     | RandomStepsConfig
     | ConstantConfig
     | PiecewiseConstantConfig
     | HarmonicConfig
     | SumOfHarmonicsConfig
+    | GaussianProcessConfig
     | RecordedConfig
     | WithJumpsConfig
     | GroundAccelerationConfig

@@ -46,8 +46,12 @@ def test_docstring_names_every_field_and_its_unit(kind):
 
 @pytest.mark.parametrize("kind", CHECKED, ids=name_of)
 def test_every_field_of_numbers_is_described(kind):
-    """Fields that hold no number of the constructor's are laws, signals, functions and solvers."""
-    others = {"friction", "force", "curve", "signal", "motion", "distribution"}
+    """Fields that hold no number of the constructor's are laws, signals, functions, distributions, the arrays of a
+    realisation, and what fixes how many numbers are drawn.
+    """
+    others = {"friction", "force", "curve", "signal", "motion", "distribution", "gap", "spectrum", "acceleration"}
+    others |= {"speed", "alternating", "harmonics"} if kind in (ss.SemiMarkovSwitching, ss.GaussianProcess) else set()
+    others |= {"durations", "values", "slopes", "may_jump"} if kind is ss.VelocitySegments else set()
     assert {field.name for field in dataclasses.fields(kind)} - set(described(kind)) <= others
 
 

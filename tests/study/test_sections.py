@@ -92,6 +92,32 @@ BASES = {
         'law = "GroundAcceleration"\nfile = "record.csv"\ntime_column = "time"\nvalue_column = 2\nscale = 9.80665',
         ss.GroundAcceleration(TIMES, G * VALUES),
     ),
+    "SemiMarkovSwitching": (
+        'law = "SemiMarkovSwitching"\nspeed = 2.0\nfirst_sign = "positive"\n'
+        '[base.gap]\nlaw = "Weibull"\nscale = 2\nshape = 1.5',
+        ss.SemiMarkovSwitching(ss.Weibull(2.0, 1.5), 2.0, first_sign="positive"),
+    ),
+    "SemiMarkovSwitching of random speeds": (
+        'law = "SemiMarkovSwitching"\nalternating = false\n[base.gap]\nlaw = "Exponential"\nmean = 2\n'
+        '[base.speeds]\nlaw = "Discrete"\nvalues = [-1, 0, 2]\nprobabilities = [0.2, 0.5, 0.3]',
+        ss.SemiMarkovSwitching(ss.Exponential(2.0), ss.Discrete([-1.0, 0.0, 2.0], [0.2, 0.5, 0.3]), alternating=False),
+    ),
+    "GaussianProcess": (
+        'law = "GaussianProcess"\ncutoff = 30.0\nrms = 0.4\nharmonics = 64\n[base.spectrum]\n'
+        'law = "VelocitySpectrum"\n[base.spectrum.acceleration]\nlaw = "CloughPenzienSpectrum"\nfilter_damping = 0.5',
+        ss.GaussianProcess(
+            ss.VelocitySpectrum(ss.CloughPenzienSpectrum(filter_damping=0.5)), 30.0, rms=0.4, harmonics=64
+        ),
+    ),
+    "GaussianProcess of a table, with jumps": (
+        'law = "WithJumps"\n[base.motion]\nlaw = "GaussianProcess"\ncutoff = 4.0\nmean = 0.1\n'
+        '[base.motion.spectrum]\nlaw = "TabulatedSpectrum"\nangular_frequencies = [0.5, 1, 4]\n'
+        "densities = [0, 1, 0]\n[base.jumps]\nrate = 2.0",
+        ss.WithJumps(
+            ss.GaussianProcess(ss.TabulatedSpectrum([0.5, 1.0, 4.0], [0.0, 1.0, 0.0]), 4.0, mean=0.1),
+            ss.PoissonSwitching(1.0, 2.0),
+        ),
+    ),
     "KanaiTajimi": ('law = "KanaiTajimi"\nrms = 2.0\nrise = 1', ss.KanaiTajimi(2.0, rise=1.0)),
     "WithJumps": (
         f'law = "WithJumps"\n[base.motion]\n{HARMONIC}[base.jumps]\nrate = 2.0',
