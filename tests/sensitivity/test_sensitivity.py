@@ -245,28 +245,54 @@ def test_standard_errors_are_honest():
 
 
 @pytest.fixture(scope="module")
-def first_durations():
-    """Mean duration of the first stick: corrected and by differences."""
-    return compare("first", "mu", 4_096, 0.01, poisson(1.4, 1.0, 12.0), 4)
+def first_duration():
+    """Mean duration of the first stick, corrected."""
+    case = poisson(1.4, 1.0, 12.0)
+    return ss.sensitivity(
+        STATISTICS["first"], wrt="mu", samples=4_096, key=jax.random.key(11), estimator="corrected", **case
+    )
 
 
-def test_first_duration(first_durations):
-    corrected, differences = first_durations
-    assert abs(z_score(corrected, differences)) < AGREE
-    assert corrected.sticks_in_window > 100
-    assert corrected.relative_bandwidth > 0
+@pytest.mark.slow
+def test_first_duration(first_duration):
+    differences = ss.sensitivity(
+        STATISTICS["first"], wrt="mu", samples=16_384, key=jax.random.key(12), step=0.01, estimator="finite-difference",
+        **poisson(1.4, 1.0, 12.0),
+    )  # fmt: skip
+    assert abs(z_score(first_duration, differences)) < AGREE
     assert math.isnan(differences.pathwise)
 
 
-def test_values_are_those_of_the_ensemble(first_durations):
-    """The statistic itself comes from the same samples as `simulate_ensemble`'s."""
-    corrected, _ = first_durations
+def first_sticks(samples, seed, change=0.0):
+    """The first sticks of an ensemble with mu changed by a part of it."""
     case = poisson(1.4, 1.0, 12.0)
+    mu = float(case["system"].friction.mu) * (1 + change)
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
     many = ss.simulate_ensemble(
-        case["system"], case["law"], t1=12.0, y0=case["y0"], samples=4_096, key=jax.random.key(11), keep="sticks"
+        system, case["law"], t1=12.0, y0=case["y0"], samples=samples, key=jax.random.key(seed), keep="sticks"
     )
-    first = ss.first_stick(many, count_initial_rest=True)
-    assert corrected.value == pytest.approx(first.duration[first.mask].mean(), rel=1e-12)
+    return ss.first_stick(many, count_initial_rest=True)
+
+
+def test_first_duration_between_ensembles(first_duration):
+    """Differences of two ensembles with common random numbers, which compile nothing of the sensitivities."""
+    step, samples, values, parts = 0.01, 16_384, [], []
+    for change in (-step, step):
+        first = first_sticks(samples, 12, change)
+        values.append(first.duration[first.mask].mean())
+        # What each sample adds to the mean's error; the same numbers at both ends, so that most of it cancels.
+        parts.append(np.where(first.mask, first.duration - values[-1], 0) / first.mask.mean())
+    width = 2 * step * float(oscillator(1.4).friction.mu)
+    slope, error = np.diff(values)[0] / width, np.std(parts[1] - parts[0]) / math.sqrt(samples) / width
+    assert abs(first_duration.derivative - slope) < AGREE * math.hypot(first_duration.standard_error, error)
+    assert first_duration.sticks_in_window > 100
+    assert first_duration.relative_bandwidth > 0
+
+
+def test_values_are_those_of_the_ensemble(first_duration):
+    """The statistic itself comes from the same samples as `simulate_ensemble`'s."""
+    first = first_sticks(4_096, 11)
+    assert first_duration.value == pytest.approx(first.duration[first.mask].mean(), rel=1e-12)
 
 
 @pytest.mark.slow
@@ -286,6 +312,7 @@ def test_user_functional_and_realization_means():
     assert abs(z_score(corrected, differences)) < AGREE
 
 
+@pytest.mark.slow
 def test_stick_time_has_no_event_part():
     """Fraction and total time are continuous; elasticities are derivatives in other units."""
     case = poisson(1.4, 1.0)
@@ -304,6 +331,18 @@ def test_stick_time_has_no_event_part():
     count = ss.sensitivity(ss.mean_stick_count, system, law, elasticity=True, **options)
     # log(mean) = log(time) - log(count)
     assert pooled.derivative == pytest.approx(relative.derivative - count.derivative, rel=1e-9)
+
+
+def test_elasticities_are_derivatives_in_other_units():
+    """``d log statistic / d log mu``, and its error, of statistics that one compiled function serves."""
+    case = poisson(1.4, 1.0)
+    mu = float(case["system"].friction.mu)
+    options = {"wrt": "mu", "samples": 2_048, "key": jax.random.key(3), **case}
+    for statistic in (ss.mean_stick_count, ss.mean_stick_duration):
+        plain, relative = (ss.sensitivity(statistic, elasticity=choice, **options) for choice in (False, True))
+        assert relative.is_elasticity
+        assert not plain.is_elasticity
+        assert relative.derivative == pytest.approx(plain.derivative * mu / plain.value, rel=1e-12)
 
 
 def test_independent_of_threads_chunks_and_other_parameters():
