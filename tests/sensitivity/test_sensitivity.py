@@ -244,57 +244,6 @@ def test_standard_errors_are_honest():
             assert abs(scores.std() - 1) < 4 / math.sqrt(400), name
 
 
-@pytest.fixture(scope="module")
-def first_duration():
-    """Mean duration of the first stick, corrected."""
-    case = poisson(1.4, 1.0, 12.0)
-    return ss.sensitivity(
-        STATISTICS["first"], wrt="mu", samples=4_096, key=jax.random.key(11), estimator="corrected", **case
-    )
-
-
-@pytest.mark.slow
-def test_first_duration(first_duration):
-    differences = ss.sensitivity(
-        STATISTICS["first"], wrt="mu", samples=16_384, key=jax.random.key(12), step=0.01, estimator="finite-difference",
-        **poisson(1.4, 1.0, 12.0),
-    )  # fmt: skip
-    assert abs(z_score(first_duration, differences)) < AGREE
-    assert math.isnan(differences.pathwise)
-
-
-def first_sticks(samples, seed, change=0.0):
-    """The first sticks of an ensemble with mu changed by a part of it."""
-    case = poisson(1.4, 1.0, 12.0)
-    mu = float(case["system"].friction.mu) * (1 + change)
-    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
-    many = ss.simulate_ensemble(
-        system, case["law"], t1=12.0, y0=case["y0"], samples=samples, key=jax.random.key(seed), keep="sticks"
-    )
-    return ss.first_stick(many, count_initial_rest=True)
-
-
-def test_first_duration_between_ensembles(first_duration):
-    """Differences of two ensembles with common random numbers, which compile nothing of the sensitivities."""
-    step, samples, values, parts = 0.01, 16_384, [], []
-    for change in (-step, step):
-        first = first_sticks(samples, 12, change)
-        values.append(first.duration[first.mask].mean())
-        # What each sample adds to the mean's error; the same numbers at both ends, so that most of it cancels.
-        parts.append(np.where(first.mask, first.duration - values[-1], 0) / first.mask.mean())
-    width = 2 * step * float(oscillator(1.4).friction.mu)
-    slope, error = np.diff(values)[0] / width, np.std(parts[1] - parts[0]) / math.sqrt(samples) / width
-    assert abs(first_duration.derivative - slope) < AGREE * math.hypot(first_duration.standard_error, error)
-    assert first_duration.sticks_in_window > 100
-    assert first_duration.relative_bandwidth > 0
-
-
-def test_values_are_those_of_the_ensemble(first_duration):
-    """The statistic itself comes from the same samples as `simulate_ensemble`'s."""
-    first = first_sticks(4_096, 11)
-    assert first_duration.value == pytest.approx(first.duration[first.mask].mean(), rel=1e-12)
-
-
 @pytest.mark.slow
 def test_user_functional_and_realization_means():
     """The number of sticks as a user's functional is the number of sticks; realisation means against differences."""
