@@ -33,13 +33,23 @@ SLOPES = {
 }
 
 
-@pytest.mark.parametrize("slope_of", SLOPES.values(), ids=SLOPES)
+@pytest.mark.parametrize(
+    "slope_of",
+    [
+        # Of these two the derivative is one compilation; of the others it is several.
+        slope_of if name in ("grad under jit", "forward") else pytest.param(slope_of, marks=pytest.mark.slow)
+        for name, slope_of in SLOPES.items()
+    ],
+    ids=SLOPES,
+)
 def test_the_number_of_steps_need_not_be_given_for_what_no_time_scale_depends_on(slope_of):
     """The step depends on the natural period and the base's alone, and they are known."""
     assert float(slope_of(stick_time)) == pytest.approx(central(stick_time, 1.0), rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["stiffness", "frequency", "t1"])
+@pytest.mark.parametrize(
+    "name", ["stiffness", *(pytest.param(name, marks=pytest.mark.slow) for name in ("frequency", "t1"))]
+)
 def test_nor_where_values_are_known_under_derivatives_and_vmap(name):
     def told(value):
         return stick_time(1.0, **{name: value})
@@ -76,7 +86,9 @@ def test_what_is_known_of_a_traced_number():
         jax.jit(look)(1.0)
 
 
-@pytest.mark.parametrize("method", [ss.Exact(step=0.19), ss.Regularized(0.05, step=0.02)])
+@pytest.mark.parametrize(
+    "method", [ss.Exact(step=0.19), pytest.param(ss.Regularized(0.05, step=0.02), marks=pytest.mark.slow)]
+)
 def test_spare_steps_change_no_number(method):
     def told(mu, most):
         how = ss.Exact(step=method.step, max_steps=most) if isinstance(method, ss.Exact) else ss.Regularized(

@@ -173,6 +173,7 @@ def test_first_statistics_against_brute_force(kept):
     assert ss.mean_slip_count(kept).value == pytest.approx(slips.mean(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_standard_errors_are_honest():
     """Over 200 independent ensembles the error in units of its standard error has mean 0 and variance 1."""
     law = ss.PoissonSwitching(1.0, 1.0)

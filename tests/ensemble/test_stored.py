@@ -83,7 +83,7 @@ def test_what_came_back_goes_on(tmp_path, kept):
     assert np.array_equal(one, other)
     longer = back.extended(samples=38, chunk=64)
     assert_same_arrays(longer.flat_sticks.start[: len(kept.flat_sticks.start)], kept.flat_sticks.start)
-    base, y0 = back.realization(7)
+    _, base, y0 = back.realization(7)
     again = ss.simulate(back.system, base, t1=40.0, y0=y0)
     count = kept.flat_sticks.count[7]
     # As in `test_each_sample_is_the_simulation_of_its_own_key`: compiled apart, amplified in 40 s.

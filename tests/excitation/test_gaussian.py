@@ -233,7 +233,7 @@ class TestSimulation:
         assert many.finished == 64
         first = np.append(0, np.cumsum(many.flat_sticks.count))
         for number in range(4):
-            base, y0 = many.realization(number)
+            _, base, y0 = many.realization(number)
             one = ss.simulate(SYSTEM, base, t1=20.0, y0=y0)
             count, mine = int(one.sticks.count), slice(first[number], first[number + 1])
             assert many.flat_sticks.start[mine] == pytest.approx(np.asarray(one.sticks.start)[:count], abs=1e-11)

@@ -123,7 +123,7 @@ class TestSample:
         assert many.finished == 256
         assert sum(len(sticks_in(many, sample)[0]) for sample in range(12)) > 12
         for sample in range(12):
-            base, y0 = many.realization(sample)
+            _, base, y0 = many.realization(sample)
             one = ss.simulate(SYSTEM, base, t1=T1, y0=y0)
             for mine, other in zip(sticks_of(one), sticks_in(many, sample), strict=True):
                 assert mine == pytest.approx(other, abs=1e-12)  # time steps are compiled differently

@@ -226,7 +226,7 @@ def test_sample_repeats_each_sample_of_an_ensemble():
     many = ss.simulate_ensemble(SYSTEM, law, t1=30.0, samples=64, key=KEY, keep="sticks")
     first = np.append(0, np.cumsum(many.flat_sticks.count))
     for number in range(8):
-        base, y0 = many.realization(number)
+        _, base, y0 = many.realization(number)
         one = ss.simulate(SYSTEM, base, t1=30.0, y0=y0)
         count = int(one.sticks.count)
         mine = slice(first[number], first[number + 1])

@@ -220,6 +220,7 @@ def test_json_alone_on_standard_output(tmp_path):
         assert dataset["stick_start"].dtype == "float64"
 
 
+@pytest.mark.slow
 def test_float32_is_a_choice(tmp_path):
     done = _subprocess("study", config_file(tmp_path, SMALL.replace("[run]", '[run]\ndtype = "float32"')))
     assert (done.returncode, done.stderr) == (0, "")

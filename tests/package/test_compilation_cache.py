@@ -33,6 +33,36 @@ def finish(process):
     return {name: json.loads(out)[name] for name in STATISTICS}, err
 
 
+# One small function instead of a study.
+SMALL = """
+from stickslip_jax._compilation_cache import use
+print(use())
+import jax
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+print(jax.jit(lambda x: jax.numpy.sin(x) + 1)(0.5))
+"""
+
+
+def test_ruined_entries_cost_a_compilation_and_no_word(tmp_path):
+    def told():
+        variables = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+        done = subprocess.run(
+            [sys.executable, "-c", SMALL], env=variables | {VARIABLE: str(tmp_path)}, capture_output=True, text=True,
+            timeout=300, check=True,
+        )  # fmt: skip
+        return done.stdout, done.stderr
+
+    first = told()
+    assert first[0].startswith("\n1.479")
+    assert first[1] == ""
+    entries = sorted(tmp_path.glob("*-cache"))
+    assert entries
+    for path in entries:
+        path.write_bytes(path.read_bytes()[:-20])
+    assert told() == first
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems keep caches elsewhere")
 def test_two_at_once_a_later_one_and_one_that_finds_only_ruins_agree(tmp_path):
     both = [start(tmp_path, name) for name in ("one", "two")]

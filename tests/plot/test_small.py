@@ -34,7 +34,7 @@ def figure_of(shown):
 @pytest.fixture(scope="module")
 def one():
     many = simulate(4)
-    base, y0 = many.realization(0)
+    _, base, y0 = many.realization(0)
     return ss.simulate(many.system, base, t1=T1, y0=y0)
 
 

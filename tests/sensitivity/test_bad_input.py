@@ -3,9 +3,11 @@
 from functools import partial
 
 import jax
+import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._sensitivity.first_look import problem_of, require_precision
 
 OSCILLATOR = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4))
 
@@ -80,6 +82,19 @@ def test_bad_functional():
         ss.StickFunctional(3)
 
 
+def test_motion_in_steps_needs_double_precision():
+    """Asked of the problem itself: nothing is compiled for that."""
+    key, law = jax.random.key(0), ss.PoissonSwitching(1.0, 1.0)
+    problem, _ = problem_of(ss.mean_stick_count, OSCILLATOR, law, "mu", 5.0, 64, key, None)
+    damped = problem._replace(system=ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4), damping=0.1))
+    single = np.dtype(np.float32)
+    require_precision(damped)
+    require_precision(problem._replace(dtype=single))
+    with pytest.raises(ValueError, match=r"must be a MassSpring without damping .* single precision"):
+        require_precision(damped._replace(dtype=single))
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 def test_single_precision_is_refused_where_it_hides_near_misses():
     options = {"wrt": "mu", "t1": 5.0, "samples": 64, "key": jax.random.key(0)}

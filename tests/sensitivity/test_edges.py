@@ -41,7 +41,7 @@ MOTIONS = {
 
 
 @pytest.mark.parametrize(
-    "name", ["damped", *(pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS if name != "damped")]
+    "name", ["bang-bang", *(pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS if name != "bang-bang")]
 )
 def test_what_is_near_happens(name):
     """A number that is 0 at a relative change u of the parameter, to first order: changing it by 2 u makes or loses one
@@ -189,6 +189,7 @@ def test_window_is_wide_unless_it_disagrees():
     assert windows.estimate(accumulator, where, np.array([1000, windows.FEW - 1]), None)[1] == 0
 
 
+@pytest.mark.slow
 def test_choosing_a_window_leaves_errors_honest():
     """Where no window is biased: z-scores of 2000 repeats have the standard deviation 1 within sampling error; not so
     if the samples choose for themselves.

@@ -244,31 +244,6 @@ def test_standard_errors_are_honest():
             assert abs(scores.std() - 1) < 4 / math.sqrt(400), name
 
 
-@pytest.fixture(scope="module")
-def first_durations():
-    """Mean duration of the first stick: corrected and by differences."""
-    return compare("first", "mu", 4_096, 0.01, poisson(1.4, 1.0, 12.0), 4)
-
-
-def test_first_duration(first_durations):
-    corrected, differences = first_durations
-    assert abs(z_score(corrected, differences)) < AGREE
-    assert corrected.sticks_in_window > 100
-    assert corrected.relative_bandwidth > 0
-    assert math.isnan(differences.pathwise)
-
-
-def test_values_are_those_of_the_ensemble(first_durations):
-    """The statistic itself comes from the same samples as `simulate_ensemble`'s."""
-    corrected, _ = first_durations
-    case = poisson(1.4, 1.0, 12.0)
-    many = ss.simulate_ensemble(
-        case["system"], case["law"], t1=12.0, y0=case["y0"], samples=4_096, key=jax.random.key(11), keep="sticks"
-    )
-    first = ss.first_stick(many, count_initial_rest=True)
-    assert corrected.value == pytest.approx(first.duration[first.mask].mean(), rel=1e-12)
-
-
 @pytest.mark.slow
 def test_user_functional_and_realization_means():
     """The number of sticks as a user's functional is the number of sticks; realisation means against differences."""
@@ -286,6 +261,7 @@ def test_user_functional_and_realization_means():
     assert abs(z_score(corrected, differences)) < AGREE
 
 
+@pytest.mark.slow
 def test_stick_time_has_no_event_part():
     """Fraction and total time are continuous; elasticities are derivatives in other units."""
     case = poisson(1.4, 1.0)
@@ -304,6 +280,18 @@ def test_stick_time_has_no_event_part():
     count = ss.sensitivity(ss.mean_stick_count, system, law, elasticity=True, **options)
     # log(mean) = log(time) - log(count)
     assert pooled.derivative == pytest.approx(relative.derivative - count.derivative, rel=1e-9)
+
+
+def test_elasticities_are_derivatives_in_other_units():
+    """``d log statistic / d log mu``, and its error, of statistics that one compiled function serves."""
+    case = poisson(1.4, 1.0)
+    mu = float(case["system"].friction.mu)
+    options = {"wrt": "mu", "samples": 2_048, "key": jax.random.key(3), **case}
+    for statistic in (ss.mean_stick_count, ss.mean_stick_duration):
+        plain, relative = (ss.sensitivity(statistic, elasticity=choice, **options) for choice in (False, True))
+        assert relative.is_elasticity
+        assert not plain.is_elasticity
+        assert relative.derivative == pytest.approx(plain.derivative * mu / plain.value, rel=1e-12)
 
 
 def test_independent_of_threads_chunks_and_other_parameters():

@@ -91,9 +91,11 @@ class Swing(eqx.Module):
 @pytest.mark.parametrize(
     ("law", "name", "t1"),
     [
-        (ss.KanaiTajimi(rms=2.0, interval=0.02), "rms", 2.0),
+        pytest.param(ss.KanaiTajimi(rms=2.0, interval=0.02), "rms", 2.0, marks=pytest.mark.slow),
         (Swing(1.0), "amplitude", 10.0),
-        (ss.WithJumps(Swing(0.5), ss.PoissonSwitching(0.3, 1.0)), "amplitude", 10.0),
+        pytest.param(
+            ss.WithJumps(Swing(0.5), ss.PoissonSwitching(0.3, 1.0)), "amplitude", 10.0, marks=pytest.mark.slow
+        ),
     ],
     ids=["ground motion", "own", "own with jumps"],
 )
@@ -116,6 +118,7 @@ def test_a_slope_that_depends_on_the_step_is_reported():
     assert found.estimator == "finite-difference"
 
 
+@pytest.mark.slow
 def test_fraction_in_single_precision():
     """The default is what single precision can do; the same samples in double precision agree."""
     options = {"wrt": "mu", "t1": 10.0, "samples": 1_024, "key": jax.random.key(1), "y0": anywhere()}

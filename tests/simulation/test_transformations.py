@@ -1,5 +1,6 @@
 """`simulate` under jit, vmap, jvp, grad and in float32; and that a lane which went wrong always says so."""
 
+import faulthandler
 import subprocess
 import sys
 
@@ -211,6 +212,17 @@ def test_traced_value_that_is_not_finite_shows_in_the_status(name, value):
     assert int(from_numbers(**(values | {name: value}))) != ss.Status.FINISHED
 
 
+def test_infinite_stiffness_shows_in_the_status():
+    """An endless loop inside compiled code cannot be interrupted: this process would then end and say where it was."""
+    values = dict(zip(NAN_CASES, (1.0, np.inf, 1.0, 1.0, 0.3, 1.0, T1, *START), strict=True))
+    faulthandler.dump_traceback_later(120, exit=True)
+    try:
+        assert int(from_numbers(**values)) == ss.Status.NOT_FINITE
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+@pytest.mark.slow
 def test_infinite_stiffness_does_not_run_for_ever():
     """In its own process: an endless loop inside compiled code cannot be interrupted from within."""
     code = (
@@ -258,11 +270,8 @@ def test_states_at_times_of_any_shape():
         assert float(alone[1]) == pytest.approx(float(velocity[index]), abs=1e-15)
 
 
-def test_nothing_is_told_of_the_time_after_the_base_ran_out():
-    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
-    law = ss.PoissonSwitching(1.0, 1.0)
-    short = ss.simulate(system, law.sample(jax.random.key(0), 20.0, capacity=3), t1=20.0)
-    whole = ss.simulate(system, law.sample(jax.random.key(0), 20.0), t1=20.0)
+def test_nothing_is_told_of_the_time_after_the_base_ran_out(keys):
+    short, whole = one(keys[0], slots=4), one(keys[0])
     assert int(short.status) == ss.Status.BASE_TOO_SHORT
     assert "NOT FINISHED: stopped at" in repr(short)
     assert "fraction" not in repr(short)
@@ -276,7 +285,7 @@ def test_nothing_is_told_of_the_time_after_the_base_ran_out():
     assert float(np.nanmax(np.asarray(short.slips.end))) <= reached
 
 
-@pytest.mark.parametrize("number", [1, 7, 256, 300])
+@pytest.mark.parametrize("number", [1, 7, pytest.param(256, marks=pytest.mark.slow), 300])
 def test_base_motions_may_be_constants_of_a_compiled_function(number):
     """Arrays that a function closes over are constants in it; XLA aborted where a native loop read constants alone."""
     law = ss.PoissonSwitching(1.0, 1.0)

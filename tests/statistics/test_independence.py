@@ -40,8 +40,13 @@ def check_uniform(p_values):
 
 
 class TestFalseAlarms:
-    @pytest.mark.parametrize("repeats", [REPEATS, pytest.param(4000, marks=pytest.mark.slow)])
-    @pytest.mark.parametrize("design", [iid, cut])
+    @pytest.mark.parametrize(
+        ("design", "repeats"),
+        [
+            (iid, REPEATS),
+            *(pytest.param(*case, marks=pytest.mark.slow) for case in ((cut, REPEATS), (iid, 4000), (cut, 4000))),
+        ],
+    )
     def test_independent_and_identical(self, design, repeats):
         """All five tests at their nominal rate; Holm's rule, over pairs of orders and over tests, keeps below it."""
         p_values, false_alarms = repeated(design, independent_and_identical, repeats)

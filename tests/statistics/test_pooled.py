@@ -82,7 +82,7 @@ def test_angles_stay_in_a_circle_everywhere(motors):
     flat = motors.flat_sticks
     found = []
     for number in range(4):
-        base, y0 = motors.realization(number)
+        _, base, y0 = motors.realization(number)
         one = ss.simulate(motors.system, base, t1=2.0, y0=y0)
         found.append(np.asarray(one.sticks.position)[np.asarray(one.sticks.mask)])
     assert np.concatenate(found).max() > 2 * np.pi

@@ -170,6 +170,9 @@ def test_initial_states_and_method(tmp_path):
     config = read_config(config_file(tmp_path, f'[system]\nmodel = "MotorCart"\n{text}'))
     assert same(config.run.y0(), (0.7, 0.0, ss.Uniform(0.0, 2.0)))
     assert same(config.run.method(), ss.Exact(1e-4))
+    config = read_config(config_file(tmp_path, '[run]\nwidth = 1e-3\nshape = "linear"\nstep = 0.01'))
+    assert same(config.run.method(), ss.Regularized(1e-3, "linear", step=0.01))
+    assert read_config(config_file(tmp_path, config.to_toml())) == config
 
 
 def test_run_without_a_start_takes_that_of_the_system():

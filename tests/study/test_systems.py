@@ -108,8 +108,8 @@ def check_against(study, many):
     assert read_config(study.directory / CONFIG) == study.config
 
 
-# Compiling each takes seconds; the others hold every kind of section.
-SLOWER = ("records", "random start", "jumps", "friction law")
+# Compiling each takes seconds; `test_sections.py` reads every kind of section.
+SLOWER = ("records", "random start", "jumps", "friction law", "artificial accelerogram", "regularised")
 
 
 @pytest.mark.parametrize(
@@ -148,8 +148,7 @@ CART = '[system]\nmodel = "MotorCart"\nmu = 0.25\n[run]\nt1 = 1.0\nsamples = 40\
 
 
 def test_motor_cart(tmp_path):
-    study = run(tmp_path, CART, figures=True)
-    plt.close("all")
+    study = run(tmp_path, CART)
     paper = ss.papers.motor_cart(mu=0.25, t1=1.0)
     many = ss.simulate_ensemble(
         paper.system,
@@ -163,7 +162,6 @@ def test_motor_cart(tmp_path):
         threads=1,
     )
     check_against(study, many)
-    assert check_sample_0(study) == 1.0
     first = ss.first_stick(many)
     assert 0 < first.count < 40
     with xr.open_dataset(study.directory / DATA) as dataset:
@@ -179,12 +177,19 @@ def test_motor_cart(tmp_path):
         assert dataset["first_stick_angle"].attrs["units"] == "rad"
         expected = {"run_initial_angle_low": 0.0, "run_initial_angle_high": 2 * math.pi, "base_random_phase": 1}
         assert {name: dataset.attrs[name] for name in expected} == expected
-    assert set(study.files) <= set(RESULT_FILES)
-    for name in ("time_history.png", "phase_portrait.png", "stick_durations.png"):
-        assert (study.directory / name).read_bytes().startswith(b"\x89PNG")
     assert "40 samples of MotorCart, SourceVoltage of random phase, on [0, 1] s" in table(study)
     assert f"A first stick was found in {first.count} of 40 samples, rest at t = 0 not counted." in table(study)
     assert json.loads(as_json(study))["first_sticks"] == first.count
+
+
+@pytest.mark.slow
+def test_figures_of_a_motor_cart(tmp_path):
+    study = run(tmp_path, CART, figures=True)
+    plt.close("all")
+    assert check_sample_0(study) == 1.0
+    assert set(study.files) <= set(RESULT_FILES)
+    for name in ("time_history.png", "phase_portrait.png", "stick_durations.png"):
+        assert (study.directory / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_initial_rest_is_counted_if_asked_for(tmp_path):

@@ -104,6 +104,7 @@ def test_sticks_of_the_limit_cycle(one):
     np.testing.assert_allclose(one.evaluate(one.sticks.end[later])[0], edge, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_regularized_agrees():
     """Regularised dynamics has no static friction of its own: with equal coefficients, up to the first release."""
     system, how = DuffingBelt(mu_static=0.5), {"t1": 3.0, "y0": (0.6, 0.0)}

@@ -105,6 +105,7 @@ class Cart(ss.SwitchedSystem):
         return jnp.sin(y[0]) * y[1]
 
 
+@pytest.mark.slow
 def test_a_mass_and_spring_written_anew():
     """Harmonic base with jumps, damping, static friction: the closed forms of MassSpring are the reference."""
     law = ss.WithJumps(ss.Harmonic(0.5, 1.3), ss.PoissonSwitching(0.4, 0.5))

@@ -89,7 +89,7 @@ def outcome(what, follow, base, numbers):
     return [jnp.nan_to_num(leaf) for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_the_scan(mode):
     base = bases(6)
 
@@ -141,6 +141,7 @@ def test_derivatives_by_the_base_itself():
     assert_same(got, expected, 1e-10)
 
 
+@pytest.mark.slow
 def test_second_derivatives_in_forward_mode():
     base = jax.tree.map(lambda leaf: leaf[0], bases(1))
     got, expected = (

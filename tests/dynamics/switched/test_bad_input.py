@@ -11,6 +11,7 @@ pytestmark = pytest.mark.usefixtures("annotations_unchecked")
 FRICTION = ss.Coulomb(0.4)
 SYSTEM = ss.MassSpring(1.0, 1.0, 1.0, FRICTION, damping=0.1)
 HARMONIC = ss.Harmonic(1.0, 2.0)
+ROOM = 192  # steps, what 10 s are given
 
 
 class Motion:
@@ -109,10 +110,15 @@ def test_refused(call, message):
 
 
 def test_out_of_steps_is_reported():
-    one = run(method=ss.Exact(max_steps=10))
+    """With the room of 10 s, for which another test compiles the same function."""
+    one = run(t1=100.0, method=ss.Exact(max_steps=ROOM))
     assert int(one.status) == ss.Status.OUT_OF_STEPS
     assert "NOT FINISHED" in repr(one)
     assert "max_steps" in repr(one)
+
+
+@pytest.mark.slow
+def test_ensembles_out_of_steps_are_reported():
     many = ss.simulate_ensemble(SYSTEM, HARMONIC, t1=10.0, samples=5, method=ss.Exact(max_steps=10))
     assert many.status_counts[ss.Status.OUT_OF_STEPS] == 5
     assert many.finished == 0

@@ -66,31 +66,51 @@ def test_longer_steps_are_refused():
         ss.simulate(system, ss.Harmonic(1.0, 1.3), t1=1.0, method=step)
 
 
+LANES = 2001
+
+
 @jax.jit
 @jax.vmap
-def sticks_and_doubts(amplitude):
+def followed(amplitude, t1):
     method = ss.Exact(max_steps=1024)
-    one = ss.simulate(SYSTEM, ss.Harmonic(amplitude, 1.3), t1=20.0, y0=(0.0, 1.0), method=method)
-    return one.sticks.count, one.near_grazing_count
+    one = ss.simulate(SYSTEM, ss.Harmonic(amplitude, 1.3), t1=t1, y0=(0.0, 1.0), method=method)
+    return one.sticks.count, one.near_grazing_count, one.sticks.start[1], one.sticks.end[0]
+
+
+def seen(amplitudes, t1=20.0):
+    """Sticks, doubts, start of the second stick and end of the first; all lanes of one compiled function are filled."""
+    shape = np.broadcast_shapes(np.shape(amplitudes), np.shape(t1))
+    filled_up = [np.resize(np.broadcast_to(values, shape), LANES) for values in (amplitudes, t1)]
+    return [np.asarray(found)[: shape[0]] for found in followed(*filled_up)]
 
 
 def test_doubts_see_every_edge():
     """The amplitudes at which the number of sticks changes, bisected to neighbouring numbers: both sides are told."""
-    grid = np.linspace(0.2, 3.0, 2001)
-    number, near_grazing_count = map(np.asarray, sticks_and_doubts(grid))
+    grid = np.linspace(0.2, 3.0, LANES)
+    number, near_grazing_count, *_ = seen(grid)
     changes = np.flatnonzero(np.diff(number))
     below, above, fewer = grid[changes], grid[changes + 1], number[changes]
     assert len(changes) >= 10
     assert np.count_nonzero(near_grazing_count) <= 2  # elsewhere there is none
     for _ in range(60):
         middle = below + (above - below) / 2
-        same = np.asarray(sticks_and_doubts(np.resize(middle, len(grid)))[0])[: len(middle)] == fewer
+        same = seen(middle)[0] == fewer
         below, above = np.where(same, middle, below), np.where(same, above, middle)
     assert np.all(np.nextafter(below, 9.0) >= above)
     for side in (below, above):
-        assert np.all(np.asarray(sticks_and_doubts(np.resize(side, len(grid)))[1])[: len(side)] > 0)
+        assert np.all(seen(side)[1] > 0)
 
 
+def test_doubts_see_races_with_the_horizon():
+    """A stick (a slip) that ends within 1e-12 s of the horizon; and one that does not."""
+    number, _, start, end = seen([1.0])
+    assert number == 2
+    for event in (*start, *end):
+        late = np.array([1e-12, -1e-12, 1e-3])
+        assert np.array_equal(seen(1.0, event + late)[1] > 0, [True, True, False])
+
+
+@pytest.mark.slow
 def test_doubts_see_races_with_jumps_and_the_horizon():
     """A stick (a slip) that ends within 1e-12 s of a jump of the base, of the horizon; and one that does not."""
     base = ss.Harmonic(1.0, 1.3)
@@ -116,7 +136,7 @@ class Fall(eqx.Module):
 CURVES = {0.1: (2e-9, 4e-9), 0.03: (2e-9, 4e-9), 0.01: (2e-9, 4e-9), 0.003: (2e-9, 4e-9)}
 
 
-@pytest.mark.parametrize("speed", CURVES)
+@pytest.mark.parametrize("speed", [pytest.param(0.1, marks=pytest.mark.slow), 0.03, 0.01, 0.003])
 def test_a_users_friction_curve_decides_about_the_step(speed):
     """Flat at rest, steep at `speed`: nothing of that is known beforehand. `Stribeck` knows it, and steps finely."""
     base, start, t1 = ss.Harmonic(0.6, 1.3), (0.0, 1.0), 20.0
@@ -156,6 +176,7 @@ class SecondContact(ss.SwitchedSystem):
         return y[1] - base.velocity
 
 
+@pytest.mark.slow
 def test_steep_rates_of_a_users_system_are_followed_or_told():
     def follow(width, **method):
         run = {"t1": 10.0, "y0": (0.0, 1.0), "method": ss.Exact(max_steps=1 << 16, **method)}
@@ -191,6 +212,7 @@ class Hung(ss.SwitchedSystem):
         return 2 * math.pi / 3
 
 
+@pytest.mark.slow
 def test_round_off_does_not_shorten_steps():
     """What is zero but for round-off has no relative error: a mass at rest under forces in balance, beside one that
     sticks for ever; a damped slip that has come to rest on a fast belt, friction in balance with the spring.

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from reference.event_driven import simulate_mass_spring
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.engine_choice import engine_for
+from stickslip_jax._systems.own import is_own
 
 T1 = 30.0
 STEPS = ss.Exact(step=0.3, max_steps=512)
@@ -26,6 +28,18 @@ def build(
 
 
 SLOTS = 2
+
+
+class Swing:
+    """A base motion of a user's."""
+
+    shortest_period = 9.0
+
+    def velocity(self, t):
+        return jnp.sin(0.7 * t)
+
+    def acceleration(self, t):
+        return 0.7 * jnp.cos(0.7 * t)
 
 
 @jax.jit
@@ -248,6 +262,21 @@ def test_room_for_a_stick_in_every_interval(max_steps):
     assert np.all(one.sticks.end[:80] == pytest.approx(0.05 * np.arange(1, 81), rel=1e-12))
 
 
+def test_only_the_packages_own_functions_are_compiled_for_wide_vectors():
+    """See the next test for what these do to functions of a user's."""
+
+    def engine(friction, base):
+        system = ss.MassSpring(1.0, 1.0, 1.0, friction)
+        return engine_for(system, base, ss.Exact(step=0.1), T1).lanes((0.0, 0.0), np.dtype(float))
+
+    law, base = ss.Coulomb(0.4), ss.Harmonic(1.0, 0.7)
+    for friction in (law, ss.VelocityWeakening(0.5, 1.0), ss.Stribeck(0.3, 0.5, 0.1)):
+        assert is_own(engine(friction, base))
+    for friction, motion in ((ss.FrictionCurve(lambda speed: 0.5 + 0 * speed), base), (law, Swing())):
+        assert not is_own(engine(friction, motion))
+
+
+@pytest.mark.slow
 def test_a_users_functions_are_compiled_as_written():
     """In 512-bit vectors jaxlib 0.10.2 computes arctan wrong, and ensembles ask for such vectors where they can."""
     friction = ss.FrictionCurve(lambda speed: 0.5 - 0.2 * jnp.arctan(2 * speed))

@@ -47,7 +47,15 @@ def demanded(kind: str, case: Case) -> dict[str, Any]:
     return {"tolerance": CLOSED}
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in RARE])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        # `test_accuracy_at_the_default_step` follows a weakening law too.
+        pytest.param(kind, marks=pytest.mark.slow) if kind == "weakening" else kind
+        for kind in KINDS
+        if kind not in RARE
+    ],
+)
 def test_random_set_ups(kind):
     cases = [random_case(kind, seed) for seed in range(SEEDS)]
     counts = np.array([assert_agrees(case, **demanded(kind, case)) for case in cases])
@@ -167,6 +175,7 @@ class SweptSignal(ss.Signal):
         return self.motion.velocity(t)
 
 
+@pytest.mark.slow
 def test_motion_and_force_of_a_users_own():
     counts = []
     for seed in range(4):
