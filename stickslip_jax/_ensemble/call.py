@@ -63,20 +63,18 @@ def simulate_ensemble(
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
     the chunk size or the threads; ``system, base, y0 = many.realization(i)`` returns what it is simulated with.
 
+    Any single number of `system`, `law` or `y0` may differ from sample to sample: an array (samples,), or a
+    distribution such as `Uniform`, a frozen one of scipy.stats, or an object with a method ``icdf(u)``, ``ppf(u)`` or
+    ``sample(key)``. ``many.input_values`` gives what was drawn; docs/uncertain.md has more.
+
     - `system`: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
-    - `law`: the random excitation, such as `PoissonSwitching` or `KanaiTajimi`, any excitation that `simulate` takes,
-      or an object of your own with a method ``sample(key, t1)`` that returns one.
+    - `law`: the random excitation, such as `PoissonSwitching`, any excitation that `simulate` takes, or an object of
+      your own with a method ``sample(key, t1)`` that returns one.
     - `y0`: initial state as in `simulate`, or an array (samples, coordinates).
-    - `samples`: their number, or a design (`stickslip_jax.design`) with a row for each.
-    - `key`: from ``jax.random.key(seed)``; may be None where nothing is random.
-    - `correlation`: which of the random numbers below depend on each other; by default none do.
-
-    Any single number of the system, the law or `y0` may differ from sample to sample: an array (samples,), or a
-    distribution such as `Uniform`, a frozen one of scipy.stats, or any object with a method ``icdf(u)``, ``ppf(u)`` or
-    ``sample(key)``. Each is drawn from `key` and the number of the sample alone, independently of the others;
-    ``many.input_values`` gives what was drawn. In a system of your own, a field takes arrays if it is annotated with a
-    `Quantity`, and distributions of stickslip_jax and scipy.stats in any case.
-
+    - `samples`: their number, or a design (`stickslip_jax.design`) with a row for each. `first_sample`: the number i of
+      the first, where several machines share one ensemble (see `concatenate`).
+    - `key`: from ``jax.random.key(seed)``; may be None where nothing is random. `correlation`: of random numbers; by
+      default they are independent.
     - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
     - `keep`: "statistics" accumulates the sums for ``many.statistics`` during the simulation (memory does not grow with
       `samples`); "sticks" keeps every stick as well; "totals" sums only stick time, sticks and slips, the fastest.
@@ -84,24 +82,21 @@ def simulate_ensemble(
     - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
     - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
     - `progress`: True shows a progress bar, False none; by default on a terminal and in a notebook.
-    - `first_sample`: the number i of the first sample, where several machines share one ensemble (see `concatenate`).
 
     Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
     Raises ValueError for arguments outside these bounds.
     """
-    first = _checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES)
     numbering = _numbering(orders, count_initial_rest)
-    run = Run.checked(Model(system, law, y0), t1, samples, first, key, correlation, method, keep, numbering)
-    samples = run.inputs.samples - first
+    run = Run.checked(Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering)
+    inputs, first = run.inputs, int(first_sample)
+    samples = inputs.samples - first
     return Ensemble(
-        system=run.inputs.model.system,
-        law=run.inputs.model.law,
+        **inputs.model._asdict(),
         t1=float(t1),
         method=run.method,
         numbering=run.numbering,
-        y0=run.inputs.model.y0,
-        design=run.inputs.design,
-        copula=run.inputs.copula,
+        design=inputs.design,
+        copula=inputs.copula,
         samples=samples,
         first_sample=first,
         key_data=tuple(int(word) for word in np.asarray(run.key_data)) if run.is_random else None,

@@ -11,6 +11,14 @@ import numpy as np
 from .unknown import require_known
 
 
+class Realization(NamedTuple):
+    """What `simulate` takes to repeat a sample: ``simulate(system, base, y0=y0, t1=...)``."""
+
+    system: Any
+    base: Any
+    y0: tuple[float, ...]
+
+
 class Origin(NamedTuple):
     """What one part of a joined ensemble was simulated from; fields as those of `Ensemble`, which they replace."""
 
@@ -122,14 +130,14 @@ def known_inputs(ensemble: Any) -> dict[str, np.ndarray]:
 
 
 def require_whole(ensemble: Any) -> None:
-    """Raise ValueError unless the system, the base motion and the start of `ensemble` are known."""
-    for what, name in {"system": "system", "law": "base motion", "y0": "initial state"}.items():
+    """Raise ValueError unless the base motion and the start of `ensemble` are known."""
+    for what, name in {"law": "base motion", "y0": "initial state"}.items():
         held = getattr(ensemble, what)
         for one in held if isinstance(held, tuple) else (held,):
             require_known(name, one)
 
 
-def given_realization(ensemble: Any, number: int) -> tuple[Any, Any, tuple[float, ...]] | None:
+def given_realization(ensemble: Any, number: int) -> Realization | None:
     """The system, the base motion and the initial state of sample `number` where the base motions were given.
 
     None where they were not; raises ValueError where they are not known.
@@ -142,4 +150,4 @@ def given_realization(ensemble: Any, number: int) -> tuple[Any, Any, tuple[float
         return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == ensemble.samples else leaf
 
     y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in ensemble.y0)
-    return jax.tree.map(own, ensemble.system), ensemble.law.base(number), y0
+    return Realization(jax.tree.map(own, ensemble.system), ensemble.law.base(number), y0)

@@ -29,7 +29,7 @@ from .._status import Status
 from .._systems.system import Coordinate, System
 from .given import fields_of_simulations, fields_of_sticks, numbering_of
 from .kept import Retained, SampleTotals
-from .origins import Origin, check_dtype, given_realization, origins_of, part_with, require_whole
+from .origins import Origin, Realization, check_dtype, given_realization, origins_of, part_with, require_whole
 from .parts import Keep
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
@@ -236,9 +236,10 @@ class Ensemble:
         """Number of samples that reached ``t1``."""
         return self.status_counts[Status.FINISHED]
 
-    def realization(self, number: int) -> Model:
-        """The system, the base motion and the initial state of sample `number`, which `simulate` repeats the sample
-        with: ``system, base, y0 = many.realization(3)``.
+    def realization(self, number: int) -> Realization:
+        """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it::
+
+            system, base, y0 = many.realization(3)
 
         Raises ValueError unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
@@ -247,12 +248,12 @@ class Ensemble:
         part, number = part_with(self, number)
         given = given_realization(part, number)
         if given is not None:
-            return Model(*given)
+            return given
         if part.key_data is not None:
             check_dtype(self.dtype)
         system, law, y0 = part.inputs.of_sample(number, jnp.dtype(self.dtype))
         base = part.inputs.realization_of(number, law, self.t1) if is_random(law) else law
-        return Model(system, base, y0)
+        return Realization(system, base, y0)
 
     def to_xarray(self) -> "xarray.Dataset":
         """The ensemble as an ``xarray.Dataset`` with units and long names, from which `from_xarray` makes it again.

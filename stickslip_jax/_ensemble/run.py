@@ -66,7 +66,9 @@ class Run:
             )
         check_method(method)
         _checks.positive("t1", t1, "s")
-        _checks.whole_number("samples", len(samples) if isinstance(samples, Design) else samples, maximum=MOST_SAMPLES)
+        number = len(samples) if isinstance(samples, Design) else samples
+        _checks.whole_number("samples", number, maximum=MOST_SAMPLES)
+        _checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES - number)
         total = samples if isinstance(samples, Design) else first_sample + samples
         if isinstance(samples, Design) and first_sample:
             raise ValueError(

@@ -54,7 +54,7 @@ def test_simulations_are_the_ensemble_of_the_same_samples(given):
 def test_simulations_know_their_motion_and_start(given, tmp_path):
     base = POISSON.sample(jax.random.fold_in(KEY, 5), 20.0)
     for many in (given, ss.load(given.save(tmp_path / "given.nc"))):
-        found, y0 = many.realization(5)
+        _, found, y0 = many.realization(5)
         np.testing.assert_allclose(found.durations, base.durations, rtol=1e-15)
         np.testing.assert_array_equal(found.velocities, base.velocities)
         assert y0 == pytest.approx((0.0, 1.0), abs=1e-15)
@@ -78,11 +78,11 @@ def test_parameters_that_differ_are_arrays(tmp_path):
     for read in (many, ss.load(many.save(tmp_path / "mus.nc"))):
         np.testing.assert_array_equal(read.system.friction.mu, mus)
         assert read.system.mass == 1.0
-        assert [read.realization(number)[1][0] for number in range(8)] == pytest.approx(list(mus), rel=1e-15)
-        assert read.realization(3)[0].velocities.shape == (20,)
+        assert [read.realization(number).y0[0] for number in range(8)] == pytest.approx(list(mus), rel=1e-15)
+        assert read.realization(3).base.velocities.shape == (20,)
     joined = ss.concatenate([many, many])
     assert joined.samples == 16
-    assert joined.realization(11)[1] == many.realization(3)[1]
+    assert joined.realization(11).y0 == many.realization(3).y0
 
 
 def test_simulations_that_stopped_early_are_counted_apart():

@@ -74,7 +74,7 @@ def test_samples_that_follow_each_other_are_joined_to_one_run(keep):
     assert (joined.origins, joined.law, joined.key_data) == ((), POISSON, whole.key_data)
     for number in (0, 99, 100, 187):
         ours, theirs = joined.realization(number), whole.realization(number)
-        np.testing.assert_array_equal(ours[0].durations, theirs[0].durations)
+        np.testing.assert_array_equal(ours.base.durations, theirs.base.durations)
     compare(joined.extended(samples=12, chunk=64), simulate(200, keep), 100 * 2**-53)
 
 
@@ -84,7 +84,7 @@ def test_a_part_knows_its_samples():
     np.testing.assert_array_equal(
         part.flat_sticks.start, whole.flat_sticks.start[whole.flat_sticks.count[:160].sum() :]
     )
-    np.testing.assert_array_equal(part.realization(3)[0].durations, whole.realization(163)[0].durations)
+    np.testing.assert_array_equal(part.realization(3).base.durations, whole.realization(163).base.durations)
     np.testing.assert_array_equal(part.to_xarray().sample, np.arange(160, 188))
     assert ss.Ensemble.from_xarray(part.to_xarray()).first_sample == 160
 
@@ -112,7 +112,7 @@ def test_parts_of_different_origin(tmp_path, mixed):
     back = ss.load(joined.save(tmp_path / "joined.nc"))
     for many in (joined, back):
         for number, one, own in ((63, mixed[0], 63), (64, mixed[1], 0), (113, mixed[2], 29)):
-            np.testing.assert_array_equal(many.realization(number)[0].durations, one.realization(own)[0].durations)
+            np.testing.assert_array_equal(many.realization(number).base.durations, one.realization(own).base.durations)
     with pytest.raises(ValueError, match="joined from 3 parts of different origin, which cannot be extended"):
         joined.extended(samples=1)
     # Joined ensembles are joined further.
@@ -155,4 +155,4 @@ def test_one_ensemble_alone_stays_what_it_is(mixed):
     alone = ss.concatenate(mixed[:1])
     compare(alone, mixed[0], 0)
     assert alone.origins == ()
-    assert dataclasses.replace(alone, run_seconds=0.0).realization(5)[1] == mixed[0].realization(5)[1]
+    assert dataclasses.replace(alone, run_seconds=0.0).realization(5).y0 == mixed[0].realization(5).y0

@@ -179,7 +179,7 @@ def test_a_system_of_ones_own_leaves_its_sticks(tmp_path):
     assert back.statistics.position.mean == many.statistics.position.mean
     assert back.law == many.law
     assert plot.stick_map(back).get_xlabel() == "angle where the stick begins (rad)"
-    assert_same_arrays(back.realization(3), many.realization(3))
+    assert_same_arrays(back.realization(3)[1:], many.realization(3)[1:])
     with pytest.raises(ValueError, match=r"Argument system must be a system that can be simulated.*_Own"):
         ss.simulate(back.system, law, t1=1.0)
 

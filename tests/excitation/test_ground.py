@@ -247,7 +247,7 @@ class TestTransformations:
 
 NAN, INF = float("nan"), float("inf")
 BAD = {
-    "rms": [0.0, -1.0, NAN, "1", None, [1.0]],
+    "rms": [0.0, -1.0, NAN, "1", None, [[1.0]]],
     "ground_frequency": [0.0, -1.0, INF, "1"],
     "ground_damping": [0.0, -0.1, 1.0, 1.5, NAN, np.float32(1.0)],
     "rise": [0.0, -1.0, NAN],

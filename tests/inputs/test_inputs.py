@@ -82,7 +82,7 @@ def test_an_input_changes_no_other_one(uncertain):
                                   uncertain.input_values["y0[0]"][:10])  # fmt: skip
     # And the base motion is that of the key and the number of the sample alone.
     np.testing.assert_array_equal(
-        uncertain.realization(3).law.durations, LAW.sample(jax.random.fold_in(KEY, 3), T1).durations
+        uncertain.realization(3).base.durations, LAW.sample(jax.random.fold_in(KEY, 3), T1).durations
     )
 
 

@@ -14,6 +14,7 @@ from stickslip_jax._sensitivity.estimate import gradient_of_ratio
 from stickslip_jax._sensitivity.estimators import Columns
 from stickslip_jax._sensitivity.first_look import problem_of
 from stickslip_jax._sensitivity.problem import buffer_sizes_for
+from stickslip_jax._sensitivity.random_inputs import inside, over
 from stickslip_jax._sensitivity.runs import Accumulator, derivatives_of
 from stickslip_jax._sensitivity.statistic import StickSequence
 from stickslip_jax._sensitivity.traces import traced
@@ -50,15 +51,15 @@ def test_what_is_near_happens(name):
     system, law, t1, y0, chunks = MOTIONS[name]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
     engine, buffer = (
-        traced(problem.engine(), False),
+        over(problem.engine(), lambda engine: traced(engine, False)),
         buffer_sizes_for(problem, pilot._replace(most=39))._replace(edges=120),
     )
-    path, mu = problem.paths(), problem.parameters[0].value
+    paths, mu = (inside(problem.paths()[0], "engine"),), problem.parameters[0].value
 
-    def record(values, first):
-        varied = with_numbers(engine, (("engine", *path[0]),), values)
+    def record(values, own, first):
+        varied = with_numbers(engine, paths, values)
         recorded = sequences.record_sequences(
-            varied, problem.key_data, first, lanes=LANES, buffer=buffer, dtype=problem.dtype
+            varied, own, problem.key_data, first, lanes=LANES, buffer=buffer, dtype=problem.dtype
         )
         numbers = recorded.near.both_sides
         return jnp.stack([number.value for number in numbers]), (
@@ -66,17 +67,18 @@ def test_what_is_near_happens(name):
         )  # fmt: skip
 
     @jax.jit
-    def near(first):
-        return derivatives_of(lambda values: record(values, first), engine.engine, path, problem.dtype)
+    def near(own, first):
+        return derivatives_of(lambda values: record(values, own, first), engine, paths, problem.dtype)
 
-    counts = jax.jit(lambda values, first: record(values, first)[1][1])
+    counts = jax.jit(lambda values, own, first: record(values, own, first)[1][1])
     right = seen = 0
     for first in range(0, chunks * LANES, LANES):
-        value, slope, (decides, sticks) = near(np.uint32(first))
+        own = problem.own_leaves(first, LANES)
+        value, slope, (decides, sticks) = near(own, np.uint32(first))
         u = np.where(decides, value / np.where(slope[0] == 0, np.nan, slope[0]), np.nan)
         for kind, slot, lane in zip(*np.nonzero(np.abs(u) < 5e-4), strict=True):
             if np.sum(np.abs(u[:, :, lane]) < 2e-3) == 1:  # alone
-                shifted = counts(jnp.array([mu * (1 - 2 * u[kind, slot, lane])]), np.uint32(first))
+                shifted = counts(jnp.array([mu * (1 - 2 * u[kind, slot, lane])]), own, np.uint32(first))
                 seen += 1
                 # Where it is positive the stick is there now, or the slip that makes one stick two.
                 right += int(shifted[lane] - sticks[lane]) == (-1 if value[kind, slot, lane] > 0 else 1)
@@ -93,21 +95,22 @@ def test_numbers_move_as_their_derivatives_say(wrt):
     system, law, t1, y0, _ = MOTIONS["harmonic"]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
     engine, buffer = (
-        traced(problem.engine(), False),
+        over(problem.engine(), lambda engine: traced(engine, False)),
         buffer_sizes_for(problem, pilot._replace(most=39))._replace(edges=120),
     )
-    path, value = problem.paths(), problem.parameters[0].value
+    paths, value = (inside(problem.paths()[0], "engine"),), problem.parameters[0].value
+    own = problem.own_leaves(0, LANES)
 
     def numbers(values):
-        varied = with_numbers(engine, (("engine", *path[0]),), values)
+        varied = with_numbers(engine, paths, values)
         recorded = sequences.record_sequences(
-            varied, problem.key_data, jnp.uint32(0), lanes=LANES, buffer=buffer, dtype=problem.dtype
+            varied, own, problem.key_data, jnp.uint32(0), lanes=LANES, buffer=buffer, dtype=problem.dtype
         )
         near = recorded.near
         decides = jnp.stack([number.decides for number in near.both_sides])
         return jnp.stack([number.value for number in near.both_sides]), (decides, near.time)
 
-    _, slopes, (decides, _) = jax.jit(lambda: derivatives_of(numbers, engine.engine, path, problem.dtype))()
+    _, slopes, (decides, _) = jax.jit(lambda: derivatives_of(numbers, engine, paths, problem.dtype))()
     (low, (_, before)), (high, (_, after)) = (
         jax.jit(numbers)(jnp.array([value * (1 + sign * 1e-6)])) for sign in (-1, 1)
     )

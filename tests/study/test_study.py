@@ -283,8 +283,8 @@ def test_a_study_comes_back_as_an_ensemble(study):
         assert (back.system, back.law, back.y0, back.samples) == (many.system, many.law, many.y0, 40)
         for number in (0, 39):
             ours, theirs = back.realization(number), many.realization(number)
-            np.testing.assert_array_equal(ours[0].durations, theirs[0].durations)
-            assert ours[1] == theirs[1]
+            np.testing.assert_array_equal(ours.base.durations, theirs.base.durations)
+            assert ours.y0 == theirs.y0
     with xr.open_dataset(study.directory / DATA, group="statistics") as statistics:
         pooled = study.statistics["mean_stick_duration"]
         assert float(statistics["duration_mean"]) == pytest.approx(pooled.value, rel=1e-12)

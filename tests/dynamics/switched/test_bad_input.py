@@ -66,7 +66,7 @@ def spring(**changed):
         (lambda: run(base=Motion()), r"method must give the step, .*but the shortest period of the base motion is not"),
         (lambda: run(y0=(1.0, 0.0, 0.0)), r"y0 must be two numbers \(position in m, velocity in m/s\), but"),
         (lambda: run(y0=(1.0, np.inf)), r"y0\[1\] must be finite, but inf was given"),
-        (lambda: run(y0=(ss.Uniform(0.0, 1.0), 0.0)), r"y0 must be numbers, .*only simulate_ensemble draws"),
+        (lambda: run(y0=(ss.Uniform(0.0, 1.0), 0.0)), r"y0\[0\] must be one number here, .*simulate_ensemble"),
         (lambda: run(base=ss.RandomPhase(HARMONIC)), r"base must be a realisation, but the random law RandomPhase was"),
         (lambda: run(base=ss.KanaiTajimi(1.0)), r"base must be a realisation, but the random law KanaiTajimi was"),
         (lambda: run(base=ss.SourceVoltage()), r"base of a MassSpring must be a base motion, but a SourceVoltage was"),
