@@ -102,7 +102,7 @@ def engines_of(build: Callable[..., Any], values: tuple[AnyArray, ...], others: 
     leaves, structure = jax.tree.flatten(made[0])
     places = tuple(place for place, leaf in enumerate(leaves) if _checks.is_traced(leaf))
     for place, column in zip(places, own, strict=True):
-        leaves[place] = np.asarray(column[0])
+        leaves[place] = column[0]
     return Engines(jax.tree.unflatten(structure, leaves), places, tuple(own), tuple(origins))
 
 

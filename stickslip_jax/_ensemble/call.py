@@ -88,21 +88,9 @@ def simulate_ensemble(
     """
     numbering = _numbering(orders, count_initial_rest)
     run = Run.checked(Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering)
-    inputs, first = run.inputs, int(first_sample)
-    samples = inputs.samples - first
-    return Ensemble(
-        **inputs.model._asdict(),
-        t1=float(t1),
-        method=run.method,
-        numbering=run.numbering,
-        design=inputs.design,
-        copula=inputs.copula,
-        samples=samples,
-        first_sample=first,
-        key_data=tuple(int(word) for word in np.asarray(run.key_data)) if run.is_random else None,
-        dtype=str(np.dtype(run.dtype)),
-        **_found(run, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress),
-    )
+    samples, first = run.inputs.samples - int(first_sample), int(first_sample)
+    found = _found(run, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress)
+    return Ensemble(**run.fields(), samples=samples, first_sample=first, **found)
 
 
 def _found(

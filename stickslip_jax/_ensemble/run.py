@@ -14,7 +14,7 @@ from .._dynamics.lanes import Engine, Job
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
 from .._dynamics.validation import check_method, state_of, working_dtype
-from .._dynamics.varying import VaryingEngine
+from .._dynamics.varying import VaryingEngine, with_leaves
 from .._excitation.excitation import is_random, key_data_for
 from .._excitation.sampled import SampledLaw
 from .._inputs.inputs import Inputs, Model
@@ -96,17 +96,22 @@ class Run:
                 "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
                 "was given."
             )
-        law = inputs.realization_of(0, first.law, t1) if isinstance(first.law, SampledLaw) else first.law
-        engine = lanes_for(first.system, law, method, t1, first.y0, dtype)
-        places: tuple[int, ...] = ()
-        if inputs.entries or law is not first.law:
-            template, places, *_ = engines_of_all(inputs, method, t1, dtype)
-            engine = VaryingEngine(template, places) if isinstance(template, Engine) else template
-        elif isinstance(engine, (FixedEngine, AdaptiveBatch)):
-            method = engine.method  # with every option filled in
-        key_data = key_data_for(first.law, key)
-        period = first.system.stick_position.period
+        engine, places, method = _engine_of(inputs, first, method, t1, dtype)
+        key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         return cls(engine, places, inputs, method, key_data, random, dtype, float(t1), numbering, period)
+
+    def fields(self) -> dict[str, Any]:
+        """The fields of an `Ensemble` that its arguments are."""
+        return {
+            **self.inputs.model._asdict(),
+            "t1": self.t1,
+            "method": self.method,
+            "numbering": self.numbering,
+            "design": self.inputs.design,
+            "copula": self.inputs.copula,
+            "key_data": tuple(int(word) for word in np.asarray(self.key_data)) if self.is_random else None,
+            "dtype": str(np.dtype(self.dtype)),
+        }
 
     @property
     def has_records(self) -> bool:
@@ -127,3 +132,19 @@ class Run:
         if not self.inputs.has_own_realizations:
             realization = self.inputs.realization_numbers(first, most_samples)
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own, realization)
+
+
+def _engine_of(inputs: Inputs, first: Model, method: Any, t1: float, dtype: Any) -> tuple[Any, tuple[int, ...], Any]:
+    """The engine of all samples, which of its leaves differ, and the method with every option filled in.
+
+    Options that differ from sample to sample stay as they were given. `first`: the model of the first sample.
+    """
+    law = inputs.realization_of(0, first.law, t1) if isinstance(first.law, SampledLaw) else first.law
+    template, places = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
+    if inputs.entries or law is not first.law:
+        template, places, *_ = engines_of_all(inputs, method, t1, dtype)
+    if isinstance(template, (FixedEngine, AdaptiveBatch)):
+        differs = object()
+        marked = jax.tree.leaves(with_leaves(template, places, [differs] * len(places)).method)
+        method = method if any(leaf is differs for leaf in marked) else template.method
+    return VaryingEngine(template, places) if places and isinstance(template, Engine) else template, places, method

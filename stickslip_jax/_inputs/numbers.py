@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -132,7 +133,7 @@ def _is_law(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    if isinstance(value, (bool, np.bool_)) or callable(value) or isinstance(value, str) or value is None:
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number, np.ndarray, jax.Array)):
         return False
     if np.ndim(value) != 0 or not jnp.issubdtype(jnp.result_type(value), jnp.number):
         return False

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from stickslip_jax._sensitivity.parameters import number_at
 
 import stickslip_jax as ss
 from stickslip_jax._excitation.excitation import excitation_of, place_in_excitation
 from stickslip_jax._excitation.segments import first_segment, following_segment
+from stickslip_jax._inputs.numbers import number_at
 
 CHANCE = 1e-3
 KEY = jax.random.key(5)

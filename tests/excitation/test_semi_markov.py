@@ -157,8 +157,8 @@ class TestAgainstPoisson:
             for seed, law in enumerate(laws)
         ]
         assert all(run.finished == 8192 for run in runs)
-        means = np.array([run.moments.mean for run in runs])
-        variances = np.array([np.diag(run.moments.scatter) for run in runs]) / 8192**2
+        means = np.array([run.moments.mean[:3] for run in runs])
+        variances = np.array([np.diag(run.moments.scatter)[:3] for run in runs]) / 8192**2
         scores = (means[0] - means[1]) / np.sqrt(variances.sum(axis=0))
         assert np.all(means > 0)
         assert np.max(np.abs(scores)) < stats.norm.isf(CHANCE / 6)
@@ -258,10 +258,6 @@ BAD = {
     "one value": (
         lambda: ss.SemiMarkovSwitching(GAP, ss.Discrete([1.0, 2.0], [1.0, 0.0]), alternating=False),
         r"speed must have two or more values with positive probabilities",
-    ),
-    "truncated values": (
-        lambda: ss.SemiMarkovSwitching(GAP, ss.Truncated(ss.Discrete([1.0, 2.0, 3.0]), high=2.0), alternating=False),
-        r"speed must be continuous or Discrete where alternating is False",
     ),
     "alternating": (lambda: ss.SemiMarkovSwitching(GAP, 1.0, alternating=1), r"alternating must be True or False"),
     "first sign": (lambda: ss.SemiMarkovSwitching(GAP, 1.0, first_sign="up"), r"first_sign must be 'random'"),

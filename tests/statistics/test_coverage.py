@@ -77,7 +77,8 @@ def test_bootstrap_intervals_are_those_of_samples_drawn_again(many):
         rest = time - ratio[..., None] * count
         return ratio, rest.std(axis=-1, ddof=1) / count.mean(axis=-1) / math.sqrt(SIZE), stats.skew(rest, axis=-1)
 
-    groups = many.retained.totals[:, :2].reshape(GROUPS, SIZE, 2)
+    totals = many.retained.totals  # the last two columns: of the initial rest, which is not counted
+    groups = (totals[:, :2] - totals[:, 3:]).reshape(GROUPS, SIZE, 2)
     number = int(np.argmax(np.abs(pooled(groups)[2])))
     study, resamples, own = list(small_studies(many, number + 1))[-1], 8000, 20_000
     value, error, _ = pooled(groups[number])
