@@ -38,6 +38,24 @@ def _ensemble(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
     return run
 
 
+def _uncertain(threads: int, sizes: Sizes) -> Run:
+    """The default study, each sample with its own mu, stiffness and start: as many intervals, about as many sticks."""
+    moved = ss.MassSpring(
+        mass=1.0, stiffness=ss.LogNormal(4.0, 0.1), normal_force=1.0, friction=ss.Coulomb(ss.Uniform(0.8, 1.2))
+    )
+    y0 = (ss.Uniform(-0.5, 0.5), ss.Uniform(-1.0, 1.0))
+
+    def run(number: int) -> Work:
+        many = ss.simulate_ensemble(
+            moved, LAW, t1=T1, samples=sizes.samples, key=jax.random.key(number), y0=y0, keep="totals",
+            threads=threads, progress=False,
+        )  # fmt: skip
+        assert many.finished == sizes.samples
+        return Work(sizes.samples * INTERVALS)
+
+    return run
+
+
 def _handed_on(sizes: Sizes) -> Run:
     """Every stick kept, in ten calls; what each returns is dropped after use: memory does not grow."""
     part = -(-sizes.samples // 10)
@@ -215,6 +233,7 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
         for keep, name in KEPT:
             found[f"{name}, {word}"] = partial(_ensemble, keep, threads)
             found[f"motor and cart, {name}, {word}"] = partial(_motor_cart, keep, threads)
+        found[f"totals, uncertain, {word}"] = partial(_uncertain, threads)
         for name in ENSEMBLES:
             found[f"{name}, {word}"] = partial(_stepped, name, threads)
     found["every stick, handed on, 1 thread"] = _handed_on

@@ -22,9 +22,9 @@ def table(parts: dict[str, list[dict[str, Any]]]) -> list[str]:
     add("totals, one thread, times C by events", "2.0", one["times_events"])
     add("totals, one thread, times C by intervals", "1.5", one["times_intervals"])
     add("totals, two threads are faster by (the C programs)", c_gain, 1 / two["times_one_thread"])
-    for name in ("full statistics", "every stick"):
+    for name, asked in (("full statistics", "2.0"), ("every stick", "2.0"), ("totals, uncertain", "1.5")):
         both = [rows[f"{ENGINE}{name}, {threads}"]["times_totals"] for threads in composed.CORES]
-        add(f"{name}, times totals; one and two threads", "2.0", *both)
+        add(f"{name}, times totals; one and two threads", asked, *both)
     for case, key, asked in (
         ("vmapped: stick time alone", "times_totals", "3"),
         ("vmapped: every stick, in order", "times_totals", "6"),

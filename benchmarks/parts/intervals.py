@@ -22,6 +22,8 @@ FEW = 3  # and in so many rounds
 ENGINE = (
     "totals, 1 thread",
     "totals, 2 threads",
+    "totals, uncertain, 1 thread",
+    "totals, uncertain, 2 threads",
     "full statistics, 1 thread",
     "full statistics, 2 threads",
     "every stick, 1 thread",
