@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._types import Scalar
+from .._types import Number
 from .switched_model import Base
 from .system import System
 
@@ -48,7 +48,7 @@ def check_fields(system: Any) -> None:
             _checks.positive(name, getattr(system, name))
 
 
-def check_motion(system: Any, y0: tuple[Scalar, ...]) -> None:
+def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     """Check the methods of `system` in the state `y0` at time 0, with the base at rest. Raises ValueError for what they
     must not return.
     """

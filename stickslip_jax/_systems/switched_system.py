@@ -21,7 +21,7 @@ from .._excitation.segments import added
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
-from .._types import BoolArray, ExplicitSolver, FloatArray, Scalar, Solver
+from .._types import BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .own_checks import check_fields, check_motion
 from .switched_model import NOISE_ULPS, Base, Segments, State, SwitchedModel
@@ -156,7 +156,7 @@ class SwitchedSystem(System):
     def check_numbers(self) -> None:
         check_fields(self)
 
-    def check_state(self, y0: tuple[Scalar, ...]) -> None:
+    def check_state(self, y0: tuple[Number, ...]) -> None:
         check_motion(self, y0)
 
     def check_excitation(self, excitation: Excitation) -> None:

@@ -12,7 +12,7 @@ from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
-from .._types import AnyArray, Array, ExplicitSolver, Scalar, Solver
+from .._types import AnyArray, Array, ExplicitSolver, Number, Scalar, Solver
 from .switched_model import SwitchedModel
 
 
@@ -136,7 +136,7 @@ class System(Checked):
     def check_numbers(self) -> None:
         """Check what the constructor does not check. Raises ValueError for what does not fit."""
 
-    def check_state(self, y0: tuple[Scalar, ...]) -> None:
+    def check_state(self, y0: tuple[Number, ...]) -> None:
         """Check the equations of motion in the initial state `y0`. Raises ValueError for what does not fit."""
 
     def check_excitation(self, excitation: Excitation) -> None:

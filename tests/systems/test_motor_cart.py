@@ -36,7 +36,9 @@ def reference_first_sticks(many, mu, numbers):
             mu=mu, theta=float(voltage.phase), alpha0=angle, t1=many.t1, stop_after_first_stick=True
         )
         later = [stick for stick in run.sticks if stick.start > 0]
-        rows.append((later[0].start, later[0].end, later[0].position) if later else (np.nan,) * 3)
+        # Angles in an ensemble are those in one turn.
+        found = (later[0].start, later[0].end, later[0].position % (2 * math.pi)) if later else (np.nan,) * 3
+        rows.append(found)
     return np.array(rows)
 
 
