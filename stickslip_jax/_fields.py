@@ -115,7 +115,10 @@ def varies(value: Any, about: "Quantity | Choice") -> bool:
 
 @cache
 def described(kind: type) -> dict[str, Quantity | Choice]:
-    """The `Quantity` or `Choice` of each field of the dataclass `kind` that has one, by name and in order."""
+    """The `Quantity` or `Choice` of each field of the dataclass `kind` that has one, by name and in order.
+
+    A field that is a plain `float` is a number of which no more is known.
+    """
     hints = {field.name: field.type for field in dataclasses.fields(kind)}
     if any(isinstance(hint, str) for hint in hints.values()):  # from __future__ import annotations
         try:
@@ -127,7 +130,7 @@ def described(kind: type) -> dict[str, Quantity | Choice]:
         name: [part for part in getattr(hint, "__metadata__", ()) if isinstance(part, (Quantity, Choice))]
         for name, hint in hints.items()
     }
-    return {name: parts[0] for name, parts in found.items() if parts}
+    return {name: (*parts, Quantity())[0] for name, parts in found.items() if parts or hints[name] is float}
 
 
 @cache

@@ -93,8 +93,8 @@ class Engine(eqx.Module):
         return own
 
     def begin_own(self, key_data: tuple[Array, Array], own: tuple[Array, ...], dtype) -> tuple[Any, Any]:
-        """As `begin`, with the `own` leaves of the sample, for engines whose samples differ in more than key data."""
-        raise NotImplementedError
+        """As `begin`, for the sample with these `own` leaves; none where samples differ in their key data only."""
+        return self.begin(key_data, dtype)
 
     @abc.abstractmethod
     def shared(self, dtype) -> Any:
@@ -138,7 +138,7 @@ class Job(NamedTuple):
 
     def with_columns(self) -> "Job":
         """The same job; what its samples draw is drawn once, before the first of them begins."""
-        return self._replace(own=self.engine.columns(self.own)) if self.own else self
+        return self._replace(own=self.engine.columns(self.own))
 
 
 def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
@@ -245,12 +245,8 @@ def _start_row(job: Job, row: IntArray, dtype) -> Lanes:
     if job.realization is not None:
         number = jnp.asarray(job.realization)[jnp.minimum(place, len(job.realization) - 1)]
     words = stored_words(job.key_data, number)
-    if job.own:
-        own = tuple(jnp.asarray(column)[jnp.minimum(place, len(column) - 1)] for column in job.own)
-        begin = jax.vmap(lambda high, low, own: engine.begin_own((high, low), own, dtype))
-        sample, motion = begin(*words, own)
-    else:
-        sample, motion = jax.vmap(lambda high, low: engine.begin((high, low), dtype))(*words)
+    own = tuple(jnp.asarray(column)[jnp.minimum(place, len(column) - 1)] for column in job.own)
+    sample, motion = jax.vmap(lambda high, low, own: engine.begin_own((high, low), own, dtype))(*words, own)
     return Lanes(row, jnp.zeros(lanes, jnp.uint32), sample, motion)
 
 

@@ -31,7 +31,8 @@ class VaryingEngine(Engine):
         return with_leaves(self.template, self.places, own)
 
     def begin(self, key_data: Any, dtype) -> tuple[Any, Any]:
-        raise NotImplementedError("the lanes call begin_own, because a sample is more than its key data")
+        leaves = jax.tree.leaves(self.template)
+        return self.begin_own(key_data, tuple(leaves[place] for place in self.places), dtype)
 
     def begin_own(self, key_data: Any, own: tuple[Array, ...], dtype) -> tuple[Any, Any]:
         """As `begin`, for the sample with its `own` leaves; its constants are these, what its steps share, and its own

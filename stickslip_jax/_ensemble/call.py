@@ -223,7 +223,7 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
 def _streamer(run: Run, plan: _Plan) -> _Simulate:
     """The same as `_simulator`, for ``keep="totals"``."""
     assert isinstance(run.engine, Engine)
-    summarize = chunks_of(run.engine, with_records=run.has_records).summarize
+    summarize = chunks_of(run.engine, with_records=run.inputs.has_sampled_law).summarize
 
     def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
@@ -236,7 +236,7 @@ def _streamer(run: Run, plan: _Plan) -> _Simulate:
 def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(run.engine, Engine)
-    _, begin, record = chunks_of(run.engine, with_records=run.has_records)
+    _, begin, record = chunks_of(run.engine, with_records=run.inputs.has_sampled_law)
     own = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
     lane = np.arange(plan.lanes)

@@ -97,10 +97,8 @@ def _totals(ensemble: Any) -> dict[str, Any]:
 
 def _inputs(ensemble: Any) -> dict[str, Any]:
     """The numbers that differ from sample to sample."""
-    values = known_inputs(ensemble)
-    entries = ensemble.inputs.entries if values else ()
-    units = {name: entry.about.unit for name, entry in zip(values, entries, strict=True) if entry.about}
-    return {f"input_{name}": _along("sample", column, name, units.get(name) or "1") for name, column in values.items()}
+    known = known_inputs(ensemble).items()
+    return {f"input_{name}": _along("sample", column, name, unit or "1") for name, (column, unit) in known}
 
 
 def _retained_totals(ensemble: Any) -> dict[str, Any]:

@@ -87,13 +87,17 @@ def check_dtype(dtype: str) -> None:
         )
 
 
+def parts_of(ensemble: Any) -> list[Any]:
+    """Ensembles that draw again what the samples of each part were simulated from; one if it was not joined."""
+    return [dataclasses.replace(ensemble, **origin._asdict(), origins=()) for origin in origins_of(ensemble)]
+
+
 def part_with(ensemble: Any, number: int) -> tuple[Any, int]:
-    """An ensemble that draws again what sample `number` was simulated from, and the number that it has there."""
-    for origin in origins_of(ensemble):
-        if number < origin.samples:
-            part = dataclasses.replace(ensemble, **origin._asdict(), origins=())
-            return part, number + origin.first_sample
-        number -= origin.samples
+    """The one of `parts_of` with sample `number`, and the number that it has there."""
+    for part in parts_of(ensemble):
+        if number < part.samples:
+            return part, number + part.first_sample
+        number -= part.samples
     raise IndexError(number)
 
 
@@ -119,14 +123,21 @@ def check_extendable(ensemble: Any) -> None:
     check_dtype(ensemble.dtype)
 
 
-def known_inputs(ensemble: Any) -> dict[str, np.ndarray]:
-    """The numbers that differ from sample to sample, (samples,); none where it is not known what was simulated."""
+def known_inputs(ensemble: Any) -> dict[str, tuple[np.ndarray, str]]:
+    """The numbers that differ from sample to sample, (samples,), and their units, by name.
+
+    None where it is not known what was simulated, or where different numbers differ in joined parts.
+    """
+    parts = parts_of(ensemble)
     try:
-        for origin in origins_of(ensemble):
-            require_whole(origin)
+        for part in parts:
+            require_whole(part)
     except ValueError:
         return {}
-    return {} if isinstance(ensemble.law, GivenMotions) else ensemble.input_values
+    if any(isinstance(part.law, GivenMotions) for part in parts) or len({part.inputs.names for part in parts}) > 1:
+        return {}
+    units = [entry.about.unit if entry.about else "" for entry in parts[0].inputs.entries]
+    return {name: (ensemble.input_values[name], unit) for name, unit in zip(parts[0].inputs.names, units, strict=True)}
 
 
 def require_whole(ensemble: Any) -> None:

@@ -29,7 +29,7 @@ from .._status import Status
 from .._systems.system import Coordinate, System
 from .given import fields_of_simulations, fields_of_sticks, numbering_of
 from .kept import Retained, SampleTotals
-from .origins import Origin, Realization, check_dtype, given_realization, origins_of, part_with, require_whole
+from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole
 from .parts import Keep
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
@@ -177,7 +177,7 @@ class Ensemble:
         Raises ValueError for an ensemble that was joined from parts with different ones, or that holds objects which
         were stored as text only.
         """
-        parts = [dataclasses.replace(self, **origin._asdict(), origins=()) for origin in origins_of(self)]
+        parts = parts_of(self)
         for part in parts:
             require_whole(part)
         found = [part.inputs.values(jnp.dtype(self.dtype), part.first_sample) for part in parts]

@@ -16,7 +16,6 @@ from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
 from .._dynamics.validation import check_method, state_of, working_dtype
 from .._dynamics.varying import VaryingEngine, with_leaves
 from .._excitation.excitation import is_random, key_data_for
-from .._excitation.sampled import SampledLaw
 from .._inputs.inputs import Inputs, Model
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
@@ -113,11 +112,6 @@ class Run:
             "dtype": str(np.dtype(self.dtype)),
         }
 
-    @property
-    def has_records(self) -> bool:
-        """Whether every sample has a base motion of its own, as arrays."""
-        return isinstance(self.inputs.model.law, SampledLaw)
-
     def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
         """The leaves of the engine that differ, for samples `first` to ``first + number - 1``, (number, ...)."""
         if not self.places:
@@ -139,9 +133,9 @@ def _engine_of(inputs: Inputs, first: Model, method: Any, t1: float, dtype: Any)
 
     Options that differ from sample to sample stay as they were given. `first`: the model of the first sample.
     """
-    law = inputs.realization_of(0, first.law, t1) if isinstance(first.law, SampledLaw) else first.law
+    law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
     template, places = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
-    if inputs.entries or law is not first.law:
+    if inputs.entries or inputs.has_sampled_law:
         template, places, *_ = engines_of_all(inputs, method, t1, dtype)
     if isinstance(template, (FixedEngine, AdaptiveBatch)):
         differs = object()

@@ -30,7 +30,7 @@ def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
     for name, own in units.items():
         unit = own or position
         columns[name if unit == "1" else f"{name}_{unit}"] = getattr(sticks, name)
-    columns |= {name: values[sticks.sample] for name, values in known_inputs(ensemble).items()}
+    columns |= {name: values[sticks.sample] for name, (values, _) in known_inputs(ensemble).items()}
     columns["is_initial_rest"] = sticks.start == 0
     columns["ending"] = np.array([ending.name for ending in Ending])[sticks.ending]
     return _write(columns, path)

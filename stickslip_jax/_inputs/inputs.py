@@ -174,13 +174,18 @@ class Inputs:
         return samples.astype(np.uint32) if self.design is None else self.design.realization[samples].astype(np.uint32)
 
     @property
+    def has_sampled_law(self) -> bool:
+        """Whether every sample has a base motion of its own, as arrays, from an object of the user's."""
+        return isinstance(self.model.law, SampledLaw)
+
+    @property
     def has_own_realizations(self) -> bool:
         """Whether sample i uses realisation i of the excitation."""
         return self.design is None or bool(np.all(self.design.realization == np.arange(self.samples)))
 
     def realizations(self, first: int, number: int, t1: float) -> Any:
         """The realisations of a `SampledLaw` for these samples, stacked; None for other laws."""
-        if not isinstance(self.model.law, SampledLaw):
+        if not self.has_sampled_law:
             return None
         numbers = self.realization_numbers(first, number)
         used = max(1, min(number, self.samples - first))
@@ -228,11 +233,11 @@ class Inputs:
             self._check_relations(drawn, first)
 
     def _check_values(self, entry: Input, name: str, values: np.ndarray, first: int) -> None:
-        wrong = (entry.about or Quantity()).outside(values)
+        about = entry.about or Quantity()
+        wrong = about.outside(values)
         if not np.any(wrong):
             return
         at = int(np.argmax(wrong))
-        about = entry.about or Quantity()
         if not entry.is_random:
             about.check(f"{name}[{first + at}]", float(values[at]))
         try:
@@ -297,7 +302,7 @@ def _quantiles(entry: Input, u: Array, keys: Any) -> AnyArray:
         if callable(getattr(source, name, None)):
             try:
                 values = np.asarray(getattr(source, name)(argument), u.dtype)
-            except NotImplementedError:
+            except NotImplementedError:  # some packages give every distribution the method, and few of them an answer
                 continue
             if values.shape == u.shape:
                 return values

@@ -22,11 +22,11 @@ def plain(value: Any) -> Any:
     return lax.stop_gradient(value) if _checks.is_traced(value) else value
 
 
-def bounds_of(value: Any) -> tuple[float, float]:
-    """The smallest and the largest of the values that a number stands for. Raises NotKnown under jit."""
+def values_of(value: Any) -> np.ndarray:
+    """All values that a number stands for, those of a batch under vmap. Raises NotKnown under jit."""
     value = plain(value)
     if not _checks.is_traced(value):
-        return float(np.min(value)), float(np.max(value))
+        return np.asarray(value)
     found = []
 
     # Under vmap, the rule of a function is handed the whole batch.
@@ -42,7 +42,13 @@ def bounds_of(value: Any) -> tuple[float, float]:
     look(value)
     if not found:
         raise NotKnown
-    return bounds_of(found[0])
+    return values_of(found[0])
+
+
+def bounds_of(value: Any) -> tuple[float, float]:
+    """The smallest and the largest of the values that a number stands for. Raises NotKnown under jit."""
+    values = values_of(value)
+    return float(np.min(values)), float(np.max(values))
 
 
 def largest(value: Any) -> float:

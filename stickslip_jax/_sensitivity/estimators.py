@@ -219,7 +219,10 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
         if isinstance(engine, RandomEngine):
             engine, own = engine.drawn(own)
         job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)), own)
-        results = chunks_of(engine).summarize(job, lanes=lanes, rows=rows, dtype=problem.dtype)
+        with_records = problem.random is not None and problem.random.inputs.has_sampled_law
+        results = chunks_of(engine, with_records=with_records).summarize(
+            job, lanes=lanes, rows=rows, dtype=problem.dtype
+        )
         totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)
         return totals @ weights[:, :2].T + weights[:, 2], _flat(results.status, number).astype(int), totals[:, 1]
 

@@ -9,7 +9,8 @@ from .._dynamics.method import EXACT, Exact
 from .._dynamics.validation import state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
-from .._excitation.excitation import is_random, key_data_for
+from .._excitation.excitation import GivenSteps, is_random, key_data_for
+from .._excitation.piecewise import VelocitySteps
 from .._fast_cpu import cores
 from .._inputs.inputs import Inputs, Model
 from .._inputs.numbers import parameters_of
@@ -55,8 +56,10 @@ def problem_of(
     keep: Keep = "totals" if statistic.is_of_totals else "sticks"
     pilot = _pilot(inputs, t1, key, method, keep, threads)
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
+    law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
+    law = GivenSteps(law) if isinstance(law, VelocitySteps) else law
     problem = Problem(
-        statistic, first.system, first.law, float(t1), first.y0, method, key_data, parameters, samples, threads, size,
+        statistic, first.system, law, float(t1), first.y0, method, key_data, parameters, samples, threads, size,
         dtype,
     )  # fmt: skip
     return problem.with_inputs(inputs), pilot
@@ -78,8 +81,9 @@ def require_correctable(problem: Problem) -> None:
     if not problem.can_be_corrected:
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
-            "differ from sample to sample and the motion has no closed form from jump to jump of the base, or where "
-            "the parameter is one of a Beta distribution."
+            "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
+            "law is an object of your own with a method sample(key, t1), or where the parameter is one of a Beta "
+            "distribution."
         )
 
 

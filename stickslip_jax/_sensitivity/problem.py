@@ -74,7 +74,7 @@ class Problem(NamedTuple):
 
     def with_inputs(self, inputs: Inputs) -> "Problem":
         """The same problem with numbers that differ from sample to sample, if there are any."""
-        return self._with_random(inputs) if inputs.entries else self
+        return self._with_random(inputs) if inputs.entries or inputs.has_sampled_law else self
 
     def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
         """The own leaves of samples, for `Job.own`."""
@@ -103,6 +103,8 @@ class Problem(NamedTuple):
     def can_be_corrected(self) -> bool:
         """Whether the corrected method knows what differs from sample to sample."""
         random = self.random
+        if random is not None and random.inputs.has_sampled_law:
+            return False
         if random is None or random.only_in_start:
             return random is None or random.in_lanes
         return random.in_lanes and (self.by_intervals or (self.is_counted and self.is_blind_to_events))

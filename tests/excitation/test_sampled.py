@@ -63,6 +63,21 @@ def test_samples_are_the_simulations_of_their_realizations(law):
         np.testing.assert_array_equal(base.times, realization.times)
 
 
+@pytest.mark.parametrize("mu", [0.6, ss.Uniform(0.3, 0.7)], ids=["one system", "many systems"])
+def test_differences_of_a_known_law_by_this_way_are_the_same(mu):
+    """Only differences: what is about to change in a base motion of one's own is not known."""
+    system = ss.MassSpring(mass=1.0, stiffness=100.0, normal_force=20.0, friction=ss.Coulomb(mu))
+    options = {"wrt": "stiffness", "t1": T1, "samples": 512, "key": KEY}
+    mine = ss.sensitivity(ss.stick_fraction, system, Switching(), **options)
+    known = ss.PoissonSwitching(1.0, 2.0)
+    theirs = ss.sensitivity(ss.stick_fraction, system, known, estimator="finite-difference", **options)
+    assert mine.estimator == "finite-difference"
+    assert mine.derivative == pytest.approx(theirs.derivative, rel=1e-9)
+    assert mine.standard_error == pytest.approx(theirs.standard_error, rel=1e-9)
+    with pytest.raises(ValueError, match=r"\AArgument estimator must be 'finite-difference'"):
+        ss.sensitivity(ss.stick_fraction, system, Switching(), estimator="corrected", **options)
+
+
 def test_given_steps_may_be_the_base_of_an_ensemble():
     steps = ss.PoissonSwitching(1.0, 2.0).sample(KEY, T1)
     many = run(steps, samples=3, y0=(np.array([0.0, 0.05, 0.1]), 0.0))

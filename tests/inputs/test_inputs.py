@@ -184,6 +184,14 @@ def test_inputs_are_stored(uncertain, tmp_path):
     assert "mu" in table[0].split(",")
 
 
+def test_inputs_of_joined_parts_are_stored():
+    parts = [run(oscillator(ss.Uniform(0.3, 0.7)), samples=20, t1=1.0, key=jax.random.key(seed)) for seed in (1, 2)]
+    joined = ss.concatenate(parts)
+    both = np.concatenate([part.input_values["mu"] for part in parts])
+    np.testing.assert_array_equal(joined.input_values["mu"], both)
+    np.testing.assert_array_equal(joined.to_xarray().input_mu, both)
+
+
 def test_single_precision():
     with jax.enable_x64(False):
         with pytest.warns(UserWarning, match="float32"):

@@ -87,6 +87,8 @@ def many():
 def test_its_numbers_are_checked():
     with pytest.raises(ValueError, match=r"Argument mass must be positive \(in kg\), but -1.0 was given\."):
         DuffingBelt(mass=-1.0)
+    with pytest.raises(ValueError, match=r"Argument cubic must be finite, but nan was given\."):
+        DuffingBelt(cubic=math.nan)
 
 
 def test_sticks_of_the_limit_cycle(one):
@@ -120,6 +122,21 @@ def test_ensemble_is_the_simulations(many):
     kept = np.asarray(many.sticks.start[7])[np.asarray(many.sticks.mask[7])]
     np.testing.assert_array_equal(kept, np.asarray(alone.sticks.start)[np.asarray(alone.sticks.mask)])
     assert ss.mean_stick_count(many).value > 1
+
+
+def test_samples_with_numbers_of_their_own():
+    """Also in fields of which only the type is known."""
+    law, springs = ss.PoissonSwitching(SPEED, 0.3), np.linspace(1.0, 3.0, 8)
+    system = DuffingBelt(stiffness=ss.Uniform(0.5, 1.5), cubic=springs)
+    many = ss.simulate_ensemble(system, law, t1=20.0, samples=8, key=jax.random.key(0), keep="sticks")
+    np.testing.assert_array_equal(many.input_values["cubic"], springs)
+    own, base, y0 = many.realization(5)
+    assert (own.cubic, own.stiffness) == (springs[5], many.input_values["stiffness"][5])
+    alone = ss.simulate(own, base, t1=20.0, y0=y0)
+    kept = np.asarray(many.sticks.start[5])[np.asarray(many.sticks.mask[5])]
+    np.testing.assert_allclose(kept, np.asarray(alone.sticks.start)[np.asarray(alone.sticks.mask)], rtol=1e-12)
+    with pytest.raises(ValueError, match=r"cubic must hold one number for each of the 9 samples, but an array of 8"):
+        ss.simulate_ensemble(system, law, t1=20.0, samples=9, key=jax.random.key(0))
 
 
 def test_derivative_of_an_event():

@@ -1,6 +1,7 @@
 """Systems of the user's: against those of the package, and against event-driven integration by scipy."""
 
 import math
+from collections.abc import Callable
 from functools import partial
 
 import diffrax
@@ -40,6 +41,12 @@ class Oscillator(ss.SwitchedSystem):
     @property
     def shortest_time(self):
         return 2 * math.pi * (self.mass / self.stiffness) ** 0.5
+
+
+class Lawless(Oscillator):
+    """A field that is no number, and not declared as such."""
+
+    law: Callable[[float], float] = math.sin
 
 
 class Shadowing(Oscillator):
@@ -279,7 +286,7 @@ def bent(self, t, y, base, friction):
         (Oscillator(), {"base": ss.SourceVoltage(3.0, 8.0, 5.0)}, r"base of a Oscillator must be a base motion, but"),
         (Oscillator(), {"y0": (0.0, 0.0, 0.0)}, r"y0 must be two numbers \(position in m, velocity in m/s\), but"),
         (Oscillator(static_ratio=0.5), {}, r"static_ratio must be at least 1, but 0.5 was given"),
-        (Oscillator(mu=lambda r: r), {}, r"mu of a Oscillator must be a number or an array, but .*static=True"),
+        (Lawless(), {}, r"law of a Lawless must be a number or an array, but .*static=True"),
         (Shadowing(), {}, r"switched_model of a Shadowing must have another name"),
         (Oscillator, {}, r"system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but"),
     ],
