@@ -68,6 +68,8 @@ from ._statistics.registry import (
 )
 from ._statistics.sobol_indices import SobolIndices, sobol_indices
 from ._status import Ending, Status
+from ._sweep.errors import StudyError
+from ._sweep.study import Study
 from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from ._systems.mass_spring import MassSpring
 from ._systems.motor_cart import MotorCart, stick_duration_bound
@@ -172,6 +174,8 @@ __all__ = [
     "StickValue",
     "Sticks",
     "Stribeck",
+    "Study",
+    "StudyError",
     "SumOfHarmonics",
     "SwitchedSystem",
     "System",

@@ -40,7 +40,7 @@ class _Terminated(BaseException):
 def _answer(tokens: Sequence[str]) -> int:
     """Run the command; every expected failure becomes one sentence and an exit code."""
     try:
-        from .study._errors import StudyError  # noqa: PLC0415 - needs the extra
+        from .study import StudyError  # noqa: PLC0415 - needs the extra
     except ImportError as error:
         return _fail(error, 1)
     try:

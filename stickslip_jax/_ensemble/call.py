@@ -37,6 +37,7 @@ from .run import MOST_SAMPLES, Run
 
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
 _ADAPTIVE_LANES = 256  # of a batch: enough to hide the cost of a call, few enough not to wait long for slow ones
+_ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
 
@@ -136,6 +137,25 @@ def _extended(
 Ensemble._extend = staticmethod(_extended)
 
 
+def simulate_piece(run: Run, first: int, samples: int, keep: Keep, *, retained: int, fewest: int) -> Ensemble:
+    """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
+
+    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any piece of the whole
+    has; programs compiled for one piece fit all others with the same `fewest`.
+    """
+    adaptive = isinstance(run.engine, AdaptiveBatch)
+    plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)
+    accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
+    simulate = _simulator(run, plan, accumulator)
+    for begin in range(0, samples, plan.samples_per_task):
+        accumulator.add(simulate(first + begin, min(plan.samples_per_task, samples - begin)))
+    spent = time.perf_counter() - started
+    return Ensemble(
+        **run.fields(), samples=samples, first_sample=first, **accumulator.found(), threads=1, compile_seconds=0.0,
+        run_seconds=spent,
+    )  # fmt: skip
+
+
 def _compile(simulate: _Simulate, run: Run, keep: Keep) -> None:
     """Compile before the threads start, so that not each of them compiles the same code."""
     with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
@@ -148,10 +168,10 @@ def _compile(simulate: _Simulate, run: Run, keep: Keep) -> None:
 def _simulate_all(
     simulate: _Simulate, plan: "_Plan", samples: int, accumulator: EnsembleAccumulator, progress: bool | None
 ) -> None:
-    with progress_bar(progress, samples) as advance:
+    with progress_bar(progress, samples) as bar:
         for number, part in _in_order(simulate, plan, samples):
             accumulator.add(part)
-            advance(number)
+            bar.advance(number)
 
 
 def _numbering(orders: int, count_initial_rest: bool) -> Numbering:

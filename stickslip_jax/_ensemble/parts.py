@@ -85,7 +85,8 @@ class EnsembleAccumulator:
     Holds the sums over all samples, and the sticks of the first samples (with ``keep="sticks"``, of all).
     """
 
-    def __init__(self, samples: int, keep: Keep):
+    def __init__(self, samples: int, keep: Keep, retained: int = RETAINED):
+        """For `samples` samples, of whose sticks at most `retained` are retained (with ``keep="sticks"`` all)."""
         self.samples = samples
         self.keep: Keep = keep
         self.moments = Moments.of(np.zeros((0, len(TOTALS))))
@@ -93,7 +94,7 @@ class EnsembleAccumulator:
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
-        self._space, self._retained_samples = RETAINED, 0  # number of sticks that still fit
+        self._space, self._retained_samples = retained, 0  # number of sticks that still fit
 
     @property
     def wants_sticks(self) -> bool:

@@ -4,14 +4,24 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 _DELAY = 1.0  # s: what takes less shows no bar unless one is asked for
 
 
+class Progress(NamedTuple):
+    """Functions that update the progress bar, if one is shown.
+
+    `advance`: to call with the number of newly finished samples. `note`: with a text to show beside the bar.
+    """
+
+    advance: Callable[[int], Any]
+    note: Callable[[str], Any]
+
+
 @contextmanager
-def progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int], Any]]:
-    """A function to call with the number of newly finished samples; it updates the progress bar, if one is shown.
+def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
+    """Shows a progress bar while the block runs.
 
     - `progress`: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
       a notebook.
@@ -21,19 +31,19 @@ def progress_bar(progress: bool | None, samples: int) -> Iterator[Callable[[int]
     """
     notebook = in_notebook()
     if progress is False or (progress is None and not (notebook or sys.stderr.isatty())):
-        yield _nothing
+        yield _NO_BAR
         return
     try:
         bar_class = _bar_class(notebook)
     except ImportError:
         if progress is None:
-            yield _nothing
+            yield _NO_BAR
             return
         raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
     # In a notebook, what stays is kept with it for ever.
     look = {"leave": False, "delay": _DELAY} if notebook and progress is None else {}
     with bar_class(total=samples, unit="sample", unit_scale=True, **look) as bar:
-        yield bar.update
+        yield Progress(bar.update, lambda text: bar.set_postfix_str(text, refresh=False))
 
 
 def in_notebook() -> bool:
@@ -53,3 +63,6 @@ def _bar_class(notebook: bool) -> Any:
 
 def _nothing(*_: Any) -> None:
     pass
+
+
+_NO_BAR = Progress(_nothing, _nothing)

@@ -98,6 +98,15 @@ def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
     return Parameter(name, path, float(value))
 
 
+def paths_of_numbers(where: dict[str, Any]) -> Iterator[Path]:
+    """Paths of all numbers, those in distributions too, and of optional numbers that are not set, in the objects by
+    name.
+    """
+    for root, tree in where.items():
+        for path, _ in _numbers(tree, (root,)):
+            yield path
+
+
 def places_in(where: dict[str, Any]) -> Iterator[Path]:
     """Paths of all numbers, and of the distributions and arrays in place of numbers, in the objects by name."""
     for root, tree in where.items():

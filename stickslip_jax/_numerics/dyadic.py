@@ -6,6 +6,7 @@ order of merging, and two bins of one exponent make one of the next.
 """
 
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +71,37 @@ class Axis(NamedTuple):
         exponent = exponent_for(low, high, most, finest)
         first = _floor(low, exponent)
         return cls(values, low, high, exponent, first, _floor(high, exponent) - first + 1)
+
+
+class CommonBins(NamedTuple):
+    """Bins of one axis that several histograms share: `number` of them, of width ``2**exponent``, from bin `first`."""
+
+    exponent: int
+    first: int
+    number: int
+
+    @classmethod
+    def of(cls, histograms: Iterable["DyadicCounts"], most: int) -> "CommonBins | None":
+        """At most `most` bins for all numbers of some histograms of one axis; None if there are no numbers."""
+        held = [one for one in histograms if one.low[0] <= one.high[0]]
+        if not held:
+            return None
+        low, high = min(one.low[0] for one in held), max(one.high[0] for one in held)
+        exponent = max([exponent_for(low, high, most, held[0].finest), *(one.exponent[0] for one in held)])
+        first = _floor(low, exponent)
+        return cls(exponent, first, _floor(high, exponent) - first + 1)
+
+    def hold(self, histogram: "DyadicCounts") -> bool:
+        """Whether all numbers of a histogram lie in these bins, and its own are no wider."""
+        if histogram.low[0] > histogram.high[0]:
+            return True
+        places = [_floor(end[0], self.exponent) - self.first for end in (histogram.low, histogram.high)]
+        return self.exponent >= histogram.exponent[0] and places[0] >= 0 and places[1] < self.number
+
+    @property
+    def edges(self) -> np.ndarray:
+        """The edges of the bins, (number + 1,)."""
+        return (self.first + np.arange(self.number + 1)) * math.ldexp(1.0, self.exponent)
 
 
 class DyadicCounts(NamedTuple):
@@ -180,6 +212,17 @@ class DyadicCounts(NamedTuple):
         counts = self._on(low, high, exponent) + other._on(low, high, exponent)
         first = tuple(_floor(*pair) for pair in zip(low, exponent, strict=True))
         return DyadicCounts(low, high, exponent, first, counts, self.most, self.finest)
+
+    def in_bins(self, bins: CommonBins) -> np.ndarray:
+        """The counts of a histogram of one axis in `bins`, which must hold all its numbers and be no narrower.
+
+        (bins,).
+        """
+        if self.low[0] > self.high[0]:
+            return np.zeros(bins.number, np.int64)
+        width = math.ldexp(1.0, bins.exponent)
+        last = bins.first + bins.number - 1
+        return self._on((bins.first * width,), (last * width,), (bins.exponent,))
 
     def _on(self, low, high, exponent) -> np.ndarray:
         """The counts in the coarser bins of the range ``[low, high]``."""

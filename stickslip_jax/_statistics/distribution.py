@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from .. import _checks, _html
-from .._numerics.dyadic import DyadicCounts, joined_bins
+from .._numerics.dyadic import CommonBins, DyadicCounts, joined_bins
 from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
 from .estimate import Estimate
@@ -139,24 +139,25 @@ class Distribution:
         """Width of the finest bins, in `unit`; NaN without values."""
         return math.ldexp(1.0, self.bins.exponent[0]) if self.number else math.nan
 
-    def histogram(self, bins: int = DEFAULT_BINS) -> Histogram:
-        """The histogram of all values, in at most `bins` bins of equal width.
+    def histogram(self, bins: int | CommonBins = DEFAULT_BINS) -> Histogram:
+        """The histogram of all values, in at most `bins` bins of equal width, or in the bins of `common_bins`.
 
         Each bin is a union of bins of the finest histogram, so that the counts are exact. Raises ValueError unless
-        `bins` is a whole number of at least 1.
+        `bins` is a whole number of at least 1, or bins that hold all values.
         """
-        edges, counts = self._joined(_checks.whole_number("bins", bins))
+        edges, counts = self._joined(bins)
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
         error = self.clusters.errors_of_shares(place, len(counts))
         width = np.diff(edges)
         return Histogram(edges, counts, counts / max(self.number, 1) / width, error / width, self.number, self.unit)
 
-    def entropy(self, bins: int = DEFAULT_BINS) -> Estimate:
+    def entropy(self, bins: int | CommonBins = DEFAULT_BINS) -> Estimate:
         """Shannon entropy of the normalised histogram in at most `bins` bins, ``-sum p log p``, nats.
 
-        The estimate is too low by about (bins - 1) / (2 number). Raises ValueError as `histogram`.
+        It depends on the width of the bins: entropies in the same bins (`common_bins`) can be compared. The estimate is
+        too low by about (bins - 1) / (2 number). Raises ValueError as `histogram`.
         """
-        edges, counts = self._joined(_checks.whole_number("bins", bins))
+        edges, counts = self._joined(bins)
         name = f"entropy of the histogram in {len(counts)} bins"
         if self.number == 0:
             return self._estimate(name, math.nan, math.nan, "nat")
@@ -223,8 +224,17 @@ class Distribution:
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
         return each[place], float(share @ each)
 
-    def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray]:
-        """Edges and counts of at most `bins` bins of equal width, joined from the finest ones."""
+    def _joined(self, bins: int | CommonBins) -> tuple[np.ndarray, np.ndarray]:
+        """Edges and counts of at most `bins` bins of equal width, or of the given ones, joined from the finest."""
+        if isinstance(bins, CommonBins):
+            if not bins.hold(self.bins):
+                raise ValueError(
+                    f"Argument bins must hold all values of {self.name}, from {self.smallest:.6g} to "
+                    f"{self.largest:.6g} in bins of at least {self.resolution:.3g}, but {bins} was given; make them "
+                    "with common_bins of all distributions that are compared."
+                )
+            return bins.edges, self.bins.in_bins(bins)
+        _checks.whole_number("bins", bins)
         if self.number == 0:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
         fine = self.bins.counts

@@ -1,7 +1,7 @@
 """Studies: one ensemble described by a TOML file, simulated, and stored with its statistics and figures.
 
 - `StudyConfig` describes a study; ``StudyConfig()`` is the default one. `read_config` reads one from a TOML file.
-- `run_study` simulates the ensemble, stores the results in a folder and returns a `Study`.
+- `run_study` simulates the ensemble, stores the results in a folder and returns a `StoredStudy`.
 - `StudyError` is raised for mistakes in the file and for a folder that cannot be used.
 
 The command ``stickslip study`` does all of this; its option ``--print-example`` prints files to start from.
@@ -12,15 +12,16 @@ Importing this module raises ImportError if the extra ``study`` is not installed
 from importlib import import_module
 from importlib.util import find_spec
 
+from .._sweep.errors import StudyError as StudyError
+
 _missing = [name for name in ("pydantic", "cyclopts", "xarray", "h5netcdf", "h5py") if find_spec(name) is None]
 if _missing:
     raise ImportError(f"Studies need {', '.join(_missing)}: pip install 'stickslip_jax[study]'.")
 
 # Loaded when asked for, so that help and messages about a file do not wait for what only a simulation needs.
 _HOMES = {
-    "Study": "_run",
+    "StoredStudy": "_run",
     "StudyConfig": "_config",
-    "StudyError": "_errors",
     "read_config": "_reading",
     "run_study": "_run",
 }
@@ -33,4 +34,4 @@ def __getattr__(name: str):
 
 
 def __dir__() -> list[str]:
-    return sorted(_HOMES)
+    return sorted({*_HOMES, "StudyError"})

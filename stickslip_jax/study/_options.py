@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from .. import __version__
-from ._errors import StudyError
+from .._sweep.errors import StudyError
 
 
 def _whole_number(kind: type, tokens: Sequence[Any]) -> int:

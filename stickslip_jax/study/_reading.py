@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from .._sweep.errors import StudyError
 from ._config import StudyConfig
-from ._errors import StudyError
 from ._examples import EXAMPLES
 from ._mistakes import Options, sentence_for
 

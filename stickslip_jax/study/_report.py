@@ -6,10 +6,10 @@ from typing import Any
 
 from .._statistics.estimate import Estimate, format_with_error
 from .._status import Status
-from ._run import Study
+from ._run import StoredStudy
 
 
-def table(study: Study) -> str:
+def table(study: StoredStudy) -> str:
     """A table of the statistics with units and standard errors, then samples finished, time taken, and files."""
     run, ensemble = study.config.run, study.ensemble
     rows = [("statistic", "value", "standard error", "unit"), *(_row(each) for each in study.statistics.values())]
@@ -30,7 +30,7 @@ def table(study: Study) -> str:
     return "\n".join(lines)
 
 
-def as_json(study: Study) -> str:
+def as_json(study: StoredStudy) -> str:
     """One JSON object: statistics by name, samples not finished, times, files. Undefined numbers are null."""
     ensemble = study.ensemble
     content: dict[str, Any] = {
@@ -59,7 +59,7 @@ def _row(estimate: Estimate) -> tuple[str, str, str, str]:
     return estimate.name, value, error, estimate.unit
 
 
-def _endings(study: Study) -> list[str]:
+def _endings(study: StoredStudy) -> list[str]:
     samples, near_grazing_samples = study.ensemble.samples, study.ensemble.near_grazing_samples
     failed = _not_finished(study)
     counts_rest = study.ensemble.keep == "totals" and not study.config.run.count_initial_rest
@@ -78,7 +78,7 @@ def _endings(study: Study) -> list[str]:
     return lines
 
 
-def _first_sticks(study: Study) -> list[str]:
+def _first_sticks(study: StoredStudy) -> list[str]:
     if study.first_sticks is None:
         return []
     run = study.config.run
@@ -86,7 +86,7 @@ def _first_sticks(study: Study) -> list[str]:
     return [f"A first stick was found in {study.first_sticks.count} of {study.ensemble.samples} samples{rest}."]
 
 
-def _not_finished(study: Study) -> dict[Status, int]:
+def _not_finished(study: StoredStudy) -> dict[Status, int]:
     counts = study.ensemble.status_counts
     return {status: count for status, count in counts.items() if status is not Status.FINISHED and count}
 

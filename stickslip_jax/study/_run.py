@@ -15,15 +15,15 @@ from .._ensemble.result import Ensemble
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks, first_stick
 from .._statistics.registry import STATISTICS
+from .._sweep.errors import StudyError
 from ._config import RunConfig, StudyConfig
-from ._errors import StudyError
 from ._figures import draw_figures
 from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
 from ._store import write_netcdf
 
 
 @dataclass(frozen=True)
-class Study:
+class StoredStudy:
     """A study that was run and stored.
 
     - `config`: its description. `ensemble`: what was simulated.
@@ -40,7 +40,7 @@ class Study:
     files: tuple[str, ...]
 
 
-def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None = None) -> Study:
+def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None = None) -> StoredStudy:
     """Simulate the ensemble that `config` describes and store the result in its output directory.
 
     - `force`: whether to replace a result that is there already, once the new one is complete.
@@ -64,7 +64,7 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
         if config.output.figures:
             draw_figures(config, ensemble, first, folder)
         files = tuple(name for name in RESULT_FILES if (folder / name).exists())
-    return Study(config, ensemble, statistics, first, directory, files)
+    return StoredStudy(config, ensemble, statistics, first, directory, files)
 
 
 def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:

@@ -20,9 +20,9 @@ def notebook(monkeypatch):
 
 
 def run(asked):
-    with progress_bar(asked, 10) as advance:
+    with progress_bar(asked, 10) as bar:
         for _ in range(5):
-            advance(2)
+            bar.advance(2)
 
 
 def test_notebooks_are_told_from_other_shells(monkeypatch):

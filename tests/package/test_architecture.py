@@ -40,6 +40,7 @@ ROWS = (
     "_statistics",
     "_ensemble",
     "_sensitivity",
+    "_sweep",
     "plot",
     "design",
     "papers",

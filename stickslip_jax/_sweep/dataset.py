@@ -1,0 +1,250 @@
+"""The result of a study as one labelled data set."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._ensemble.result import Ensemble
+from .._numerics.dyadic import CommonBins
+from .._statistics.distribution import DEFAULT_BINS
+from .._statistics.estimate import Estimate
+from .._statistics.registry import BY_NAME as STICK_BY_NAME
+from .._statistics.registry import DISTRIBUTIONS, STATISTICS, SampledQuantity
+from .._status import Status
+from .errors import StudyError
+from .files import cannot_write, write_whole
+from .groups import GROUPS
+from .manifest import manifest_text
+from .plan import Plan
+from .points import POINT, Axis
+from .setting import unit_of
+from .store import DATA, Store, derivative_name
+from .work import Work
+
+if TYPE_CHECKING:
+    import xarray
+
+SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_BY_NAME: dict[str, SampledQuantity] = {quantity.name: quantity for quantity in DISTRIBUTIONS}
+
+
+class Columns:
+    """Variables of the data set that are filled in point by point; NaN, or 0 for counts, where nothing is yet."""
+
+    def __init__(self, plan: Plan):
+        self._number, self._shape = plan.points.number, plan.points.shape
+        self._dimensions = tuple(axis.name for axis in plan.points.axes)
+        self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
+
+    def put(
+        self, point: int, name: str, value: Any, long_name: str, unit: str = "1", *, dimensions: tuple[str, ...] = (),
+        **attributes: Any,
+    ) -> None:  # fmt: skip
+        """Put the `value` of a variable at a point; `dimensions`: those that it has beside the points'."""
+        value = np.asarray(value)
+        if name not in self._found:
+            empty = np.nan if value.dtype.kind == "f" else 0
+            array = np.full((self._number, *value.shape), empty, value.dtype)
+            self._found[name] = (dimensions, array, {"long_name": long_name, "units": unit, **attributes})
+        self._found[name][1][point] = value
+
+    def estimate(self, point: int, name: str, estimate: Estimate, long_name: str = "") -> None:
+        """Put the value and the standard error of an estimate."""
+        unit = estimate.unit or "1"
+        self.put(point, name, float(estimate.value), long_name or estimate.name, unit)
+        self.put(point, f"{name}_error", float(estimate.standard_error), f"standard error of {name}", unit)
+
+    def variables(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Names and entries, as xarray takes them."""
+        for name, (dimensions, array, attributes) in self._found.items():
+            values = array.reshape(*self._shape, *array.shape[1:])
+            yield name, ((*self._dimensions, *dimensions), values, attributes)
+
+
+def dataset_of(work: Work, advance: Callable[[int], Any] = lambda _: None) -> "xarray.Dataset":
+    """All results that are there. Points are read twice, one at a time: the bins that all share come first."""
+    try:
+        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
+    except ImportError:
+        raise ImportError("Studies need xarray: pip install 'stickslip_jax[study]'.") from None
+    plan, columns = work.plan, Columns(work.plan)
+    bins = _common_bins(work)
+    for point in range(plan.points.number):
+        ensemble = work.ensemble(point)
+        _put_counts(columns, point, ensemble)
+        if ensemble is not None:
+            _put_statistics(columns, point, ensemble, plan, bins)
+        _put_derivatives(columns, point, work)
+        advance(1)
+    coordinates = {**_axes(plan), **_bin_coordinates(plan, bins)}
+    return xr.Dataset(dict(columns.variables()), coordinates, _attributes(plan))
+
+
+def _common_bins(work: Work) -> dict[str, CommonBins]:
+    """The bins that the histograms of each quantity share over all points."""
+    plan, held = work.plan, {}
+    names = [name for name in plan.statistics if name in _BY_NAME]
+    for point in range(plan.points.number) if names and plan.keep != "totals" else ():
+        ensemble = work.ensemble(point)
+        if ensemble is None:
+            continue
+        for name in names:
+            counts = getattr(ensemble.statistics, name).bins
+            ends = counts._replace(counts=counts.counts[..., :0])  # the ends of the histogram without its numbers
+            held.setdefault(name, []).append(ends)
+    found = {name: CommonBins.of(ends, DEFAULT_BINS) for name, ends in held.items()}
+    return {name: bins for name, bins in found.items() if bins is not None}
+
+
+def _put_counts(columns: Columns, point: int, ensemble: Ensemble | None) -> None:
+    columns.put(point, "samples", 0 if ensemble is None else ensemble.samples, "number of samples")
+    for status in Status:
+        count = 0 if ensemble is None else ensemble.status_counts[status]
+        columns.put(point, f"samples_{status.name.lower()}", count, f"number of samples with status {status.name}")
+    near = 0 if ensemble is None else ensemble.near_grazing_samples
+    columns.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
+    spent = np.nan if ensemble is None else ensemble.run_seconds
+    columns.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
+
+
+def _put_statistics(columns: Columns, point: int, ensemble: Ensemble, plan: Plan, bins: dict[str, CommonBins]) -> None:
+    for name in plan.statistics:
+        if name in STATISTICS:
+            columns.estimate(point, name, STATISTICS[name](ensemble))
+        if name in bins:
+            _put_distribution(columns, point, name, ensemble, bins[name])
+    if plan.keep != "totals":
+        _put_orders(columns, point, ensemble)
+        if plan.realizations:
+            _put_realizations(columns, point, ensemble, plan.realizations)
+
+
+def _put_distribution(columns: Columns, point: int, name: str, ensemble: Ensemble, bins: CommonBins) -> None:
+    of = getattr(ensemble.statistics, name)
+    label, unit, dimension = of.name, of.unit, f"{name}_bin"
+    columns.estimate(point, f"{name}_mean", of.mean, f"mean of {label}")
+    columns.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
+    columns.estimate(point, f"{name}_skewness", of.skewness)
+    quantiles = [float(of.quantile(share).value) for share in SHARES]
+    columns.put(point, f"{name}_quantile", quantiles, f"quantile of {label}", unit, dimensions=("quantile",))
+    columns.estimate(point, f"{name}_entropy", of.entropy(bins), f"entropy of the histogram of {label} in common bins")
+    histogram = of.histogram(bins)
+    per = "1" if unit == "1" else f"{unit}-1"
+    columns.put(
+        point, f"{name}_count_in_bin", histogram.counts, f"number of values of {label}", dimensions=(dimension,)
+    )
+    columns.put(point, f"{name}_density", histogram.density, f"density of {label}", per, dimensions=(dimension,))
+
+
+def _put_orders(columns: Columns, point: int, ensemble: Ensemble) -> None:
+    orders = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
+    shares = [float(one.share.value) for one in orders]
+    columns.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
+    for name in orders[0].distributions:
+        means = [one.distributions[name].mean for one in orders]
+        label = f"mean {STICK_BY_NAME[name].label} by order"
+        values, errors = ([float(getattr(mean, part)) for mean in means] for part in ("value", "standard_error"))
+        unit = means[0].unit
+        columns.put(point, f"{name}_of_order", values, label, unit, dimensions=("order",))
+        columns.put(point, f"{name}_of_order_error", errors, f"standard error of {label}", unit, dimensions=("order",))
+
+
+def _put_realizations(columns: Columns, point: int, ensemble: Ensemble, number: int) -> None:
+    """Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held."""
+    sticks, held = ensemble.finished_sticks(), 256
+    for name in ("start", "end"):
+        times = np.full((number, held), np.nan)
+        for sample in range(min(number, len(sticks.count))):
+            own = getattr(sticks, name)[sticks.first[sample] :][: sticks.count[sample]][:held]
+            times[sample, : len(own)] = own
+        label = f"{name} of the first {held} sticks of some samples"
+        columns.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
+
+
+def _put_derivatives(columns: Columns, point: int, work: Work) -> None:
+    plan, found = work.plan, work.derivatives(point)
+    for number, (statistic, _) in enumerate(plan.derivatives):
+        result = found.get(derivative_name(plan, number))
+        for wrt, numbers in (result["by"] if result else {}).items():
+            name, unit = f"d_{statistic}_by_{wrt}", STATISTICS[statistic].unit if statistic in STATISTICS else ""
+            columns.put(point, name, numbers["derivative"], f"derivative of {statistic} by {wrt}", unit)
+            columns.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
+            corrected = int(numbers["estimator"] == "corrected")
+            columns.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
+
+
+def _axes(plan: Plan) -> dict[str, Any]:
+    """The coordinates of the points."""
+    found: dict[str, Any] = {}
+    for axis in plan.points.axes:
+        for name, values in zip(axis.parameters, axis.values.T, strict=True):
+            meaning = GROUPS[name].meaning if name in GROUPS else name
+            found[name] = (axis.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
+        if axis.name not in found:
+            found[axis.name] = (axis.name, np.arange(len(axis.values)), {"long_name": _number_of(axis)})
+    return found
+
+
+def _number_of(axis: Axis) -> str:
+    return "number of the point" if axis.name == POINT else f"number of the entry of {', '.join(axis.parameters)}"
+
+
+def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    if bins:
+        found["quantile"] = ("quantile", list(SHARES), {"long_name": "share of values", "units": "1"})
+    for name, common in bins.items():
+        edges = common.edges
+        about = {"long_name": _BY_NAME[name].label, "units": _BY_NAME[name].unit or "1"}
+        found[f"{name}_bin"] = (f"{name}_bin", (edges[1:] + edges[:-1]) / 2, {**about, "comment": "middle of the bin"})
+        found[f"{name}_bin_low"] = (f"{name}_bin", edges[:-1], {**about, "comment": "lower edge of the bin"})
+        found[f"{name}_bin_high"] = (f"{name}_bin", edges[1:], {**about, "comment": "upper edge of the bin"})
+    if plan.keep != "totals":
+        found["order"] = ("order", np.arange(1, plan.numbering.orders + 1), {"long_name": "number of the stick"})
+    return found
+
+
+def _attributes(plan: Plan) -> dict[str, Any]:
+    from .. import __version__  # noqa: PLC0415 - the package imports this module
+
+    body = json.loads(manifest_text(plan))["body"]
+    return {
+        "Conventions": "CF-1.11",
+        "source": f"stickslip_jax {__version__}",
+        "format": body["format"],
+        "format_version": body["format_version"],
+        **{name: json.dumps(value) for name, value in body["objects"].items()},
+        "t1": plan.t1,
+        "keep": plan.keep,
+        "dtype": plan.dtype,
+        "piece": plan.piece,
+        "common_random_numbers": int(not plan.independent),
+        "histograms": f"at most {DEFAULT_BINS} bins, the same for all points; entropies are of these histograms",
+    }
+
+
+def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
+    """Write the data set to the folder of the study, as a whole. Raises StudyError if that fails."""
+    path = store.folder / DATA
+    try:
+        packing = {name: {"zlib": True, "complevel": 1} for name in dataset.variables if dataset[name].size > 1024}
+        data = dataset.to_netcdf(None, engine="h5netcdf", encoding=packing)
+        write_whole(path, bytes(data))
+    except OSError as error:
+        raise cannot_write(store.folder, error) from error
+    except ImportError:
+        raise ImportError("Studies need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+    return path
+
+
+def read_dataset(folder: Path) -> "xarray.Dataset":
+    """The data set of a finished study. Raises StudyError if there is none."""
+    import xarray as xr  # noqa: PLC0415 - an extra
+
+    path = folder / DATA
+    if not path.exists():
+        raise StudyError(f"{folder} holds no finished study; run it, or resume it, first.")
+    return xr.load_dataset(path, engine="h5netcdf")

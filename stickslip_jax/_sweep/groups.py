@@ -1,0 +1,69 @@
+"""Dimensionless groups by which the papers sweep, as parameters of a study."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._inputs.numbers import Path, number_at, paths_of_numbers, shown, with_numbers
+
+
+class Group(NamedTuple):
+    """A dimensionless group: what it is, and the setting with a value of it."""
+
+    meaning: str
+    applied: Callable[[Any, float], Any]
+
+
+_FREQUENCIES: dict[str, Callable[[float], float]] = {
+    "period": lambda frequency: 1 / frequency,
+    "interval": lambda frequency: 1 / frequency,
+    "angular_frequency": lambda frequency: 2 * math.pi * frequency,
+}
+"""What a law's field of this name is at a frequency in Hz."""
+
+
+def _with_frequency_ratio(setting: Any, ratio: float) -> Any:
+    """``r = f_b / (omega / 2 pi)`` (Lima and Sampaio's conference paper, section 3), both in Hz."""
+    omega = _number_of(setting.system, "natural_frequency", "r", "a natural frequency, as that of a MassSpring")
+    path = _path_in_law(setting, tuple(_FREQUENCIES), "r", "a frequency")
+    return with_numbers(setting, (path,), [_FREQUENCIES[str(path[-1])](ratio * omega / (2 * math.pi))])
+
+
+def _with_dimensionless_speed(setting: Any, w: float) -> Any:
+    """``w = v / (omega a)`` with the half-width ``a = mu n / k`` of the stick band."""
+    wanted = "a natural frequency and a stick band, as those of a MassSpring with Coulomb friction"
+    omega = _number_of(setting.system, "natural_frequency", "w", wanted)
+    half_width = _number_of(setting.system, "stick_half_width", "w", wanted)
+    path = _path_in_law(setting, ("speed", "amplitude"), "w", "a speed")
+    return with_numbers(setting, (path,), [w * omega * half_width])
+
+
+GROUPS = {
+    "r": Group("frequency of the base over the natural frequency", _with_frequency_ratio),
+    "w": Group("speed of the base over natural angular frequency times half-width of the stick band",
+               _with_dimensionless_speed),
+}  # fmt: skip
+"""The groups by name. Each sets a number of the law; the numbers of the system are set before."""
+
+
+def _number_of(system: Any, name: str, group: str, wanted: str) -> float:
+    value = getattr(system, name, None)
+    if value is None or np.ndim(value):
+        raise ValueError(
+            f"Argument over must not name {group!r} here: it needs a system with {wanted}, but "
+            f"{type(system).__name__} was given; name the parameter itself."
+        )
+    return float(value)
+
+
+def _path_in_law(setting: Any, names: tuple[str, ...], group: str, wanted: str) -> Path:
+    known = [path for path in paths_of_numbers({"law": setting.law}) if path[-1] in names]
+    if len(known) != 1 or number_at(setting, known[0]) is None:
+        found = ", ".join(map(shown, known)) or "none"
+        raise ValueError(
+            f"Argument over must not name {group!r} here: it needs a law with {wanted} ({' or '.join(names)}), but "
+            f"{type(setting.law).__name__} has {found}; name the parameter itself."
+        )
+    return known[0]

@@ -1,0 +1,123 @@
+"""The work of a task, and its result as bytes that are written to a file, or sent from one machine to another."""
+
+import dataclasses
+import io
+import json
+import time
+import zipfile
+from typing import Any
+
+import numpy as np
+
+from .._ensemble.call import simulate_piece
+from .._ensemble.encoding import Decoder, Encoder
+from .._ensemble.kept import Retained
+from .._ensemble.parts import EnsembleAccumulator
+from .._ensemble.result import Ensemble
+from .._ensemble.run import Run
+from .._events.sticks import FlatSticks
+from .._sensitivity import Sensitivities, sensitivity
+from .._statistics.registry import DIFFERENTIABLE
+from .._status import Status
+from .plan import RETAINED, Plan, Task
+from .warned import collected
+
+_SUMS = ("moments", "accumulator", "near_grazing_samples")
+
+
+class DamagedPieceError(ValueError):
+    """The bytes of a piece are not what was written."""
+
+
+def perform(plan: Plan, task: Task) -> bytes:
+    """Do the work of `task` in this thread. Raises ValueError for a point that cannot be simulated."""
+    if task.derivative is None:
+        return packed(_simulated(plan, task))
+    return json.dumps(_derivatives(plan, task)).encode()
+
+
+def _simulated(plan: Plan, task: Task) -> Ensemble:
+    run = plan.run_at(task.point)
+    fewest = min(plan.samples, plan.piece)
+    # Joined, the pieces retain the first sticks of the point, whatever their size; each sample takes one place or more.
+    retained = max(0, RETAINED - task.first)
+    return simulate_piece(run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest)
+
+
+def _derivatives(plan: Plan, task: Task) -> dict[str, Any]:
+    assert task.derivative is not None
+    name, wrt = plan.derivatives[task.derivative]
+    statistic = next(one for one in DIFFERENTIABLE if one.name == name)
+    setting, started = plan.setting_at(task.point), time.perf_counter()
+    with collected() as said:
+        found = sensitivity(
+            statistic, *setting.model[:2], wrt=wrt, t1=plan.t1, samples=task.samples, key=plan.key_at(task.point),
+            y0=setting.y0, method=setting.method, threads=1,
+        )  # fmt: skip
+    names = ("value", "value_error", "derivative", "standard_error", "estimator", "samples", "sticks_in_window")
+    assert isinstance(found, Sensitivities)  # as `wrt` is a tuple
+    numbers = {parameter: {name: getattr(one, name) for name in names} for parameter, one in found.items()}
+    return {
+        "end": task.end,
+        "by": numbers,
+        "warnings": said,
+        "seconds": time.perf_counter() - started,
+    }
+
+
+def packed(ensemble: Ensemble) -> bytes:
+    """The sums and retained sticks of an ensemble as bytes; what `unpacked` needs to make it again."""
+    encoder, retained = Encoder(), ensemble.retained
+    head = {name: encoder.encoded(getattr(ensemble, name)) for name in _SUMS}
+    head |= {
+        "samples": ensemble.samples,
+        "first_sample": ensemble.first_sample,
+        "status_counts": [int(ensemble.status_counts[status]) for status in Status],
+        "run_seconds": ensemble.run_seconds,
+    }
+    arrays = {"floats": encoder.floats, "integers": encoder.integers}
+    if retained is not None:
+        arrays |= {f"stick_{name}": column for name, column in retained.sticks._asdict().items()}
+        arrays["totals"] = retained.totals
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("head.json", json.dumps(head))
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w") as entry:
+                np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def unpacked(data: bytes, run: Run) -> Ensemble:
+    """The ensemble of a piece that `perform` made. Raises DamagedPieceError for other bytes."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # checks the sum of every entry that it reads
+            head = json.loads(archive.read("head.json"))
+            arrays = {
+                name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(archive.read(name)), allow_pickle=False)
+                for name in archive.namelist()
+                if name.endswith(".npy")
+            }
+        decoder = Decoder(arrays["floats"], arrays["integers"])
+        found = {name: decoder.decoded(head[name]) for name in _SUMS}
+        sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
+        retained = Retained(FlatSticks(**sticks), arrays["totals"]) if sticks else None
+        counts = dict(zip(Status, head["status_counts"], strict=True))
+        numbers = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, EOFError) as error:
+        raise DamagedPieceError(str(error)) from error
+    return Ensemble(
+        **run.fields(), **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
+        threads=1, compile_seconds=0.0,
+    )  # fmt: skip
+
+
+def joined(pieces: list[Ensemble]) -> Ensemble:
+    """Consecutive pieces as one, merged one after the other from the first."""
+    first, *_ = pieces
+    accumulator = EnsembleAccumulator(sum(one.samples for one in pieces), first.keep, RETAINED)
+    for one in pieces:
+        accumulator.add_ensemble(one)
+    return dataclasses.replace(
+        first, samples=accumulator.samples, run_seconds=sum(one.run_seconds for one in pieces), **accumulator.found()
+    )

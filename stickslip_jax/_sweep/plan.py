@@ -1,0 +1,198 @@
+"""What a study simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._ensemble.parts import Keep
+from .._ensemble.run import MOST_SAMPLES, Run
+from .._numerics.random_bits import key_data_of
+from .._statistics.accumulator import Numbering
+from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
+from .points import Points
+from .setting import Setting, setter_of
+
+Derivative = tuple[str, tuple[str, ...]]
+"""A statistic, and the parameters by which it is differentiated."""
+
+_SMALLEST_PIECE, _LARGEST_PIECE, _PIECES = 1024, 16_384, 64
+RETAINED = 20_000
+"""The most sticks of a point that are kept for standard errors."""
+
+
+class Task(NamedTuple):
+    """A piece of the work, done by one thread: samples ``first .. end - 1`` of a point; or, where `derivative` is not
+    None, the derivatives of that number at the point, from all its samples.
+    """
+
+    point: int
+    first: int
+    end: int
+    derivative: int | None = None
+
+    @property
+    def samples(self) -> int:
+        """How many samples it simulates."""
+        return self.end - self.first
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """The checked arguments of a `Study`, which every worker needs."""
+
+    setting: Setting
+    points: Points
+    t1: float
+    samples: int
+    key_data: tuple[int, ...] | None
+    keep: Keep
+    numbering: Numbering
+    statistics: tuple[str, ...]
+    derivatives: tuple[Derivative, ...]
+    independent: bool
+    standard_errors: dict[str, float]
+    realizations: int
+    piece: int
+    dtype: str
+
+    @cached_property
+    def _with_values(self) -> Callable[[tuple[float, ...]], Setting]:
+        return setter_of(self.setting, self.points.parameters)
+
+    def setting_at(self, point: int) -> Setting:
+        """What is simulated at a point."""
+        return self._with_values(self.points.values(point))
+
+    def key_at(self, point: int) -> Any:
+        """The key of a point: the study's, or one that depends on the values of the parameters there too."""
+        if self.key_data is None:
+            return None
+        key = jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
+        if self.independent:
+            identity = self.points.identity(point)
+            for word in (identity[:8], identity[8:]):
+                key = jax.random.fold_in(key, int(word, 16))
+        return key
+
+    def run_at(self, point: int, samples: int | None = None) -> Run:
+        """The checked ensemble of the first `samples` samples (default: all) of a point."""
+        setting = self.setting_at(point)
+        return Run.checked(
+            setting.model, self.t1, self.samples if samples is None else samples, 0, self.key_at(point), None,
+            setting.method, self.keep, self.numbering,
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Check every point as far as that is possible without simulating. Raises ValueError for what does not fit."""
+        for point in range(self.points.number):
+            self.setting_at(point)
+        try:
+            self.run_at(0)
+        except ValueError as error:
+            raise ValueError(f"The point {self.points.described(0)} cannot be simulated: {error}") from error
+
+    def pieces(self, point: int, done: int = 0) -> Iterator[Task]:
+        """The tasks for the samples of a point from `done` on."""
+        while done < self.samples:
+            end = min(self.samples, (done // self.piece + 1) * self.piece)
+            yield Task(point, done, end)
+            done = end
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether a point may need fewer samples than there are at most."""
+        return bool(self.standard_errors)
+
+
+def usual_piece(points: int, samples: int) -> int:
+    """How many samples make a piece: few pieces are too coarse for several threads, many cost time for each."""
+    fair = -(-points * samples // (_PIECES * 256)) * 256
+    return min(max(fair, _SMALLEST_PIECE), _LARGEST_PIECE)
+
+
+def checked_statistics(statistics: Any, keep: Keep) -> tuple[str, ...]:
+    """The names of what is estimated; None for all that `keep` allows. Raises ValueError for other names."""
+    more = [] if keep == "totals" else [quantity.name for quantity in DISTRIBUTIONS]
+    known = list(dict.fromkeys([*STATISTICS, *more]))  # the stick fraction has a distribution too
+    if statistics is None:
+        return tuple(known)
+    names = [statistics] if isinstance(statistics, str) else statistics
+    names = [getattr(name, "name", name) for name in names] if isinstance(names, (list, tuple)) else [names]
+    for name in names:
+        if name not in known:
+            hint = '; keep="statistics" offers more' if keep == "totals" else ""
+            raise ValueError(
+                f"Argument statistics must be names out of {', '.join(map(repr, known))}, but {_checks.show(name)} was "
+                f"given{hint}."
+            )
+    return tuple(dict.fromkeys(names))
+
+
+def checked_derivatives(sensitivities: Any) -> tuple[Derivative, ...]:
+    """The derivatives as pairs of names. Raises ValueError for anything else."""
+    known = [statistic.name for statistic in DIFFERENTIABLE]
+    found = []
+    for entry in sensitivities:
+        pair = tuple(entry) if isinstance(entry, (list, tuple)) and len(entry) == 2 else (entry, None)
+        statistic, wrt = getattr(pair[0], "name", pair[0]), pair[1]
+        wrt = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (list, tuple)) else ()
+        if statistic not in known or not wrt or not all(isinstance(name, str) for name in wrt):
+            raise ValueError(
+                "Argument sensitivities must hold pairs of a statistic and the parameter, or parameters, by which it "
+                f"is differentiated, such as ('mean_stick_duration', 'mu'), with a statistic out of "
+                f"{', '.join(map(repr, known))}, but {_checks.show(entry)} was given."
+            )
+        found.append((statistic, wrt))
+    return tuple(dict.fromkeys(found))
+
+
+def checked_errors(standard_error: Any, statistics: tuple[str, ...]) -> dict[str, float]:
+    """The wanted standard errors by statistic. Raises ValueError for anything else."""
+    if standard_error is None:
+        return {}
+    if not isinstance(standard_error, dict) or not standard_error:
+        raise ValueError(
+            "Argument standard_error must be a dict from names of statistics to standard errors, such as "
+            f"{{'mean_stick_duration': 0.01}}, but {_checks.show(standard_error)} was given."
+        )
+    for name, value in standard_error.items():
+        if name not in STATISTICS or name not in statistics:
+            allowed = ", ".join(repr(one) for one in statistics if one in STATISTICS)
+            raise ValueError(
+                f"Argument standard_error must name statistics out of {allowed}, but {_checks.show(name)} was given."
+            )
+        _checks.positive(f"standard_error[{name!r}]", value)
+    return {name: float(value) for name, value in standard_error.items()}
+
+
+def checked_keep(keep: Any) -> Keep:
+    """`keep`, "statistics" or "totals". Raises ValueError for anything else."""
+    allowed = [name for name in get_args(Keep) if name != "sticks"]
+    if keep not in allowed:
+        raise ValueError(
+            f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
+            "stick of a point comes from study.ensemble_at(mu=...)."
+        )
+    return keep
+
+
+def checked_samples(samples: Any) -> int:
+    """`samples`, a whole number of at least 1. Raises ValueError for anything else."""
+    return _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+
+
+def key_data_in(key: Any) -> tuple[int, ...] | None:
+    """The numbers of `key`; None where there is none."""
+    return None if key is None else tuple(int(word) for word in np.asarray(key_data_of(key)))
+
+
+def near(value: float, other: float) -> bool:
+    """Whether two numbers are equal but for round-off of how they were written."""
+    return math.isclose(value, other, rel_tol=1e-9, abs_tol=0.0) or value == other

@@ -1,0 +1,132 @@
+"""The points of a parametric study: values of some parameters, on a grid, zipped, or from a design."""
+
+import hashlib
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import _checks
+from .._design.design import Design
+
+POINT = "point"
+"""The dimension of the points of a design."""
+
+
+class Axis(NamedTuple):
+    """One dimension of the points: parameters that change together. `values`: (length, parameters)."""
+
+    name: str
+    parameters: tuple[str, ...]
+    values: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+class Points(NamedTuple):
+    """All points: every combination of an entry of each axis, the last axis running fastest."""
+
+    axes: tuple[Axis, ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The names of all parameters."""
+        return tuple(name for axis in self.axes for name in axis.parameters)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length of each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def number(self) -> int:
+        """The number of points."""
+        return math.prod(self.shape)
+
+    def values(self, number: int) -> tuple[float, ...]:
+        """The values of all parameters at point `number`."""
+        places = np.unravel_index(number, self.shape)
+        return tuple(
+            float(value) for axis, place in zip(self.axes, places, strict=True) for value in axis.values[place]
+        )
+
+    def described(self, number: int) -> str:
+        """Point `number` as text: "mu = 0.5, rate = 2"."""
+        return ", ".join(
+            f"{name} = {value:.6g}" for name, value in zip(self.parameters, self.values(number), strict=True)
+        )
+
+    def identity(self, number: int) -> str:
+        """A name of point `number` that depends on its values only, 16 hexadecimal digits."""
+        return identity_of(dict(zip(self.parameters, self.values(number), strict=True)))
+
+
+def identity_of(values: Mapping[str, float]) -> str:
+    """A name for these values of parameters, whatever their order, 16 hexadecimal digits."""
+    text = ";".join(f"{name}={float(value).hex()}" for name, value in sorted(values.items()))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def points_of(over: Any) -> Points:
+    """The points that `over` describes; see `Study`. Raises ValueError for anything else."""
+    if isinstance(over, Design):
+        return Points((_axis_of_design(over),))
+    if not isinstance(over, Mapping) or not over:
+        raise ValueError(
+            "Argument over must be a dict from names of parameters to their values, such as {'mu': [0.5, 1.0]}, or a "
+            f"design with values, but {_checks.show(over)} was given."
+        )
+    axes = tuple(_axis(names, values) for names, values in over.items())
+    points = Points(axes)
+    names = points.parameters
+    twice = [name for index, name in enumerate(names) if name in names[:index]]
+    if twice:
+        raise ValueError(f"Argument over must name every parameter once, but {twice[0]!r} was given twice.")
+    return points
+
+
+def _axis_of_design(design: Design) -> Axis:
+    if design.values is None or design.names is None:
+        raise ValueError(
+            "Argument over must be a design with the values of named parameters, such as design.table or design.grid, "
+            f"but {design!r} was given, which has uniform numbers; make values of them first."
+        )
+    return _distinct(Axis(POINT, design.names, np.asarray(design.values)), "over")
+
+
+def _axis(names: Any, values: Any) -> Axis:
+    several = isinstance(names, tuple)
+    parameters = names if isinstance(names, tuple) else (names,)
+    if not parameters or not all(isinstance(name, str) and name for name in parameters):
+        raise ValueError(
+            "Argument over must have names of parameters as keys, or tuples of names that change together, but "
+            f"{_checks.show(names)} was given."
+        )
+    label = f"over[{names!r}]"
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    fits = array.size and (array.shape[1:] == (len(parameters),) if several else array.ndim == 1)
+    if not fits or np.asarray(values).dtype.kind not in "iuf":
+        wanted = f"rows of {len(parameters)} numbers, one row for each point" if several else "at least one number"
+        raise ValueError(f"Argument {label} must hold {wanted}, but {_checks.show(values)} was given.")
+    if not np.all(np.isfinite(array)):
+        wrong = array[~np.isfinite(array)][0]
+        raise ValueError(f"Argument {label} must hold finite numbers, but {wrong} was given.")
+    return _distinct(Axis("_and_".join(parameters), parameters, array.reshape(len(array), -1)), label)
+
+
+def _distinct(axis: Axis, label: str) -> Axis:
+    """`axis`. Raises ValueError if two of its entries are the same point."""
+    seen: dict[tuple[float, ...], int] = {}
+    for index, row in enumerate(axis.values):
+        first = seen.setdefault(tuple(row), index)
+        if first != index:
+            shown = row[0] if len(row) == 1 else tuple(row)
+            raise ValueError(
+                f"Argument {label} must hold every point once, but entries {first} and {index} are both {shown}."
+            )
+    return axis

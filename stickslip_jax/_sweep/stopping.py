@@ -1,0 +1,40 @@
+"""Ctrl-C during a study: the first stops it after the pieces under way, the second at once."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+class Stopping:
+    """Whether the study is to stop. `requested`: after the pieces under way."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def request(self, number: int, frame: Any) -> None:
+        """Handle a signal: the first time ask to stop, the second time raise KeyboardInterrupt."""
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+        print(
+            "\nStopping after the pieces under way; what is done is kept. Press Ctrl-C again to stop at once.",
+            file=sys.stderr,
+        )
+
+
+@contextmanager
+def stoppable() -> Iterator[Stopping]:
+    """Handles SIGINT while the block runs, where signals can be handled: in the main thread, unless it is ignored."""
+    stopping = Stopping()
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
+        yield stopping
+        return
+    signal.signal(signal.SIGINT, stopping.request)
+    try:
+        yield stopping
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,223 @@
+"""`Study`: a parametric study, on a grid of parameters or a design."""
+
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._design.design import Design
+from .._dynamics.method import EXACT, Exact, Regularized
+from .._dynamics.validation import check_method
+from .._ensemble.call import simulate_ensemble
+from .._ensemble.parts import Keep
+from .._ensemble.result import Ensemble
+from .._excitation.excitation import BaseMotion
+from .._excitation.random import InitialState
+from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._systems.system import System
+from .._types import Array
+from .errors import StudyError
+from .plan import (
+    Plan,
+    checked_derivatives,
+    checked_errors,
+    checked_keep,
+    checked_samples,
+    checked_statistics,
+    key_data_in,
+    near,
+    usual_piece,
+)
+from .points import points_of
+from .setting import setting_of
+
+if TYPE_CHECKING:
+    import xarray
+
+Over = Mapping[str | tuple[str, ...], Sequence[float] | np.ndarray] | Design
+Folder = str | os.PathLike[str]
+
+
+class Study:
+    """A parametric study: the same ensemble at many values of its parameters::
+
+        study = ss.Study(
+            system, law, over={"mu": np.linspace(0.5, 2, 8), "rate": np.geomspace(0.2, 5, 8)},
+            t1=200.0, samples=10_000, key=jax.random.key(0),
+        )
+        dataset = study.run("results/mu_and_rate")
+
+    - `system`, `law`, `t1` (s), `key`, `y0`, `method`, `orders`, `count_initial_rest`: as in `simulate_ensemble`.
+      Numbers may be distributions.
+    - `over`: a dict from the name of a parameter to its values: every combination is a point. A tuple of names has rows
+      of values, which change together. Or a design with values (`stickslip_jax.design`), whose rows are the points.
+      A name is that of a number of system, law, start or method, as in `sensitivity` ("mu", "rate", "y0[0]",
+      "method.width"), of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the base over the
+      natural frequency; "w", base speed over ``natural angular frequency * half-width of the stick band``.
+    - `samples`: of each point; with `standard_error`, at most.
+    - `keep`: "statistics", or "totals" (fewer statistics, about three times as fast).
+    - `statistics`: names of those in the result; by default all.
+    - `sensitivities`: pairs of a statistic and a parameter (or several), ``[("mean_stick_duration", "mu")]``.
+    - `independent`: by default sample i uses the same random numbers at all points, so that differences between points
+      have small errors; True makes the points independent.
+    - `standard_error`: a dict from statistics of totals to the standard error wanted, such as
+      ``{"mean_stick_duration": 0.01}``: each point ends when it has all of them, piece by piece.
+    - `realizations`: of how many samples the sticks are in the result, for figures.
+    - `piece`: samples that are done, and stored, together; by default chosen from the size of the study.
+
+    Nothing is simulated before `run`. Raises ValueError for arguments that do not fit, at any point.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        law: BaseMotion,
+        *,
+        over: Over,
+        t1: float,
+        samples: int,
+        key: Array | None = None,
+        y0: InitialState | None = None,
+        method: Exact | Regularized = EXACT,
+        keep: Keep = "statistics",
+        statistics: Iterable[Any] | None = None,
+        sensitivities: Iterable[tuple[Any, Any]] = (),
+        orders: int = 10,
+        count_initial_rest: bool = False,
+        independent: bool = False,
+        standard_error: Mapping[str, float] | None = None,
+        realizations: int = 0,
+        piece: int | None = None,
+    ):
+        check_method(method)
+        _checks.truth("count_initial_rest", count_initial_rest)
+        _checks.truth("independent", independent)
+        _checks.positive("t1", t1, "s")
+        points, samples, keep = points_of(over), checked_samples(samples), checked_keep(keep)
+        chosen = checked_statistics(statistics, keep)
+        numbering = Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
+        _checks.whole_number("realizations", realizations, minimum=0)
+        size = usual_piece(points.number, samples) if piece is None else _checks.whole_number("piece", piece)
+        self._plan = Plan(
+            setting=setting_of(system, law, y0, method, points.parameters),
+            points=points,
+            t1=float(t1),
+            samples=samples,
+            key_data=key_data_in(key),
+            keep=keep,
+            numbering=numbering,
+            statistics=chosen,
+            derivatives=checked_derivatives(sensitivities),
+            independent=independent,
+            standard_errors=checked_errors(standard_error, chosen),
+            realizations=realizations,
+            piece=size,
+            dtype=str(jnp.result_type(float)),
+        )
+        self._plan.check()
+
+    @classmethod
+    def load(cls, folder: Folder) -> "Study":
+        """The study that is stored in `folder`, to go on with: ``Study.load(folder).run(folder)``.
+
+        Raises StudyError for a folder that holds none, one of a newer version, and one of systems or laws of your own
+        classes: those run again from the program that made them.
+        """
+        from .manifest import plan_in  # noqa: PLC0415
+        from .store import Store  # noqa: PLC0415
+
+        path = Path(folder)
+        try:
+            return cls._of(plan_in(Store.reading(path).body))
+        except StudyError as error:
+            raise StudyError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+
+    @classmethod
+    def _of(cls, plan: Plan) -> "Study":
+        study = object.__new__(cls)
+        study._plan = plan
+        return study
+
+    def run(
+        self,
+        folder: Folder | None = None,
+        *,
+        threads: int | None = None,
+        workers: int | None = None,
+        executor: Any = None,
+        progress: bool | None = None,
+    ) -> "xarray.Dataset":
+        """Simulate all points and return the result.
+
+        - `folder`: where every finished piece is stored. The same call goes on after an interrupt, wherever it was
+          stopped, and adds points, samples, statistics or sensitivities to what is there. Without it, nothing is kept.
+        - `threads`: of this process (default: all cores). Or `workers`: processes on this machine. Or `executor`: a
+          ``dask.distributed.Client``. The numbers are the same.
+        - `progress`: as in `simulate_ensemble`.
+
+        Returns an ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/studies.md describes it.
+        The first Ctrl-C stops after the pieces under way and raises KeyboardInterrupt, a second one at once.
+
+        Raises StudyError for a folder that holds something else or cannot be written, and if points failed; ImportError
+        without the extra ``study``.
+        """
+        from .run import run_study  # noqa: PLC0415 - needs an extra
+
+        with ExitStack() as stack:
+            if folder is None:
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="stickslip-study-"))
+            return run_study(self._plan, Path(folder), threads, workers, executor, progress)
+
+    @property
+    def points(self) -> int:
+        """The number of points."""
+        return self._plan.points.number
+
+    @property
+    def plan(self) -> Plan:
+        """The checked arguments."""
+        return self._plan
+
+    def ensemble_at(
+        self, *, samples: int | None = None, keep: Keep = "sticks", threads: int | None = None,
+        progress: bool | None = None, **values: float,
+    ) -> Ensemble:  # fmt: skip
+        """The ensemble at one point, simulated now, with every stick: ``study.ensemble_at(mu=0.5, rate=1.0)``.
+
+        `samples`: by default those of the study. Raises ValueError for values that are no point of the study.
+        """
+        plan = self._plan
+        point = self._number_of(values)
+        setting, numbering = plan.setting_at(point), plan.numbering
+        return simulate_ensemble(
+            *setting.model[:2], t1=plan.t1, samples=samples or plan.samples, key=plan.key_at(point), y0=setting.y0,
+            method=setting.method, keep=keep, orders=numbering.orders, count_initial_rest=numbering.count_initial_rest,
+            threads=threads, progress=progress,
+        )  # fmt: skip
+
+    def _number_of(self, values: Mapping[str, float]) -> int:
+        points, given = self._plan.points, _checks.show(dict(values))
+        if set(values) != set(points.parameters):
+            raise ValueError(f"Arguments must be the values of {', '.join(points.parameters)}, but {given} was given.")
+        for number in range(points.number):
+            if all(
+                near(value, values[name]) for name, value in zip(points.parameters, points.values(number), strict=True)
+            ):
+                return number
+        raise ValueError(
+            f"Arguments must be the values at a point of the study, but {_checks.show(dict(values))} is none."
+        )
+
+    def __repr__(self) -> str:
+        plan = self._plan
+        axes = " x ".join(f"{len(axis.values)} {', '.join(axis.parameters)}" for axis in plan.points.axes)
+        return (
+            f"Study of {plan.points.number:,} points ({axes}), {plan.samples:,} samples each on [0, {plan.t1:g}] s, "
+            f"keep={plan.keep!r}"
+        )
