@@ -11,8 +11,8 @@ import xarray as xr
 from support.study import BAD_CONFIGS, BAD_SYSTEMS_AND_BASES, SMALL, config_file
 
 import stickslip_jax as ss
+from stickslip_jax.study import StudyError
 from stickslip_jax.study._config import OutputConfig, RunConfig, StudyConfig
-from stickslip_jax.study._errors import StudyError
 from stickslip_jax.study._figures import beginning_of_sample_0
 from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, STICK_DURATIONS, SUMMARY, result_folder
 from stickslip_jax.study._reading import OPTIONS, read_config

@@ -14,7 +14,7 @@ from support.study import HARMONIC, TIMES, TONES, VALUES, G, config_file, mass_s
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
-from stickslip_jax.study._errors import StudyError
+from stickslip_jax.study import StudyError
 from stickslip_jax.study._figures import beginning_of_sample_0
 from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, SUMMARY
 from stickslip_jax.study._reading import read_config
