@@ -40,7 +40,7 @@ from .setting import setting_of
 if TYPE_CHECKING:
     import xarray
 
-Over = Mapping[str | tuple[str, ...], Sequence[float] | np.ndarray] | Design
+Over = Mapping[str | tuple[str, ...], Sequence[Any] | np.ndarray] | Design
 Folder = str | os.PathLike[str]
 
 
