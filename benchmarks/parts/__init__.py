@@ -1,6 +1,6 @@
 """The parts of the benchmarks: each measures (`measure`) and writes its table (`table`)."""
 
-from . import compiling, composed, intervals, motor_cart, regularized, sensitivity, stepping
+from . import compiling, composed, intervals, motor_cart, regularized, sensitivity, stepping, studies
 
 PARTS = {
     "intervals": intervals,
@@ -10,4 +10,5 @@ PARTS = {
     "motor cart": motor_cart,
     "regularised": regularized,
     "sensitivity": sensitivity,
+    "studies": studies,
 }
