@@ -14,7 +14,6 @@ from .._ensemble.encoding import Decoder, Encoder
 from .._ensemble.kept import Retained
 from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
-from .._ensemble.run import Run
 from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity
 from .._statistics.registry import DIFFERENTIABLE
@@ -88,8 +87,10 @@ def packed(ensemble: Ensemble) -> bytes:
     return buffer.getvalue()
 
 
-def unpacked(data: bytes, run: Run) -> Ensemble:
-    """The ensemble of a piece that `perform` made. Raises DamagedPieceError for other bytes."""
+def unpacked(data: bytes, fields: dict[str, Any]) -> Ensemble:
+    """The ensemble of a piece that `perform` made; `fields`: from `Plan.fields_at`. Raises DamagedPieceError for other
+    bytes.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:  # checks the sum of every entry that it reads
             head = json.loads(archive.read("head.json"))
@@ -107,7 +108,7 @@ def unpacked(data: bytes, run: Run) -> Ensemble:
     except (zipfile.BadZipFile, KeyError, ValueError, TypeError, EOFError) as error:
         raise DamagedPieceError(str(error)) from error
     return Ensemble(
-        **run.fields(), **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
+        **fields, **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
         threads=1, compile_seconds=0.0,
     )  # fmt: skip
 

@@ -89,6 +89,18 @@ class Plan:
             setting.method, self.keep, self.numbering,
         )  # fmt: skip
 
+    def fields_at(self, point: int) -> dict[str, Any]:
+        """The fields of the `Ensemble` of a point that its arguments are, without what only simulating it needs."""
+        setting = self.setting_at(point)
+        key = self.key_at(point)
+        return {
+            **setting._asdict(),
+            "t1": self.t1,
+            "numbering": self.numbering,
+            "key_data": key_data_in(key),
+            "dtype": self.dtype,
+        }
+
     def check(self) -> None:
         """Check every point as far as that is possible without simulating. Raises ValueError for what does not fit."""
         for point in range(self.points.number):

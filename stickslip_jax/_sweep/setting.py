@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from .._dynamics.validation import state_of
 from .._excitation.excitation import law_of
 from .._excitation.smooth import SIGNAL_UNIT
 from .._fields import Quantity, described
@@ -29,10 +28,10 @@ class Setting(NamedTuple):
         return Model(self.system, self.law, self.y0)
 
 
-def setting_of(system: Any, law: Any, y0: Any, method: Any, parameters: tuple[str, ...]) -> Setting:
-    """The setting; with initial values where a parameter is one of them."""
-    if y0 is None and any(name.startswith("y0") for name in parameters):
-        y0 = state_of(require_system(system), None)
+def setting_of(system: Any, law: Any, y0: Any, method: Any) -> Setting:
+    """The setting; with the initial values that are zero by default."""
+    if y0 is None:
+        y0 = (0.0,) * len(require_system(system).coordinates)
     if isinstance(y0, list):
         y0 = tuple(y0)
     return Setting(system, law_of(law), y0, method)

@@ -105,7 +105,7 @@ class Study:
         _checks.whole_number("realizations", realizations, minimum=0)
         size = usual_piece(points.number, samples) if piece is None else _checks.whole_number("piece", piece)
         self._plan = Plan(
-            setting=setting_of(system, law, y0, method, points.parameters),
+            setting=setting_of(system, law, y0, method),
             points=points,
             t1=float(t1),
             samples=samples,

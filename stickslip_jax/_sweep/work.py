@@ -116,12 +116,12 @@ class Work:
         Pieces that are damaged are removed, and end it.
         """
         found, at = [], 0
-        run = self.plan.run_at(point)
+        fields = self.plan.fields_at(point)
         for piece in list(self.pieces(point)):
             if piece.derivative or piece.first != at:
                 continue
             try:
-                found.append(unpacked(self.store.read(piece), run))
+                found.append(unpacked(self.store.read(piece), fields))
             except (DamagedPieceError, FileNotFoundError) as error:
                 self._remove(point, piece, str(error))
                 break
