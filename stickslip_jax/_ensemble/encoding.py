@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from .. import _diffrax as diffrax
 from .._design.design import Design
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.moments import Moments
@@ -124,8 +125,6 @@ class Decoder:
         if "float" in value:
             return float(value["float"])
         if "diffrax" in value:
-            import diffrax  # noqa: PLC0415 - only where a solver was stored
-
             return getattr(diffrax, value["diffrax"])()
         ((kind, parts),) = value.items()
         return {"tuple": tuple, "list": list}[kind](self.decoded(part, checked) for part in parts)

@@ -24,6 +24,7 @@ ROWS = (
     "_status",
     "_checks",
     "_methods",
+    "_diffrax",
     "_html",
     "_fields",
     "_fast_cpu",
