@@ -121,6 +121,18 @@ def test_all_but_the_public_modules_are_private():
         assert not [name for name in namespace.__all__ if isinstance(getattr(namespace, name), ModuleType)]
 
 
+def test_type_checkers_know_what_is_loaded_when_asked_for():
+    """The names and modules that ``__init__`` finds for whoever asks, and where they are."""
+    found = {}
+    for node in tree_of(ROOT / "__init__.py").body:
+        if isinstance(node, ast.If):
+            assert ast.unparse(node.test) == "TYPE_CHECKING"
+            found |= {alias.name: part.module for part in node.body for alias in part.names}
+    assert found == ss._HOMES | dict.fromkeys(ss._MODULES)
+    assert found.keys() <= set(dir(ss))
+    assert not [name for name in found if getattr(ss, name) is None]
+
+
 def test_only_systems_ask_which_class_a_system_is():
     asks = re.compile(r"isinstance\(.*\b(MassSpring|MotorCart|SwitchedSystem)\b")
     assert [
