@@ -1,8 +1,7 @@
 """Names of types for annotations: shapes are in the annotations, units in the docstrings."""
 
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ForwardRef, TypeAlias
 
-import diffrax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Real, UInt32
 
@@ -27,9 +26,13 @@ KeyData: TypeAlias = UInt32[Array | np.ndarray, "2"] | tuple[UInt32[Array, "..."
 State: TypeAlias = tuple[FloatArray, ...]
 """The state of a system: one array for each of its coordinates, all of one shape."""
 
-Solver: TypeAlias = diffrax.AbstractSolver
-ExplicitSolver: TypeAlias = diffrax.AbstractERK
-"""An explicit Runge-Kutta method, such as ``diffrax.Dopri8()``."""
+if TYPE_CHECKING:
+    from diffrax import AbstractERK as ExplicitSolver
+    from diffrax import AbstractSolver as Solver
+else:  # names alone, for nothing of diffrax is imported before it is used (`_diffrax.py`)
+    Solver = ForwardRef("AbstractSolver", module="diffrax")
+    ExplicitSolver = ForwardRef("AbstractERK", module="diffrax")
+    """An explicit Runge-Kutta method, such as ``diffrax.Dopri8()``."""
 
 __all__ = [
     "AnyArray",

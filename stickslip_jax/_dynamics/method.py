@@ -3,11 +3,11 @@
 import difflib
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import numpy as np
 
 from .. import _checks
+from .. import _diffrax as diffrax
 from .._types import AnyArray, Scalar
 from .regularized.switch import SHAPES
 

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from .. import _diffrax as diffrax
 from .._design.design import Design
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.moments import Moments
@@ -22,7 +23,12 @@ from .origins import GivenMotions, Origin
 from .unknown import Unknown, UnknownSystem
 
 _SHORT = 32  # entries: longer arrays stand beside the JSON
-_INTERNAL = (Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, Unknown, UnknownSystem)
+_INTERNAL: dict[str, type] = {
+    kind.__name__: kind
+    for kind in (
+        Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, Unknown, UnknownSystem,
+    )
+}  # fmt: skip
 _LONGEST_TEXT = 1000  # of an object that prints itself
 
 
@@ -70,7 +76,7 @@ class Encoder:
             return self._array(value)
         if type(value) in (tuple, list):
             return {type(value).__name__: [self._encoded(part) for part in value]}
-        if classes().get(type(value).__name__) is type(value):
+        if _class_named(type(value).__name__) is type(value):
             return {"class": type(value).__name__, "fields": self._fields(value)}
         if type(value).__module__.startswith("diffrax") and repr(value) == repr(type(value)()):
             return {"diffrax": type(value).__name__}
@@ -124,14 +130,12 @@ class Decoder:
         if "float" in value:
             return float(value["float"])
         if "diffrax" in value:
-            import diffrax  # noqa: PLC0415 - only where a solver was stored
-
             return getattr(diffrax, value["diffrax"])()
         ((kind, parts),) = value.items()
         return {"tuple": tuple, "list": list}[kind](self.decoded(part, checked) for part in parts)
 
     def _object(self, name: str, fields: dict[str, Any], checked: bool) -> Any:
-        kind = classes().get(name)
+        kind = _class_named(name)
         if kind is None:
             raise ValueError(f"it holds a {name}, which this version of stickslip_jax does not know")
         given = {key: self.decoded(part, checked and kind is not GivenMotions) for key, part in fields.items()}
@@ -166,11 +170,12 @@ def _is_default(kind: type, name: str, value: Any) -> bool:
     return type(value) is type(default) and isinstance(value, (str, int, float)) and value == default
 
 
-def classes() -> dict[str, type]:
-    """The classes that are written by their names: the public ones, and those of what an ensemble sums."""
-    # Looked up when needed: the package's own names are complete only once all of it is imported.
-    public = vars(sys.modules[__name__.partition(".")[0]])
-    own = {
-        name: value for name, value in public.items() if isinstance(value, type) and hasattr(value, "__annotations__")
-    }
-    return own | {kind.__name__: kind for kind in _INTERNAL}
+def _class_named(name: str) -> type | None:
+    """The class that is written by this name: a public one, or one of what an ensemble sums."""
+    if name in _INTERNAL:
+        return _INTERNAL[name]
+    # Looked up when needed, for the package's own names are complete only once all of it is imported; and one by one,
+    # because some are loaded when asked for.
+    package = sys.modules[__name__.partition(".")[0]]
+    found = getattr(package, name) if name in package.__all__ else None
+    return found if isinstance(found, type) and hasattr(found, "__annotations__") else None

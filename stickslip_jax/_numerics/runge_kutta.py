@@ -8,12 +8,12 @@ compile.
 from collections.abc import Callable
 from functools import partial
 
-import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .. import _diffrax as diffrax
 from .._types import ExplicitSolver, FloatArray, State
 
 
@@ -64,7 +64,7 @@ def _looped(
     return reached, _error(h, np.asarray(tableau.b_error), list(rows))
 
 
-def _tableau(solver: ExplicitSolver) -> diffrax.ButcherTableau:
+def _tableau(solver: ExplicitSolver) -> "diffrax.ButcherTableau":
     assert isinstance(solver.tableau, diffrax.ButcherTableau)
     return solver.tableau
 

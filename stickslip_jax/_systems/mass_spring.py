@@ -9,12 +9,12 @@ import math
 from contextlib import suppress
 from typing import Annotated, Any, ClassVar, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .. import _checks
+from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added

@@ -14,12 +14,12 @@ a linear invariant, which a Runge-Kutta method conserves exactly and an exponent
 import math
 from typing import Annotated, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
@@ -32,7 +32,6 @@ from .friction import Coulomb, FrictionLaw
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
 
-_SOLVER = diffrax.Dopri8()
 _LONGEST_TURN = 0.4  # of the motor in a step, rad
 _CONSTANT = StepCount(7.0, 4.0)  # the mechanical time constant is no period
 _DECAY = StepCount(1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
@@ -192,7 +191,7 @@ class CartModel(SwitchedModel):
     def slip(self, inputs: CartInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
         # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
         field = _Slip(self, sincos(y[0]), sincos(inputs.phase), sign)
-        (angle, speed, current), _ = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=_SOLVER)
+        (angle, speed, current), _ = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
         return y[0] + angle, speed, current
 
     def stick(self, inputs: CartInputs, y: State, h: FloatArray) -> State:

@@ -10,12 +10,12 @@ import abc
 from functools import partial
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.segments import added
 from .._excitation.smooth import Signal

@@ -3,9 +3,9 @@
 import math
 from typing import Any, ClassVar, Literal
 
-import diffrax
 from pydantic import Field, field_validator, model_validator
 
+from .. import _diffrax as diffrax
 from .._dynamics.method import Exact, Regularized
 from .._statistics.accumulator import MOST_ORDERS
 from ._bases_config import BaseConfig, SourceVoltageConfig

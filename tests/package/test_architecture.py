@@ -24,6 +24,7 @@ ROWS = (
     "_status",
     "_checks",
     "_methods",
+    "_diffrax",
     "_html",
     "_fields",
     "_fast_cpu",
@@ -119,6 +120,18 @@ def test_all_but_the_public_modules_are_private():
     for namespace in (ss, plot, design):
         assert not {name for name in namespace.__all__ if name in modules}
         assert not [name for name in namespace.__all__ if isinstance(getattr(namespace, name), ModuleType)]
+
+
+def test_type_checkers_know_what_is_loaded_when_asked_for():
+    """The names and modules that ``__init__`` finds for whoever asks, and where they are."""
+    found = {}
+    for node in tree_of(ROOT / "__init__.py").body:
+        if isinstance(node, ast.If):
+            assert ast.unparse(node.test) == "TYPE_CHECKING"
+            found |= {alias.name: part.module for part in node.body for alias in part.names}
+    assert found == ss._HOMES | dict.fromkeys(ss._MODULES)
+    assert found.keys() <= set(dir(ss))
+    assert not [name for name in found if getattr(ss, name) is None]
 
 
 def test_only_systems_ask_which_class_a_system_is():

@@ -7,14 +7,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import diffrax
 import pytest
+
+import stickslip_jax as ss
+from stickslip_jax._ensemble.encoding import Encoder
 
 ROOT = Path(__file__).parents[2]
 
 
-def python(code: str) -> str:
-    """What `code` prints in a process of its own."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
+def python(code: str, text: str = "") -> str:
+    """What `code` prints in a process of its own that is given `text`."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, input=text, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -77,6 +82,106 @@ print(dict(os.environ) == before, dict(jax.config.values) == settings, "XLA_FLAG
 def test_simulating_sets_no_option_of_the_process():
     """Nothing of the environment, nothing of JAX's configuration, whatever is simulated."""
     assert python(SIMULATES).split() == ["True", "True", "False"]
+
+
+# Each would take as long to import as JAX, or longer.
+HEAVY = (
+    *("dask", "distributed", "zarr", "xarray", "pandas", "scipy.stats", "matplotlib", "pydantic", "numba"),
+    *("diffrax", "optimistix", "lineax"),
+)
+LOADED = f"""
+import sys
+
+def loaded():
+    return [name for name in {HEAVY} if name in sys.modules]
+"""
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    assert python(f"{LOADED}\nimport stickslip_jax\nprint(loaded())").strip() == "[]"
+
+
+CLOSED_FORMS = """
+import jax
+import stickslip_jax as ss
+
+jax.config.update("jax_enable_x64", True)
+system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+law = ss.PoissonSwitching(speed=1.0, rate=1.0)
+options = {"t1": 10.0, "samples": 20, "key": jax.random.key(0), "y0": (0.0, 1.0)}
+ss.simulate(system, law.sample(jax.random.key(0), t1=10.0), t1=10.0, y0=(0.0, 1.0))
+ss.simulate(system, ss.Harmonic(amplitude=1.0, angular_frequency=1.0), t1=5.0, y0=(0.0, 1.0))
+ss.simulate_ensemble(system, law, keep="totals", **options)
+print(loaded())
+str(ss.simulate_ensemble(system, law, **options))
+ss.sensitivity(ss.stick_fraction, system, law, wrt="mu", **options)
+print([name for name in loaded() if name != "numba"])
+"""
+
+
+def test_closed_forms_need_no_solver():
+    """Nor anything else that is heavy, but for Numba, which counts the sticks of full statistics."""
+    assert python(LOADED + CLOSED_FORMS).splitlines() == ["[]", "[]"]
+
+
+# What a module makes when it is imported inside a compiled function must not belong to the function's trace.
+FIRST_SOLVER = """
+import jax
+import jax.numpy as jnp
+import stickslip_jax as ss
+
+jax.config.update("jax_enable_x64", True)
+print(loaded())
+
+
+def stick_time(force, method):
+    friction = ss.Stribeck(mu=0.6, mu_static=0.9, stribeck_speed=0.5)
+    system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=force, friction=friction)
+    base = ss.Harmonic(amplitude=1.0, angular_frequency=1.0)
+    sticks = ss.simulate(system, base, t1=5.0, y0=(0.0, 1.0), method=method).sticks
+    return jnp.where(sticks.mask, sticks.duration, 0.0).sum()
+
+
+for method in (ss.Exact(step=0.02, max_steps=2000), ss.Regularized(0.01)):
+    for _ in range(2):
+        value, slope = jax.jit(jax.value_and_grad(lambda force: stick_time(force, method)))(1.0)
+        print(float(value), float(slope))
+print(loaded())
+"""
+SOLVERS = ["diffrax", "optimistix", "lineax"]
+
+
+def test_a_solver_may_be_loaded_inside_a_compiled_function():
+    """Values and derivatives are those of a process that has imported diffrax before anything else."""
+    late, early = (python(first + LOADED + FIRST_SOLVER).splitlines() for first in ("", "import diffrax"))
+    assert (late[0], early[0]) == ("[]", str(SOLVERS))
+    assert late[1:] == early[1:]
+    assert late[-1] == str(SOLVERS)
+    assert "nan" not in " ".join(late)
+    assert all(float(number) != 0 for line in late[1:-1] for number in line.split())
+
+
+READ_AGAIN = """
+import numpy as np
+import sys
+from stickslip_jax._ensemble.encoding import Decoder
+
+print(loaded())
+print(*map(Decoder(np.zeros(0), np.zeros(0, int)).value, sys.stdin.read().splitlines()), sep="\\n")
+"""
+
+
+def test_stored_classes_are_found_though_nobody_has_asked_for_them():
+    """Those of the package that are loaded when asked for, and solvers of diffrax."""
+    stored = [
+        ss.MotorCart(mu=0.3),
+        ss.KanaiTajimi(rms=1.5),
+        ss.Uniform(0.0, 1.0),
+        ss.Exact(solver=diffrax.Tsit5()),
+    ]
+    encoder = Encoder()
+    lines = "\n".join(encoder.text(value) for value in stored)
+    assert python(LOADED + READ_AGAIN, lines).splitlines() == ["[]", *map(repr, stored)]
 
 
 OLD_NAME = """

@@ -3,12 +3,12 @@
 import math
 from typing import Any
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ... import _checks
+from ... import _diffrax as diffrax
 from ..._excitation.excitation import Excitation
 from ..._numerics.known import largest, smallest
 from ..._systems.system import System

@@ -2,11 +2,11 @@
 
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ... import _diffrax as diffrax
 from ..._events.sticks import StickRecord
 from ..._excitation.excitation import Excitation
 from ..._excitation.table import SegmentTable

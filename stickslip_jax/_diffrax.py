@@ -1,0 +1,14 @@
+"""The library diffrax, imported when something of it is first used: ``from .. import _diffrax as diffrax``.
+
+Its import takes most of a second, and what follows closed forms needs nothing of it.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from diffrax import *  # noqa: F403  # pyright: ignore[reportWildcardImportFromLibrary]
+else:
+
+    def __getattr__(name: str) -> Any:
+        return getattr(import_module("diffrax"), name)
