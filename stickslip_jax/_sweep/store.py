@@ -215,7 +215,7 @@ def _make(folder: Path) -> None:
 def _is_begun(path: Path) -> bool:
     """Whether a file is what `opened` makes before the manifest is whole."""
     if path.name == PIECES:
-        return path.is_dir() and not any(os.scandir(path))
+        return path.is_dir() and not os.listdir(path)
     return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)
 
 
