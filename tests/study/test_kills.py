@@ -31,14 +31,15 @@ class DeadError(BaseException):
     """Stands for the end of a process: nothing is written any more."""
 
 
-def test_dead_at_every_operation_on_the_disk(tmp_path, undisturbed, monkeypatch):
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_dead_at_an_operation_on_the_disk(tmp_path, undisturbed, monkeypatch, every):
     """As if killed there: the operation, and all later ones, are not done, and what is being written is cut."""
     dataset, names = undisturbed
     # Takes most of the time, and what the bytes of the data set mean is all the same here.
     monkeypatch.setattr(xr.Dataset, "to_netcdf", lambda dataset, *path, **options: bytes(10_000))
-    number, finished = 0, False
+    number, finished = 1 - every, False
     while not finished:
-        number += 1
+        number += every
         folder = tmp_path / str(number)
 
         def fail(at, name, of, last=number):
@@ -74,7 +75,7 @@ def test_killed_at_every_operation_on_the_disk(tmp_path, undisturbed):
 
 def pieces_done(folder) -> int:
     log = folder / "log.txt"
-    return log.read_text().count(" done ") if log.exists() else 0
+    return log.read_text().count(" done mu") if log.exists() else 0
 
 
 def kill_while_starting(folder, moments) -> None:
