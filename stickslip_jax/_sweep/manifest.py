@@ -4,10 +4,10 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator
+from importlib.metadata import version
 from typing import Any
 
 import jax
-import jaxlib
 import numpy as np
 
 from .._ensemble.encoding import Decoder, Encoder
@@ -129,7 +129,7 @@ def fingerprint(body: dict[str, Any]) -> str:
 def _versions() -> dict[str, str]:
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
-    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib.__version__}
+    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
 
 
 def _sum(body: dict[str, Any]) -> str:

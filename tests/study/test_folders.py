@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import importlib
 import json
 import os
 import resource
@@ -79,6 +80,7 @@ def without_rights():
     if os.geteuid():
         yield
         return
+    importlib.import_module("email.policy")  # is loaded late, which fails where Python is root's too
     os.seteuid(65534)
     try:
         yield
