@@ -38,8 +38,8 @@ def test_more_samples(tmp_path, simulated):
     assert {"samples", "samples_finished", "duration_count_in_bin", "stick_fraction_count_in_bin"} <= set(counted)
     assert not set(inexact) & set(counted)
     assert not {name for name in inexact if "_bin" in name or "entropy" in name or "quantile" in name}
-    # The mean of n numbers in [0, largest] is computed within n * U * largest. A merge adds at most 4 * U * largest: four
-    # roundings of numbers that are at most as large. There are at most 5 pieces, in each of the two studies.
+    # The mean of n numbers in [0, largest] is computed within n * U * largest; a merge adds at most 4 * U * largest,
+    # four roundings of numbers that are at most as large. There are at most 5 pieces, in each of the two studies.
     sticks = int(whole["duration_count_in_bin"].sum("duration_bin").max())
     for name, numbers, largest in (("stick_fraction", PIECE, 1.0), ("duration_mean", sticks, T1)):
         most = 2 * (numbers + 5 * 4) * U * largest
