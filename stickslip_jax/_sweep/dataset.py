@@ -247,4 +247,7 @@ def read_dataset(folder: Path) -> "xarray.Dataset":
     path = folder / DATA
     if not path.exists():
         raise StudyError(f"{folder} holds no finished study; run it, or resume it, first.")
-    return xr.load_dataset(path, engine="h5netcdf")
+    try:
+        return xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise StudyError(f"{path} cannot be read ({error}); run the study again, which writes it anew.") from error

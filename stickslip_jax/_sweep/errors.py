@@ -1,4 +1,4 @@
-"""The exception for mistakes that the user of a study can correct."""
+"""The exceptions of studies."""
 
 
 class StudyError(ValueError):
@@ -6,3 +6,7 @@ class StudyError(ValueError):
 
     The message is one sentence, which says what to do.
     """
+
+
+class DamagedPieceError(ValueError):
+    """The bytes of a piece are not what was written. It is removed and done again."""

@@ -1,6 +1,7 @@
 """Files that are either whole or not there, whenever the program or the machine stops."""
 
 import contextlib
+import errno
 import os
 import re
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from filelock import FileLock, Timeout
 from .errors import StudyError
 
 _UNFINISHED = ".unfinished"
+_FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -42,10 +44,17 @@ def sync_folder(folder: Path) -> None:
             os.close(handle)
 
 
+def finished_name(name: str) -> str | None:
+    """The name that a file would have got, if a program was stopped while it wrote it; None for other files."""
+    found = re.fullmatch(rf"(.+)\.\d+{re.escape(_UNFINISHED)}", name)
+    return found and found[1]
+
+
 def remove_unfinished(folder: Path) -> None:
     """Remove what killed programs left of files that they were writing. Only for who holds the lock of the folder."""
     for path in folder.glob(f"*{_UNFINISHED}"):
-        path.unlink(missing_ok=True)
+        if finished_name(path.name):
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -61,6 +70,8 @@ def locked(path: Path, said: str) -> Iterator[None]:
         raise StudyError(said) from None
     except OSError as error:
         raise cannot_write(path.parent, error) from error
+    except NotImplementedError:  # two runs could not notice each other
+        raise StudyError(f"{path.parent} is on a disk whose files cannot be locked; choose another folder.") from None
     try:
         yield
     finally:
@@ -69,5 +80,7 @@ def locked(path: Path, said: str) -> Iterator[None]:
 
 def cannot_write(folder: Path, error: OSError) -> StudyError:
     """The error about a folder that cannot be written."""
-    reason = re.sub(r"\A\[Errno \d+\] ", "", str(error.strerror or error))
-    return StudyError(f"{folder} cannot be written ({reason}); choose another folder, or make it writable.")
+    todo = "choose another folder, or make it writable"
+    if error.errno in _FULL:
+        todo = "make room, and run again: what is done is kept"
+    return StudyError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")

@@ -21,6 +21,9 @@ from .setting import Setting
 FORMAT, FORMAT_VERSION = "stickslip_jax study", 1
 _OBJECTS = ("system", "law", "y0", "method")
 _DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "piece", "dtype")
+_FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
+_ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest"}
+"""What the user calls it, where that is another name."""
 _ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
 
 
@@ -45,6 +48,18 @@ def manifest_text(plan: Plan) -> str:
         "floats": [float(value).hex() for value in encoder.floats],
         "integers": encoder.integers.tolist(),
     }
+    return _text(body)
+
+
+def extended(there: dict[str, Any], here: dict[str, Any]) -> str:
+    """The manifest of a study that adds to another: what decides the numbers as it is written there.
+
+    Numbers may be equal and written otherwise, 1 and 1.0, and the pieces bear the fingerprint of what is there.
+    """
+    return _text({**here, **{name: there[name] for name in _FINGERPRINT}})
+
+
+def _text(body: dict[str, Any]) -> str:
     return json.dumps({"body": body, "sha256": _sum(body)}, indent=1)
 
 
@@ -108,8 +123,7 @@ def differences(there: dict[str, Any], here: dict[str, Any]) -> list[str]:
 
 def fingerprint(body: dict[str, Any]) -> str:
     """A sum of everything that decides the numbers at a point."""
-    parts = {name: body[name] for name in ("objects", "deciding", "versions", "floats", "integers")}
-    return _sum(parts)
+    return _sum({name: body[name] for name in _FINGERPRINT})
 
 
 def _versions() -> dict[str, str]:
@@ -128,7 +142,8 @@ def _plain(value: Any) -> Any:
 
 
 def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    if isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys():
+    both = isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys()
+    if both and old.get("class") == new.get("class"):
         for name in old:
             yield from _different(old[name], new[name], (*path, name))
     elif old != new:
@@ -136,7 +151,8 @@ def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tupl
 
 
 def _named(path: tuple[str, ...]) -> str:
-    return ".".join(part for part in path if part not in ("fields", "class", "values", "tuple")) or "object"
+    parts = [_ARGUMENTS.get(part, part) for part in path]
+    return ".".join(part for part in parts if part not in ("fields", "class", "values", "tuple")) or "object"
 
 
 def _brief(value: Any) -> str:

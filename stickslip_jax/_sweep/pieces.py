@@ -18,14 +18,11 @@ from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity
 from .._statistics.registry import DIFFERENTIABLE
 from .._status import Status
+from .errors import DamagedPieceError
 from .plan import RETAINED, Plan, Task
 from .warned import collected
 
 _SUMS = ("moments", "accumulator", "near_grazing_samples")
-
-
-class DamagedPieceError(ValueError):
-    """The bytes of a piece are not what was written."""
 
 
 def perform(plan: Plan, task: Task) -> bytes:
@@ -111,6 +108,13 @@ def unpacked(data: bytes, fields: dict[str, Any]) -> Ensemble:
         **fields, **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
         threads=1, compile_seconds=0.0,
     )  # fmt: skip
+
+
+def unfinished_in(data: bytes) -> dict[Status, int]:
+    """How many samples of a packed ensemble did not reach the end, by their status."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        counts = json.loads(archive.read("head.json"))["status_counts"]
+    return {status: count for status, count in zip(Status, counts, strict=True) if count and status != Status.FINISHED}
 
 
 def joined(pieces: list[Ensemble]) -> Ensemble:

@@ -2,6 +2,7 @@
 
 import warnings
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from .executors import executor_for
 from .plan import Plan
 from .runner import run_tasks
 from .stopping import stoppable
-from .store import opened
+from .store import LOG, opened
 from .warned import collecting
 from .work import Work
 
@@ -24,10 +25,21 @@ _ROUNDS = 3  # after which pieces that keep coming back damaged are an error of 
 
 
 def run_study(
-    plan: Plan, folder: Path, threads: int | None, workers: int | None, executor: Any, progress: bool | None
+    plan: Plan, folder: Path | None, threads: int | None, workers: int | None, executor: Any, progress: bool | None
 ) -> "xarray.Dataset":
     """Do what is left of a study, and return its result; see `Study.run`."""
     _check_dtype(plan)
+    if folder is None:
+        with TemporaryDirectory(prefix="stickslip-study-") as temporary:
+            return _run_in(Path(temporary), False, plan, threads, workers, executor, progress)
+    return _run_in(folder, True, plan, threads, workers, executor, progress)
+
+
+def _run_in(
+    folder: Path, kept: bool, plan: Plan, threads: int | None, workers: int | None, executor: Any,
+    progress: bool | None,
+) -> "xarray.Dataset":  # fmt: skip
+    """`run_study` in a folder; `kept`: whether it is the user's."""
     with opened(folder, plan) as (store, cut), stoppable() as stopping, collecting():
         store.log(f"begun: {cut.points.number} points, {cut.samples} samples each")
         for _ in range(_ROUNDS):
@@ -38,30 +50,39 @@ def run_study(
             ):
                 run_tasks(work, chosen, stopping, bar)
             if stopping.requested:
-                _stop(work, folder)
-            if work.failed:
-                _raise_failed(work)
+                _stop(work, kept)
             dataset = dataset_of(work)
-            if not work.damaged:
-                write_dataset(store, dataset)
-                store.log("finished")
-                return dataset
+            if work.damaged:
+                continue
+            path = write_dataset(store, dataset)
+            work.remove_leftovers()
+            if work.failed:
+                _raise_failed(work, path, kept)
+            store.log("finished")
+            return dataset
         raise StudyError(f"{folder} gives back other bytes than were written; check the disk, and run again.")
 
 
-def _stop(work: Work, folder: Path) -> None:
+def _stop(work: Work, kept: bool) -> None:
     work.store.log("stopped")
+    on = f"`stickslip resume {work.store.folder}`, or the same call again, goes on from here."
     raise KeyboardInterrupt(
-        f"Stopped with {work.complete} of {work.plan.points.number} points done; `stickslip resume {folder}`, or the "
-        "same call again, goes on from here."
+        f"Stopped with {work.complete} of {work.plan.points.number} points done; "
+        + (on if kept else "they are lost, because no folder was given.")
     )
 
 
-def _raise_failed(work: Work) -> None:
+def _raise_failed(work: Work, path: Path, kept: bool) -> None:
     point, reason = next(iter(work.failed.items()))
+    failed = f"{len(work.failed)} of {work.plan.points.number} points failed"
+    work.store.log(f"finished, but {failed}")
     raise StudyError(
-        f"{len(work.failed)} of {work.plan.points.number} points failed, first {work.plan.points.described(point)}: "
-        f"{reason} The others are stored in {work.store.folder}; its log.txt has all reasons."
+        f"{failed}, first {work.plan.points.described(point)}: {reason.rstrip('.')}; "
+        + (
+            f"{path} has the results of the others, and {work.store.folder / LOG} all reasons."
+            if kept
+            else "give a folder, which keeps the results of the others."
+        )
     )
 
 

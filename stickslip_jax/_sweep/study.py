@@ -1,9 +1,7 @@
 """`Study`: a parametric study, on a grid of parameters or a design."""
 
 import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -169,10 +167,9 @@ class Study:
         """
         from .run import run_study  # noqa: PLC0415 - needs an extra
 
-        with ExitStack() as stack:
-            if folder is None:
-                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="stickslip-study-"))
-            return run_study(self._plan, Path(folder), threads, workers, executor, progress)
+        return run_study(
+            self._plan, None if folder is None else Path(folder), threads, workers, executor, progress
+        )  # fmt: skip
 
     @property
     def points(self) -> int:

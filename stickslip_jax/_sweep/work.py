@@ -1,5 +1,6 @@
 """The work of a study that is left, and how far it has come."""
 
+import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -7,9 +8,12 @@ from typing import Any
 
 from .._ensemble.result import Ensemble
 from .._statistics.registry import STATISTICS
-from .pieces import DamagedPieceError, joined, packed, unpacked
+from .errors import DamagedPieceError
+from .pieces import joined, packed, unfinished_in, unpacked
 from .plan import Plan, Task
 from .store import Piece, Store, derivative_name
+
+_LISTINGS = 3  # of the folder, while a run that is under way joins pieces
 
 
 @dataclass
@@ -46,22 +50,30 @@ class Work:
         for point in range(self.plan.points.number):
             tasks = self._tasks_at(point)
             self._left[point] = len(tasks)
-            self.complete += not tasks
+            if not tasks:
+                self.complete += 1
+                self._join(point)  # an earlier run may have been stopped before
             yield from tasks
 
     def _tasks_at(self, point: int) -> list[Task]:
-        pieces, at, gaps = self.pieces(point), 0, []
-        for piece in (one for one in pieces if not one.derivative):
-            gaps += self._cut(point, at, piece.first)
-            self.done[point] += piece.end - piece.first
-            at = piece.end
-        gaps += self._cut(point, at, self.plan.samples)
-        if self.plan.is_adaptive and gaps:
-            gaps = gaps[:1] if not self._is_precise(point) else []
+        pieces = self.pieces(point)
+        self.done[point] = sum(piece.end - piece.first for piece in pieces if not piece.derivative)
+        tasks = self._missing(point)
         there = {(piece.derivative, piece.end) for piece in pieces}
         for number in range(len(self.plan.derivatives)):
             if (derivative_name(self.plan, number), self.plan.samples) not in there:
-                gaps.append(Task(point, 0, self.plan.samples, number))
+                tasks.append(Task(point, 0, self.plan.samples, number))
+        return tasks
+
+    def _missing(self, point: int) -> list[Task]:
+        """The tasks for samples of a point that are not there; with wanted standard errors, the first of them."""
+        gaps, at = [], 0
+        for piece in (one for one in self.pieces(point) if not one.derivative):
+            gaps += self._cut(point, at, piece.first)
+            at = piece.end
+        gaps += self._cut(point, at, self.plan.samples)
+        if self.plan.is_adaptive and gaps:
+            return [] if self._is_precise(point) else gaps[:1]
         return gaps
 
     def _cut(self, point: int, first: int, end: int) -> list[Task]:
@@ -84,7 +96,8 @@ class Work:
         self._left[task.point] -= 1
         if task.derivative is None:
             self.done[task.point] += task.samples
-            more = self._next(task)
+            self._log_unfinished(task, data)
+            more = self._missing(task.point) if self.plan.is_adaptive else []
             self._left[task.point] += len(more)
         else:
             more = []
@@ -93,10 +106,11 @@ class Work:
             self._join(task.point)
         return more
 
-    def _next(self, task: Task) -> list[Task]:
-        if not self.plan.is_adaptive or task.end >= self.plan.samples or self._is_precise(task.point):
-            return []
-        return self._cut(task.point, task.end, self.plan.samples)[:1]
+    def _log_unfinished(self, task: Task, data: bytes) -> None:
+        unfinished = ", ".join(f"{count} {status.name}" for status, count in unfinished_in(data).items())
+        if unfinished:
+            samples = f"samples {task.first} to {task.end - 1}"
+            self.store.log(f"not to the end {self.plan.points.described(task.point)}: {samples}: {unfinished}")
 
     def _is_precise(self, point: int) -> bool:
         """Whether the standard errors of a point are as small as wanted."""
@@ -115,6 +129,19 @@ class Work:
 
         Pieces that are damaged are removed, and end it.
         """
+        for _ in range(_LISTINGS):
+            try:
+                return self._ensemble(point)
+            except FileNotFoundError:
+                self._list_again()
+        return None
+
+    def _list_again(self) -> None:
+        """Look for pieces where one is gone. For a reader: a run has joined it with others since they were listed."""
+        self._pieces = self.store.pieces()
+        self.damaged += 1
+
+    def _ensemble(self, point: int) -> Ensemble | None:
         found, at = [], 0
         fields = self.plan.fields_at(point)
         for piece in list(self.pieces(point)):
@@ -122,7 +149,7 @@ class Work:
                 continue
             try:
                 found.append(unpacked(self.store.read(piece), fields))
-            except (DamagedPieceError, FileNotFoundError) as error:
+            except DamagedPieceError as error:
                 self._remove(point, piece, str(error))
                 break
             at = piece.end
@@ -135,14 +162,16 @@ class Work:
             if piece.derivative in names and piece.end == self.plan.samples:
                 try:
                     found[piece.derivative] = json.loads(self.store.read(piece))
-                except (ValueError, FileNotFoundError) as error:
+                except (DamagedPieceError, json.JSONDecodeError) as error:
                     self._remove(point, piece, str(error))
+                except FileNotFoundError:
+                    self._list_again()
         return found
 
     def _join(self, point: int) -> None:
         """Make one file of the pieces of samples of a point, if there are several; the files take much space."""
         pieces = [piece for piece in self.pieces(point) if not piece.derivative]
-        if len(pieces) < 2:
+        if len(pieces) < 2 or not self.store.held:
             return
         whole = self.ensemble(point)
         if whole is None or whole.samples != pieces[-1].end:  # a damaged piece, which is done again
@@ -153,10 +182,17 @@ class Work:
         others = [piece for piece in self.pieces(point) if piece.derivative]
         self._pieces[self._identities[point]] = [Piece(path, 0, whole.samples), *others]
         for piece in pieces:
-            piece.path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # what is left is passed over, and removed at the end
+                piece.path.unlink()
+
+    def remove_leftovers(self) -> None:
+        """Remove pieces whose samples are in a longer one too. For when all of those have been read."""
+        self.store.remove_leftovers(self._identities)
 
     def _remove(self, point: int, piece: Piece, reason: str) -> None:
-        self.store.log(f"damaged, to be done again: {piece.path.name} ({reason})")
-        piece.path.unlink(missing_ok=True)
         self._pieces[self._identities[point]].remove(piece)
         self.damaged += 1
+        if self.store.held:
+            self.store.log(f"damaged, to be done again: {piece.path.name} ({reason})")
+            with contextlib.suppress(OSError):  # the new piece replaces it
+                piece.path.unlink()
