@@ -24,8 +24,9 @@ _ROUNDS = 3  # after which pieces that keep coming back damaged are an error of 
 
 
 def run_study(
-    plan: Plan, folder: Path, threads: int | None, workers: int | None, executor: Any, progress: bool | None
-) -> "xarray.Dataset":
+    plan: Plan, folder: Path, threads: int | None, workers: int | None, executor: Any, shared_folder: bool,
+    progress: bool | None,
+) -> "xarray.Dataset":  # fmt: skip
     """Do what is left of a study, and return its result; see `Study.run`."""
     _check_dtype(plan)
     with opened(folder, plan) as (store, cut), stoppable() as stopping, collecting():
@@ -33,7 +34,7 @@ def run_study(
         for _ in range(_ROUNDS):
             work = Work(cut, store)
             with (
-                executor_for(cut, threads, workers, executor) as chosen,
+                executor_for(cut, store, threads, workers, executor, shared_folder) as chosen,
                 progress_bar(progress, cut.points.number * cut.samples) as bar,
             ):
                 run_tasks(work, chosen, stopping, bar)
