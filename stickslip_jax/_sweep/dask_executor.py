@@ -11,7 +11,7 @@ from typing import Any
 
 from .. import _checks
 from .errors import StudyError
-from .executors import WorkerDiedError, Written
+from .executors import Executor, WorkerDiedError, Written
 from .files import cannot_write, write_whole
 from .plan import Plan, Task
 from .store import Store
@@ -23,7 +23,7 @@ _VISIBLE = 30.0  # s until a file that another machine has written must be seen 
 _COUNTED = 1.0  # s for which a count of the cluster's threads holds
 
 
-class DaskCluster:
+class DaskCluster(Executor):
     """The workers of a cluster, to which a ``dask.distributed.Client`` is connected.
 
     The plan goes to the cluster once, as the result of tasks: where the worker that holds it dies, the scheduler makes

@@ -1,9 +1,10 @@
 """Where the tasks of a study are done: in threads, in processes of this machine, or by a cluster of dask."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 
@@ -27,38 +28,36 @@ class WorkerDiedError(Exception):
         self.others = others
 
 
-class Executor(Protocol):
+class Executor(ABC):
     """Does tasks somewhere."""
 
     @property
+    @abstractmethod
     def at_once(self) -> int:
         """How many tasks are worth submitting before the first is done."""
-        ...
 
+    @abstractmethod
     def submit(self, task: Task) -> Any:
         """A future of the task, with ``add_done_callback``."""
-        ...
 
+    @abstractmethod
     def result(self, task: Task, future: Any) -> bytes | Written | Failed:
         """What came of a future that is done. Raises WorkerDiedError, StudyError where there is no going on, and what
         went wrong with the task.
         """
-        ...
 
-    def check(self) -> None:
-        """Raises StudyError if no future can become done any more."""
-        ...
-
-    def restart(self) -> None:
-        """Make it work again after tasks were lost."""
-        ...
-
+    @abstractmethod
     def close(self, *, wait: bool) -> None:
         """End it; what has not begun is cancelled. `wait`: whether to wait for what has."""
-        ...
+
+    def restart(self) -> None:  # noqa: B027 - threads have nothing to do
+        """Make it work again after all tasks under way were lost."""
+
+    def check(self) -> None:  # noqa: B027 - only connections are lost
+        """Raises StudyError if no future can become done any more."""
 
 
-class Threads:
+class Threads(Executor):
     """Threads of this process."""
 
     def __init__(self, plan: Plan, threads: int):
@@ -77,12 +76,6 @@ class Threads:
             return future.result()
         except ValueError as error:
             return Failed(str(error))
-
-    def check(self) -> None:
-        pass
-
-    def restart(self) -> None:
-        pass
 
     def close(self, *, wait: bool) -> None:
         self._pool.shutdown(wait=wait, cancel_futures=True)

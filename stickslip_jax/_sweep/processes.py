@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from .errors import StudyError
-from .executors import WorkerDiedError
+from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
 from .workers import Failed, UnfitWorkerError, perform_in_process, prepare_process, start_of_process
 
@@ -15,7 +15,7 @@ from .workers import Failed, UnfitWorkerError, perform_in_process, prepare_proce
 _ENVIRONMENT = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e15"}
 
 
-class Processes:
+class Processes(Executor):
     """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
 
     Those of loky do not run the user's program again, as those of the standard library do.
@@ -55,9 +55,6 @@ class Processes:
             raise WorkerDiedError(reason, others=True) from error  # the whole pool breaks
         except UnfitWorkerError as error:
             raise StudyError(str(error)) from error
-
-    def check(self) -> None:
-        pass
 
     def restart(self) -> None:
         self._pool.shutdown(wait=True, kill_workers=True)
