@@ -59,10 +59,10 @@ def _stop(work: Work, folder: Path) -> None:
 
 
 def _raise_failed(work: Work) -> None:
-    point, reason = next(iter(work.failed.items()))
+    point = min(work.failed)
     raise StudyError(
         f"{len(work.failed)} of {work.plan.points.number} points failed, first {work.plan.points.described(point)}: "
-        f"{reason} The others are stored in {work.store.folder}; its log.txt has all reasons."
+        f"{work.failed[point]} The others are stored in {work.store.folder}; its log.txt has all reasons."
     )
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import dask
@@ -26,6 +27,17 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "clusters.md"
 @pytest.fixture(scope="module")
 def undisturbed():
     return small_study().run(threads=2)
+
+
+@contextmanager
+def one_process():
+    """A client of a cluster of one worker process with one thread, and a thread to run a study in."""
+    with (
+        local_cluster(threads_per_worker=1, processes=True) as cluster,
+        Client(cluster) as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        yield client, pool
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +176,7 @@ def test_folder_that_workers_do_not_share_is_refused(client, monkeypatch, tmp_pa
 def test_file_of_a_worker_that_is_not_seen_here_is_told(client, monkeypatch, tmp_path):
     monkeypatch.setattr(dask_executor, "_VISIBLE", 0.0)
     monkeypatch.setattr(dask_executor, "write_whole", lambda path, data: None)
-    with pytest.raises(StudyError, match="which a worker has written, is not in .* leave shared_folder out"):
+    with pytest.raises(StudyError, match=r"which a worker has written, is not in .* leave shared_folder out"):
         small_study().run(tmp_path, executor=client, shared_folder=True)
 
 
@@ -203,25 +215,23 @@ def pids_of_workers(client) -> list[int]:
 def test_killed_worker_of_a_cluster_changes_nothing(tmp_path, shared):
     """Its nanny starts another; the only worker here, so that the plan is lost with it and made again."""
     study = small_study(samples=40_000)
-    with local_cluster(threads_per_worker=1, processes=True) as cluster, Client(cluster) as client:
-        with ThreadPoolExecutor(1) as pool:
-            running = pool.submit(study.run, tmp_path, executor=client, shared_folder=shared)
-            for pieces in (3, 20):
-                wait_for(lambda pieces=pieces: log_of(tmp_path).count("done ") >= pieces)
-                (pid,) = pids_of_workers(client)
-                os.kill(pid, signal.SIGKILL)
-            found = running.result()
+    with one_process() as (client, pool):
+        running = pool.submit(study.run, tmp_path, executor=client, shared_folder=shared)
+        for pieces in (3, 20):
+            wait_for(lambda pieces=pieces: log_of(tmp_path).count("done ") >= pieces)
+            (pid,) = pids_of_workers(client)
+            os.kill(pid, signal.SIGKILL)
+        found = running.result()
     assert_same(found, study.run(threads=2))
 
 
 @pytest.mark.slow
 def test_restart_of_the_cluster_changes_nothing(tmp_path, undisturbed):
-    with local_cluster(threads_per_worker=1, processes=True) as cluster, Client(cluster) as client:
-        with ThreadPoolExecutor(1) as pool:
-            running = pool.submit(small_study().run, tmp_path, executor=client)
-            wait_for(lambda: "done " in log_of(tmp_path))
-            client.restart()
-            found = running.result()
+    with one_process() as (client, pool):
+        running = pool.submit(small_study().run, tmp_path, executor=client)
+        wait_for(lambda: "done " in log_of(tmp_path))
+        client.restart()
+        found = running.result()
     assert "cancelled" in log_of(tmp_path)
     assert_same(found, undisturbed)
 
@@ -229,17 +239,13 @@ def test_restart_of_the_cluster_changes_nothing(tmp_path, undisturbed):
 @pytest.mark.slow
 def test_piece_that_kills_its_workers_is_told(tmp_path):
     """The scheduler gives up after some deaths; here after the first."""
-    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-        with local_cluster(threads_per_worker=1, processes=True) as cluster, Client(cluster) as client:
-            with ThreadPoolExecutor(1) as pool:
-                running = pool.submit(small_study(samples=40_000).run, tmp_path, executor=client)
-                wait_for(lambda: "done " in log_of(tmp_path))
-                (pid,) = pids_of_workers(client)
-                os.kill(pid, signal.SIGKILL)
-                with pytest.raises(
-                    StudyError, match="Workers of the cluster died 1 times with the same piece, the last"
-                ):
-                    running.result()
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), one_process() as (client, pool):
+        running = pool.submit(small_study(samples=40_000).run, tmp_path, executor=client)
+        wait_for(lambda: "done " in log_of(tmp_path))
+        (pid,) = pids_of_workers(client)
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(StudyError, match="Workers of the cluster died 1 times with the same piece, the last"):
+            running.result()
     assert "done " in log_of(tmp_path)
 
 
@@ -260,7 +266,7 @@ def test_killed_scheduler_is_told_and_what_came_is_kept(tmp_path):
         running = pool.submit(small_study(samples=40_000).run, tmp_path, executor=client)
         wait_for(lambda: "done " in log_of(tmp_path))
         scheduler.kill()
-        with pytest.raises(StudyError, match="The connection to the cluster was lost; .* goes on from there"):
+        with pytest.raises(StudyError, match=r"The connection to the cluster was lost; .* goes on from there"):
             running.result()
     assert_same(small_study(samples=40_000).run(tmp_path, threads=2), small_study(samples=40_000).run(threads=2))
 
