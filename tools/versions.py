@@ -16,7 +16,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-EXTRAS = ("study", "tables")
+EXTRAS = ("study", "cluster", "tables")
 TOOLS = ("pytest", "hypothesis", "beartype", "mpmath")
 """What the tests below need besides; at any version."""
 SHOWN = ("jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox", "jaxtyping", "matplotlib")

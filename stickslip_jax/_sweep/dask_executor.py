@@ -1,56 +1,194 @@
 """Tasks done by the workers of a cluster of dask.distributed."""
 
+import functools
+import os
+import socket
+import time
 import uuid
+from concurrent.futures import CancelledError
+from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
-
 from .. import _checks
+from .errors import StudyError
+from .executors import Executor, WorkerDiedError, Written
+from .files import cannot_write, write_whole
 from .plan import Plan, Task
-from .workers import dumps, perform_in_worker, prepare_worker
+from .store import Store, sealed
+from .workers import Failed, Sent, UnfitWorkerError, perform_sent, sent
 
-_RETRIES = 3  # of a task whose worker failed
+_RETRIES = 3  # of a task that failed for another reason than its point
+_PART = 4 * 2**20  # bytes: dask warns about tasks that hold 10 MB
+_VISIBLE = 30.0  # s until a file that another machine has written must be seen here
+_COUNTED = 1.0  # s for which a count of the cluster's threads holds
 
 
-class DaskCluster:
+class DaskCluster(Executor):
     """The workers of a cluster, to which a ``dask.distributed.Client`` is connected.
 
-    The plan is sent once; a task is a few numbers, its result some hundred kilobytes. At most two tasks for each thread
-    of the cluster are submitted at a time, and results are released as soon as they are written.
+    The plan goes to the cluster once, as the result of tasks: where the worker that holds it dies, the scheduler makes
+    it again, and workers that come later get it from others. A task is a few numbers. At most two for each thread of
+    the cluster are submitted at a time, and results are released as soon as they have come.
     """
 
-    def __init__(self, plan: Plan, client: Any):
-        if not (callable(getattr(client, "submit", None)) and callable(getattr(client, "scatter", None))):
-            raise ValueError(
-                "Argument executor must be a dask.distributed.Client, but "
-                f"{_checks.show(client)} was given; threads and workers need no client."
-            )
-        self._client = client
-        self._plan = dumps(plan)
-        self._double = jnp.result_type(float).itemsize == 8
-        self._name = uuid.uuid4().hex[:8]
+    def __init__(self, plan: Plan, client: Any, store: Store, shared_folder: bool):
+        _check_client(client)
+        self._client, self._checked, self._study = client, plan, sent(plan)
+        self._store, self._shared = store, shared_folder
+        self._futures: dict[Task, Any] = {}
+        self._threads, self._counted = 1, -_COUNTED
+        self._plan = self._send()
+
+    def _send(self) -> Any:
+        """The future of the plan in the cluster."""
+        self.check()
+        name, data = f"stickslip-plan-{uuid.uuid4().hex[:8]}", self._study.plan
+        submit = functools.partial(self._client.submit, pure=False, retries=_RETRIES)
+        parts = [
+            submit(bytes, data[at : at + _PART], key=f"{name}-{number}")
+            for number, at in enumerate(range(0, len(data), _PART))
+        ]
+        return submit(_assembled, parts, self._study._replace(plan=b"")._asdict(), key=name)
 
     @property
     def at_once(self) -> int:
-        """Two tasks for each thread that there is now; workers may come and go."""
-        return 2 * max(1, sum(self._client.nthreads().values()))
+        """Two tasks for each thread that there is now; workers come and go."""
+        if time.monotonic() >= self._counted + _COUNTED:
+            self.check()
+            self._threads = max(1, sum(self._client.nthreads().values()))
+            self._counted = time.monotonic()
+        return 2 * self._threads
 
     def submit(self, task: Task) -> Any:
-        name = f"stickslip-{self._name}-{'-'.join(map(str, task))}-{uuid.uuid4().hex[:8]}"
-        return self._client.submit(_perform, self._plan, self._double, task, key=name, pure=False, retries=_RETRIES)
+        self.check()
+        key = f"stickslip-{'-'.join(map(str, task))}-{uuid.uuid4().hex[:8]}"
+        submit = functools.partial(self._client.submit, key=key, pure=False, retries=_RETRIES)
+        if self._shared:
+            path = str(self._path_of(task).resolve())
+            future = submit(_perform_and_write, self._plan, tuple(task), path, self._store.mark)
+        else:
+            future = submit(_perform, self._plan, tuple(task))
+        self._futures[task] = future
+        return future
 
-    def restart(self) -> bool:
-        return False  # the scheduler replaces workers itself
+    def result(self, task: Task, future: Any) -> bytes | Written | Failed:
+        from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
+
+        self._futures.pop(task, None)
+        try:
+            found = future.result()
+        except KilledWorker as error:
+            raise StudyError(
+                f"Workers of the cluster died {error.allowed_failures + 1} times with the same piece, the last "
+                f"{error.last_worker.address}; what is done is kept. Perhaps memory ran out: give the workers more, or "
+                "fewer threads, and run again."
+            ) from error
+        except UnfitWorkerError as error:
+            raise StudyError(str(error)) from error
+        except CancelledError as error:  # by a restart of the cluster, with all others
+            self.check()
+            raise WorkerDiedError(f"the cluster cancelled its tasks: {error}", others=True) from error
+        except OSError as error:
+            self.check()
+            raise WorkerDiedError(str(error), others=False) from error
+        except RuntimeError as error:
+            if "deserialization" not in str(error):
+                raise
+            raise StudyError(
+                f"The scheduler of the cluster cannot read the study ({str(error).partition('.')[0]}); install "
+                "stickslip_jax, dask and distributed in the same versions there."
+            ) from error
+        finally:
+            future.release()
+        if isinstance(found, Written):
+            self._check_visible(self._path_of(task), found.size)
+        return found
+
+    def _path_of(self, task: Task) -> Path:
+        return self._store.path_of(self._checked.points.identity(task.point), task, self._checked)
+
+    def _check_visible(self, path: Path, size: int) -> None:
+        """Raises StudyError for a file that a worker wrote and that is not here; network folders take a moment."""
+        end = time.monotonic() + _VISIBLE
+        while True:
+            names = os.listdir(path.parent)  # asks the server, where looking for one file may not
+            if path.name in names and path.stat().st_size == size:
+                return
+            if time.monotonic() > end:
+                raise StudyError(
+                    f"{path.name}, which a worker has written, is not in {path.parent}; the folder is not the same "
+                    "everywhere: leave shared_folder out, and run again."
+                )
+            time.sleep(0.1)
+
+    def check(self) -> None:
+        if self._client.status != "running":
+            raise StudyError(
+                "The connection to the cluster was lost; the pieces that came before are kept in "
+                f"{self._store.folder}. Connect a new client: the same call with it goes on from there."
+            )
+
+    def restart(self) -> None:
+        self._plan = self._send()
 
     def close(self, *, wait: bool) -> None:
-        pass  # the client is the caller's
+        """The client is the caller's; only what is under way is given up."""
+        if self._client.status == "running":
+            for future in (*self._futures.values(), self._plan):
+                future.release()
+        self._futures.clear()
 
 
-_prepared: list[bytes] = []
+def _check_client(client: Any) -> None:
+    if not all(callable(getattr(client, name, None)) for name in ("submit", "nthreads")):
+        raise ValueError(
+            "Argument executor must be a dask.distributed.Client, but "
+            f"{_checks.show(client)} was given; threads and workers need no client."
+        )
+    if getattr(client, "asynchronous", False):
+        raise ValueError(
+            "Argument executor must be a dask.distributed.Client that waits for answers, but one with "
+            "asynchronous=True was given; make it without, outside of coroutines."
+        )
 
 
-def _perform(plan: bytes, double: bool, task: Task) -> bytes:
-    if _prepared != [plan]:
-        prepare_worker(plan, double, "")
-        _prepared[:] = [plan]
-    return perform_in_worker(task)
+# --- in the workers
+
+
+def _assembled(parts: list[bytes], others: dict[str, Any]) -> Sent:
+    return Sent(**{**others, "plan": b"".join(parts)})
+
+
+def _perform(study: Sent, task: tuple) -> bytes | Failed:
+    return perform_sent(study, Task(*task))
+
+
+def _perform_and_write(study: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed:
+    """Do a task, and write its piece into the folder of the study. Raises UnfitWorkerError where that is not here."""
+    _check_shared(Path(path).parents[1], mark)
+    found = perform_sent(study, Task(*task))
+    if isinstance(found, Failed):
+        return found
+    whole = sealed(mark, found)
+    try:
+        write_whole(Path(path), whole)
+    except OSError as error:
+        raise UnfitWorkerError(f"{_where()}: {cannot_write(Path(path).parents[1], error)}") from error
+    return Written(len(whole))
+
+
+@functools.lru_cache(maxsize=4)
+def _check_shared(folder: Path, mark: bytes) -> None:
+    try:
+        if Store.reading(folder).mark == mark:
+            return
+        reason = "holds another study"
+    except StudyError as error:
+        reason = f"cannot be used ({error})"
+    raise UnfitWorkerError(
+        f"{_where()}: {folder} {reason} there; leave shared_folder out unless the folder is the same everywhere."
+    )
+
+
+def _where() -> str:
+    return f"Worker on {socket.gethostname()}"

@@ -1,7 +1,9 @@
 """The result of a study as one labelled data set."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -231,13 +233,24 @@ def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
     path = store.folder / DATA
     try:
         packing = {name: {"zlib": True, "complevel": 1} for name in dataset.variables if dataset[name].size > 1024}
-        data = dataset.to_netcdf(None, engine="h5netcdf", encoding=packing)
+        with _without_cluster():
+            data = dataset.to_netcdf(None, engine="h5netcdf", encoding=packing)
         write_whole(path, bytes(data))
     except OSError as error:
         raise cannot_write(store.folder, error) from error
     except ImportError:
         raise ImportError("Studies need h5netcdf: pip install 'stickslip_jax[study]'.") from None
     return path
+
+
+@contextmanager
+def _without_cluster() -> Iterator[None]:
+    """Where this process has a client of dask, xarray would ask the cluster for a lock to write memory (and fail)."""
+    if "dask.base" not in sys.modules:
+        yield
+        return
+    with sys.modules["dask"].config.set(scheduler="synchronous"):
+        yield
 
 
 def read_dataset(folder: Path) -> "xarray.Dataset":

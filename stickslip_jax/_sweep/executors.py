@@ -1,137 +1,132 @@
 """Where the tasks of a study are done: in threads, in processes of this machine, or by a cluster of dask."""
 
-import itertools
-import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 
 from .. import _checks
-from .pieces import perform
 from .plan import Plan, Task
-from .workers import arguments_of_worker, perform_in_worker, prepare_worker
+from .store import Store
+from .workers import Failed, Performer
 
 
-@runtime_checkable
-class Executor(Protocol):
+class Written(NamedTuple):
+    """What comes back for a piece that the worker has written into the folder of the study."""
+
+    size: int
+
+
+class WorkerDiedError(Exception):
+    """The worker of a task died. `others`: whether all tasks under way are lost with it."""
+
+    def __init__(self, reason: str, *, others: bool):
+        super().__init__(reason)
+        self.others = others
+
+
+class Executor(ABC):
     """Does tasks somewhere."""
 
     @property
+    @abstractmethod
     def at_once(self) -> int:
         """How many tasks are worth submitting before the first is done."""
-        ...
 
+    @abstractmethod
     def submit(self, task: Task) -> Any:
-        """A future of the bytes of the task's piece, with ``add_done_callback`` and ``result``."""
-        ...
+        """A future of the task, with ``add_done_callback``."""
 
-    def restart(self) -> bool:
-        """Make it work again after a worker died; whether it can."""
-        ...
+    @abstractmethod
+    def result(self, task: Task, future: Any) -> bytes | Written | Failed:
+        """What came of a future that is done. Raises WorkerDiedError, StudyError where there is no going on, and what
+        went wrong with the task.
+        """
 
+    @abstractmethod
     def close(self, *, wait: bool) -> None:
         """End it; what has not begun is cancelled. `wait`: whether to wait for what has."""
-        ...
+
+    def restart(self) -> None:  # noqa: B027 - threads have nothing to do
+        """Make it work again after all tasks under way were lost."""
+
+    def check(self) -> None:  # noqa: B027 - only connections are lost
+        """Raises StudyError if no future can become done any more."""
 
 
-class Threads:
-    """Threads of this process; pieces are spread over the devices that JAX has."""
+class Threads(Executor):
+    """Threads of this process."""
 
     def __init__(self, plan: Plan, threads: int):
-        self._plan, self._threads = plan, threads
+        self._performer, self._threads = Performer(plan), threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="stickslip study")
-        self._devices, self._number = jax.local_devices(), itertools.count()
-        self._compiling, self._compiled = threading.Lock(), False
 
     @property
     def at_once(self) -> int:
         return 2 * self._threads
 
     def submit(self, task: Task) -> Future[bytes]:
-        device = self._devices[next(self._number) % len(self._devices)]
-        return self._pool.submit(self._perform, task, device)
+        return self._pool.submit(self._performer.perform, task)
 
-    def _perform(self, task: Task, device: Any) -> bytes:
-        if not self._compiled:  # the first task compiles what all need, while the others wait
-            with self._compiling:
-                if not self._compiled:
-                    done = self._perform_on(task, device)
-                    self._compiled = True
-                    return done
-        return self._perform_on(task, device)
-
-    def _perform_on(self, task: Task, device: Any) -> bytes:
-        if len(self._devices) == 1:
-            return perform(self._plan, task)
-        with jax.default_device(device):
-            return perform(self._plan, task)
-
-    def restart(self) -> bool:
-        return False
+    def result(self, task: Task, future: Future[bytes]) -> bytes | Failed:
+        try:
+            return future.result()
+        except ValueError as error:
+            return Failed(str(error))
 
     def close(self, *, wait: bool) -> None:
         self._pool.shutdown(wait=wait, cancel_futures=True)
 
 
-class Processes:
-    """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
+class Where(NamedTuple):
+    """Where to simulate, as in the arguments of `Study.run`."""
 
-    Those of loky do not run the user's program again, as those of the standard library do.
-    """
-
-    def __init__(self, plan: Plan, workers: int):
-        try:
-            from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
-        except ImportError:
-            raise ImportError("Argument workers needs loky: pip install 'stickslip_jax[study]'.") from None
-        self._pool_class, self._workers, self._start = ProcessPoolExecutor, workers, arguments_of_worker(plan)
-        self._pool = self._new()
-
-    @property
-    def at_once(self) -> int:
-        return 2 * self._workers
-
-    def _new(self) -> Any:
-        return self._pool_class(self._workers, initializer=prepare_worker, initargs=self._start)
-
-    def submit(self, task: Task) -> Future[bytes]:
-        return self._pool.submit(perform_in_worker, task)
-
-    def restart(self) -> bool:
-        self._pool.shutdown(wait=True, kill_workers=True)
-        self._pool = self._new()
-        return True
-
-    def close(self, *, wait: bool) -> None:
-        self._pool.shutdown(wait=True, kill_workers=not wait)
-
-
-DIED = (BrokenExecutor,)
-"""What a future raises if its worker died."""
+    threads: int | None = None
+    workers: int | None = None
+    executor: Any = None
+    shared_folder: bool = False
 
 
 @contextmanager
-def executor_for(plan: Plan, threads: int | None, workers: int | None, executor: Any) -> Iterator[Executor]:
-    """The executor that the arguments of `Study.run` ask for. Raises ValueError where they exclude each other."""
-    given = [name for name, value in (("threads", threads), ("workers", workers), ("executor", executor)) if value]
-    if len(given) > 1:
-        raise ValueError(f"Arguments {given[0]} and {given[1]} must not both be given; each says where to simulate.")
-    if executor is not None:
-        from .dask_executor import DaskCluster  # noqa: PLC0415 - an extra
-
-        chosen: Executor = DaskCluster(plan, executor)
-    elif workers is not None:
-        chosen = Processes(plan, _checks.whole_number("workers", workers))
-    else:
-        from .._fast_cpu import cores  # noqa: PLC0415
-
-        chosen = Threads(plan, cores() if threads is None else _checks.whole_number("threads", threads))
+def executor_for(plan: Plan, store: Store, where: Where) -> Iterator[Executor]:
+    """The executor that was asked for, closed at the end."""
+    chosen = _chosen(plan, store, where)
     finished = False
     try:
         yield chosen
         finished = True
     finally:
         chosen.close(wait=finished)
+
+
+def _chosen(plan: Plan, store: Store, where: Where) -> Executor:
+    if where.executor is not None:
+        from .dask_executor import DaskCluster  # noqa: PLC0415 - an extra
+
+        return DaskCluster(plan, where.executor, store, where.shared_folder)
+    if where.workers is not None:
+        from .processes import Processes  # noqa: PLC0415 - an extra
+
+        return Processes(plan, _checks.whole_number("workers", where.workers))
+    from .._fast_cpu import cores  # noqa: PLC0415
+
+    usual = max(cores(), len(jax.local_devices()))
+    return Threads(plan, usual if where.threads is None else _checks.whole_number("threads", where.threads))
+
+
+def check_where(where: Where, *, has_folder: bool) -> None:
+    """Raises ValueError for arguments of `Study.run` that exclude each other."""
+    executor, shared_folder = where.executor, where.shared_folder
+    names = [name for name in ("threads", "workers", "executor") if getattr(where, name) is not None]
+    if len(names) > 1:
+        raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
+    _checks.truth("shared_folder", shared_folder)
+    if shared_folder and (executor is None or not has_folder):
+        missing = "a folder" if executor is not None else "executor"
+        raise ValueError(
+            f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
+            "the workers of a cluster write into the folder of the study."
+        )

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import re
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +21,8 @@ def write_whole(path: Path, data: bytes) -> None:
 
     The name is new or replaces an older file at once. Raises OSError if that fails, with nothing left behind.
     """
-    temporary = path.with_name(f"{path.name}.{os.getpid()}{_UNFINISHED}")
+    # Of its own for each writer: on another machine one may have the same process number.
+    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:12]}{_UNFINISHED}")
     try:
         with temporary.open("wb") as file:
             file.write(data)

@@ -37,7 +37,7 @@ def manifest_text(plan: Plan) -> str:
     body = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "versions": _versions(),
+        "versions": versions(),
         "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in _OBJECTS},
         "deciding": {name: _plain(getattr(plan, name)) for name in _DECIDING},
         "asked": {name: _plain(getattr(plan, name)) for name in _ASKED},
@@ -126,7 +126,8 @@ def fingerprint(body: dict[str, Any]) -> str:
     return _sum({name: body[name] for name in _FINGERPRINT})
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """The versions of what decides the numbers."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
     return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}

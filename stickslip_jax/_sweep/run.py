@@ -3,14 +3,14 @@
 import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
 from .._ensemble.progress import progress_bar
 from .dataset import dataset_of, write_dataset
 from .errors import StudyError
-from .executors import executor_for
+from .executors import Where, executor_for
 from .plan import Plan
 from .runner import run_tasks
 from .stopping import stoppable
@@ -24,28 +24,23 @@ if TYPE_CHECKING:
 _ROUNDS = 3  # after which pieces that keep coming back damaged are an error of the disk
 
 
-def run_study(
-    plan: Plan, folder: Path | None, threads: int | None, workers: int | None, executor: Any, progress: bool | None
-) -> "xarray.Dataset":
+def run_study(plan: Plan, folder: Path | None, where: Where, progress: bool | None) -> "xarray.Dataset":
     """Do what is left of a study, and return its result; see `Study.run`."""
     _check_dtype(plan)
     if folder is None:
         with TemporaryDirectory(prefix="stickslip-study-") as temporary:
-            return _run_in(Path(temporary), False, plan, threads, workers, executor, progress)
-    return _run_in(folder, True, plan, threads, workers, executor, progress)
+            return _run_in(Path(temporary), False, plan, where, progress)
+    return _run_in(folder, True, plan, where, progress)
 
 
-def _run_in(
-    folder: Path, kept: bool, plan: Plan, threads: int | None, workers: int | None, executor: Any,
-    progress: bool | None,
-) -> "xarray.Dataset":  # fmt: skip
+def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool | None) -> "xarray.Dataset":
     """`run_study` in a folder; `kept`: whether it is the user's."""
     with opened(folder, plan) as (store, cut), stoppable() as stopping, collecting():
         store.log(f"begun: {cut.points.number} points, {cut.samples} samples each")
         for _ in range(_ROUNDS):
             work = Work(cut, store)
             with (
-                executor_for(cut, threads, workers, executor) as chosen,
+                executor_for(cut, store, where) as chosen,
                 progress_bar(progress, cut.points.number * cut.samples) as bar,
             ):
                 run_tasks(work, chosen, stopping, bar)
@@ -73,11 +68,11 @@ def _stop(work: Work, kept: bool) -> None:
 
 
 def _raise_failed(work: Work, path: Path, kept: bool) -> None:
-    point, reason = next(iter(work.failed.items()))
+    point = min(work.failed)
     failed = f"{len(work.failed)} of {work.plan.points.number} points failed"
     work.store.log(f"finished, but {failed}")
     raise StudyError(
-        f"{failed}, first {work.plan.points.described(point)}: {reason.rstrip('.')}; "
+        f"{failed}, first {work.plan.points.described(point)}: {work.failed[point].rstrip('.')}; "
         + (
             f"{path} has the results of the others, and {work.store.folder / LOG} all reasons."
             if kept

@@ -3,16 +3,17 @@
 import queue
 import time
 from collections import deque
-from concurrent.futures import CancelledError
+from typing import Any
 
 from .._ensemble.progress import Progress
 from .errors import StudyError
-from .executors import DIED, Executor
+from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
 from .stopping import Stopping
 from .work import Work
+from .workers import Failed
 
-_DEATHS = 3  # of workers while a task was under way, after which it has failed
+_DEATHS = 3  # of workers while a task was under way, after which the study ends
 
 
 def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
@@ -21,51 +22,89 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
     Stops after the tasks under way when `stopping` asks for it. Raises StudyError if the folder cannot be written, or
     the workers keep dying.
     """
-    plan, waiting, under_way = work.plan, deque(work.tasks()), {}
-    ended: queue.SimpleQueue[Task] = queue.SimpleQueue()
-    deaths: dict[Task, int] = {}
+    waiting, under_way = deque(work.tasks()), _UnderWay(executor)
+    lost: dict[Task, int] = {}
     bar.advance(sum(work.done))
-    while (waiting and not stopping.requested) or under_way:
-        while waiting and not stopping.requested and len(under_way) < executor.at_once:
-            task = waiting.popleft()
-            future = executor.submit(task)
-            under_way[task] = (future, time.monotonic())
-            future.add_done_callback(lambda _, task=task: ended.put(task))
+    while (waiting and not stopping.requested) or under_way.began:
+        while waiting and not stopping.requested and len(under_way.began) < executor.at_once:
+            under_way.begin(waiting.popleft())
+        task = under_way.next()
+        if task is None:
+            executor.check()
+            continue
+        seconds = under_way.seconds(task)
         try:
-            task = ended.get(timeout=0.1)  # signals are handled between the waits
-        except queue.Empty:
+            found = under_way.result(task)
+        except WorkerDiedError as error:
+            again = [task, *(under_way.forget() if error.others else ())]
+            _note_lost(work, again, lost, error)
+            if error.others:
+                executor.restart()
+            waiting.extendleft(reversed(again))
             continue
-        if task not in under_way:
-            continue
-        future, began = under_way.pop(task)
-        try:
-            data = future.result()
-        except (*DIED, CancelledError) as error:
-            lost = [task, *under_way]
-            under_way.clear()
-            _again(work, lost, deaths, executor, error)
-            waiting.extendleft(reversed(lost))
-            continue
+        except StudyError:
+            raise
         except Exception as error:
-            work.fail(task, str(error))
-            work.store.log(f"FAILED {_described(plan, task)}: {error}")
+            found = Failed(str(error))
+        if isinstance(found, Failed):
+            work.fail(task, found.reason)
+            work.store.log(f"FAILED {_described(work.plan, task)}: {found.reason}")
             continue
-        waiting.extendleft(work.finish(task, data))
-        work.store.log(f"done {_described(plan, task)} in {time.monotonic() - began:.2f} s")
+        waiting.extendleft(work.finish(task, found if isinstance(found, bytes) else None))
+        work.store.log(f"done {_described(work.plan, task)} in {seconds:.2f} s")
         bar.advance(task.samples if task.derivative is None else 0)
-        bar.note(f"{work.complete} of {plan.points.number} points")
+        bar.note(f"{work.complete} of {work.plan.points.number} points")
 
 
-def _again(work: Work, lost: list[Task], deaths: dict[Task, int], executor: Executor, error: BaseException) -> None:
-    """Prepare for doing the `lost` tasks again. Raises StudyError if that has been tried often enough."""
-    for task in lost:
-        deaths[task] = deaths.get(task, 0) + 1
-    worst = max(lost, key=lambda task: deaths[task])
-    work.store.log(f"a worker died ({error}); {len(lost)} pieces are done again")
-    if deaths[worst] > _DEATHS or not executor.restart():
+class _UnderWay:
+    """The tasks that an executor has been given. `began`: when each was."""
+
+    def __init__(self, executor: Executor):
+        self._executor = executor
+        self._futures: dict[Task, Any] = {}
+        self._ended: queue.SimpleQueue[tuple[Task, Any]] = queue.SimpleQueue()
+        self.began: dict[Task, float] = {}
+
+    def begin(self, task: Task) -> None:
+        future = self._executor.submit(task)
+        self._futures[task], self.began[task] = future, time.monotonic()
+        future.add_done_callback(lambda done, task=task: self._ended.put((task, done)))
+
+    def next(self) -> Task | None:
+        """A task that is done; None if none is for a moment, so that signals are handled between the waits."""
+        try:
+            task, future = self._ended.get(timeout=0.1)
+        except queue.Empty:
+            return None
+        return task if self._futures.get(task) is future else None  # else lost, and begun again
+
+    def seconds(self, task: Task) -> float:
+        """The time since a task began."""
+        return time.monotonic() - self.began[task]
+
+    def result(self, task: Task) -> Any:
+        """What came of a task, which is not under way any more."""
+        del self.began[task]
+        return self._executor.result(task, self._futures.pop(task))
+
+    def forget(self) -> list[Task]:
+        """All tasks that are under way, none of which is any more."""
+        tasks = list(self.began)
+        self.began.clear()
+        self._futures.clear()
+        return tasks
+
+
+def _note_lost(work: Work, again: list[Task], lost: dict[Task, int], error: WorkerDiedError) -> None:
+    """Log that tasks are done again. Raises StudyError if one of them has been lost too often."""
+    for task in again:
+        lost[task] = lost.get(task, 0) + 1
+    worst = max(again, key=lambda task: lost[task])
+    work.store.log(f"a worker died ({error}); {len(again)} pieces are done again")
+    if lost[worst] > _DEATHS:
         raise StudyError(
-            f"A worker process died {deaths[worst]} times while it simulated {_described(work.plan, worst)} ({error}); "
-            "what is done is kept. Perhaps memory ran out: take fewer workers, and run again."
+            f"A worker died {lost[worst]} times while it simulated {_described(work.plan, worst)} ({error}); what is "
+            "done is kept. Perhaps memory ran out: take fewer workers, and run again."
         ) from error
 
 

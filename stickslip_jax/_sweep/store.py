@@ -123,7 +123,7 @@ class Store:
     def write(self, path: Path, data: bytes) -> None:
         """Write the bytes of a piece. Raises StudyError if that fails."""
         try:
-            write_whole(path, self.mark + hashlib.sha256(self.mark + data).digest() + data)
+            write_whole(path, sealed(self.mark, data))
         except OSError as error:
             raise cannot_write(self.folder, error) from error
 
@@ -131,6 +131,11 @@ class Store:
         """Add a line to the log, with the time."""
         with contextlib.suppress(OSError), (self.folder / LOG).open("a", encoding="utf-8") as file:
             file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+
+
+def sealed(mark: bytes, data: bytes) -> bytes:
+    """The bytes of a piece as they stand in its file: after the mark of the study and a check sum."""
+    return mark + hashlib.sha256(mark + data).digest() + data
 
 
 def derivative_name(plan: Plan, number: int) -> str:

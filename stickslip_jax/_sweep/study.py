@@ -149,6 +149,7 @@ class Study:
         threads: int | None = None,
         workers: int | None = None,
         executor: Any = None,
+        shared_folder: bool = False,
         progress: bool | None = None,
     ) -> "xarray.Dataset":
         """Simulate all points and return the result.
@@ -156,7 +157,9 @@ class Study:
         - `folder`: where every finished piece is stored. The same call goes on after an interrupt, wherever it was
           stopped, and adds points, samples, statistics or sensitivities to what is there. Without it, nothing is kept.
         - `threads`: of this process (default: all cores). Or `workers`: processes on this machine. Or `executor`: a
-          ``dask.distributed.Client``. The numbers are the same.
+          ``dask.distributed.Client`` (docs/clusters.md). The numbers are the same.
+        - `shared_folder`: whether the workers of `executor` see `folder` under the same name, and write into it; else
+          they send what they have done.
         - `progress`: as in `simulate_ensemble`.
 
         Returns an ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/studies.md describes it.
@@ -165,11 +168,12 @@ class Study:
         Raises StudyError for a folder that holds something else or cannot be written, and if points failed; ImportError
         without the extra ``study``.
         """
+        from .executors import Where, check_where  # noqa: PLC0415 - with what runs studies only
         from .run import run_study  # noqa: PLC0415 - needs an extra
 
-        return run_study(
-            self._plan, None if folder is None else Path(folder), threads, workers, executor, progress
-        )  # fmt: skip
+        where = Where(threads, workers, executor, shared_folder)
+        check_where(where, has_folder=folder is not None)
+        return run_study(self._plan, None if folder is None else Path(folder), where, progress)
 
     @property
     def points(self) -> int:

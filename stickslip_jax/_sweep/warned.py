@@ -6,7 +6,7 @@
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 _local = threading.local()
@@ -25,7 +25,39 @@ def collected() -> Iterator[list[str]]:
 
 @contextmanager
 def collecting() -> Iterator[None]:
-    """Gives the RuntimeWarnings of threads that are in `collected` to these, and shows all others, in this process."""
+    """Gives the RuntimeWarnings of threads that are in `collected` to these, and shows all others, in this process.
+
+    Several threads may be in it: the filters of warnings, which all share, come back when the last leaves.
+    """
+    _collecting.enter()
+    try:
+        yield
+    finally:
+        _collecting.leave()
+
+
+class _Collecting:
+    def __init__(self) -> None:
+        self._lock, self._inside, self._stack = threading.Lock(), 0, ExitStack()
+
+    def enter(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._stack.enter_context(_shown_by_thread())
+            self._inside += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._stack.close()
+
+
+_collecting = _Collecting()
+
+
+@contextmanager
+def _shown_by_thread() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
         warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the study says so once

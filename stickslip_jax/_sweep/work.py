@@ -85,10 +85,11 @@ class Work:
             first = after
         return tasks
 
-    def finish(self, task: Task, data: bytes) -> list[Task]:
-        """Store the result of a task; returns what is to be done next because of it."""
+    def finish(self, task: Task, data: bytes | None) -> list[Task]:
+        """Store the result of a task, None if the worker has; returns what is to be done next because of it."""
         path = self.path_of(task)
-        self.store.write(path, data)
+        if data is not None:
+            self.store.write(path, data)
         name = "" if task.derivative is None else derivative_name(self.plan, task.derivative)
         pieces = self._pieces.setdefault(self._identities[task.point], [])
         pieces.append(Piece(path, task.first, task.end, name))

@@ -1,45 +1,93 @@
-"""What runs in worker processes, on this machine or another."""
+"""What does tasks in a process: this one, a worker process of this machine, or a worker of a cluster."""
 
 import dataclasses
+import functools
 import importlib
 import importlib.util
+import itertools
+import os
 import pickle
-from collections.abc import Callable
-from typing import Any
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from .. import _compilation_cache
+from .manifest import versions
 from .pieces import perform
 from .plan import Plan, Task
 from .warned import collecting
 
-_plan_of_worker: list[Plan] = []
+
+class UnfitWorkerError(RuntimeError):
+    """A worker that cannot do its share of a study; the message is a sentence that says what to do."""
 
 
-def prepare_worker(plan: bytes, double: bool, cache: str) -> None:
-    """Set JAX as in the main process, and read the plan; once in every worker."""
-    jax.config.update("jax_enable_x64", double)
-    if cache:
-        jax.config.update("jax_compilation_cache_dir", cache)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    _plan_of_worker[:] = [_loads(plan)]
+class Failed(NamedTuple):
+    """What comes back for a point that cannot be simulated."""
+
+    reason: str
 
 
-def perform_in_worker(task: Task) -> bytes:
-    """`perform` with the plan that the worker was started with."""
-    with collecting():
-        return perform(_plan_of_worker[0], task)
+class Performer:
+    """Does tasks of a plan in any threads of this process, spread over the devices that JAX has here."""
+
+    def __init__(self, plan: Plan):
+        self._plan = plan
+        self._devices = [_Device(device) for device in jax.local_devices()]
+        self._number = itertools.count()
+
+    def perform(self, task: Task) -> bytes:
+        """Do a task. Raises ValueError for a point that cannot be simulated."""
+        device = self._devices[next(self._number) % len(self._devices)]
+        if not device.compiled:  # the first task compiles what all need, while the others wait
+            with device.compiling:
+                if not device.compiled:
+                    done = self._on(device, task)
+                    device.compiled = True
+                    return done
+        return self._on(device, task)
+
+    def _on(self, device: "_Device", task: Task) -> bytes:
+        if len(self._devices) == 1:
+            return perform(self._plan, task)
+        with jax.default_device(device.device):
+            return perform(self._plan, task)
 
 
-def arguments_of_worker(plan: Plan) -> tuple[bytes, bool, str]:
-    """The arguments of `prepare_worker`. Raises ValueError for a plan that cannot be sent."""
-    double = jnp.result_type(float).itemsize == 8
-    return dumps(plan), double, str(getattr(jax.config, "jax_compilation_cache_dir", None) or "")
+@dataclasses.dataclass
+class _Device:
+    device: Any
+    compiling: threading.Lock = dataclasses.field(default_factory=threading.Lock)
+    compiled: bool = False
 
 
-def dumps(plan: Plan) -> bytes:
-    """The plan as bytes for a worker. Raises ValueError for objects that cannot be sent."""
+# --- sending
+
+
+class Sent(NamedTuple):
+    """A plan on its way to other processes, and what these must have in common with this one.
+
+    `caches`: whether compilations are kept here, as they then are there.
+    """
+
+    plan: bytes
+    double: bool
+    versions: dict[str, str]
+    caches: bool
+
+
+def sent(plan: Plan) -> Sent:
+    """The plan for a worker. Raises ValueError for one that cannot be sent."""
+    caches = bool(getattr(jax.config, "jax_compilation_cache_dir", None))
+    return Sent(_dumps(plan), plan.dtype == "float64", versions(), caches)
+
+
+def _dumps(plan: Plan) -> bytes:
     try:
         return _pickler()(dataclasses.replace(plan))  # without what it has computed
     except Exception as error:  # pickling a user's object may raise anything
@@ -52,7 +100,104 @@ def dumps(plan: Plan) -> bytes:
 def _pickler() -> Callable[[Any], bytes]:
     if importlib.util.find_spec("cloudpickle") is None:
         return pickle.dumps
-    return importlib.import_module("cloudpickle").dumps  # comes with dask; sends the classes of notebooks too
+    return importlib.import_module("cloudpickle").dumps  # comes with loky and dask; sends the classes of notebooks too
 
 
-_loads = pickle.loads
+def perform_sent(study: Sent, task: Task) -> bytes | Failed:
+    """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
+    with _precision.of(study.double), collecting():
+        performer = _performer(study)
+        try:
+            return performer.perform(task)
+        except ValueError as error:
+            return Failed(str(error))
+
+
+_reading = threading.Lock()
+
+
+def _performer(study: Sent) -> Performer:
+    with _reading:  # one for all threads, whose compilations they share
+        return _new_performer(study.plan, tuple(sorted(study.versions.items())), study.caches)
+
+
+@functools.lru_cache(maxsize=4)  # studies that run at once on one worker do not throw out each other
+def _new_performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: bool) -> Performer:
+    if caches:
+        _compilation_cache.use()
+    here = versions()
+    other = [f"{name} {here.get(name)} instead of {version}" for name, version in wanted if here.get(name) != version]
+    if other:
+        raise UnfitWorkerError(
+            f"A worker has {', '.join(other)}, which may give other numbers; install the same versions everywhere."
+        )
+    try:
+        return Performer(pickle.loads(plan))
+    except Exception as error:  # unpickling a user's object may raise anything
+        raise UnfitWorkerError(
+            f"A worker cannot read the study ({error}); the modules that define its system and law must be installed "
+            "where the workers run."
+        ) from error
+
+
+class _Precision:
+    """The precision of JAX is of the whole process: tasks in another one wait until no task runs."""
+
+    def __init__(self) -> None:
+        self._changed, self._running = threading.Condition(), 0
+
+    @contextmanager
+    def of(self, double: bool) -> Iterator[None]:
+        """Keep JAX in this precision while the block runs."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._running or jax.config.read("jax_enable_x64") == double)
+            if jax.config.read("jax_enable_x64") != double:
+                jax.config.update("jax_enable_x64", double)
+            self._running += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._running -= 1
+                self._changed.notify_all()
+
+
+_precision = _Precision()
+
+# --- worker processes of this machine
+
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_platforms",
+    "jax_compilation_cache_dir",
+    "jax_compilation_cache_max_size",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
+_study_of_process: list[Sent] = []
+
+
+def start_of_process(plan: Plan) -> tuple[Sent, dict[str, Any], int]:
+    """The arguments of `prepare_process`. Raises ValueError for a plan that cannot be sent."""
+    return sent(plan), {name: getattr(jax.config, name) for name in _SETTINGS}, os.getpid()
+
+
+def prepare_process(study: Sent, settings: dict[str, Any], parent: int) -> None:
+    """Set JAX as in the main process; once in every worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the main one decides
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    for name, value in settings.items():
+        jax.config.update(name, value)
+    _study_of_process[:] = [study]
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after its parent, which may have been killed."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
+
+
+def perform_in_process(task: Task) -> bytes | Failed:
+    """Do a task of the study that the process was started for."""
+    return perform_sent(_study_of_process[0], task)

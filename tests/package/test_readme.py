@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = {
     "README.md": 5,
+    "docs/clusters.md": 2,
     "docs/designs.md": 8,
     "docs/regularized.md": 2,
     "docs/sensitivity.md": 1,

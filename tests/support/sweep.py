@@ -1,0 +1,24 @@
+"""A small study that tests run in different places, and the comparison of its results."""
+
+import jax
+import numpy as np
+
+import stickslip_jax as ss
+
+SAMPLES, PIECE = 3000, 1024
+PLACES = {"mu": [0.5, 1.0], "rate": [0.5, 1.0]}
+
+
+def small_study(**changed) -> ss.Study:
+    """Four points of a random belt, three pieces each."""
+    arguments = {"over": PLACES, "t1": 20.0, "samples": SAMPLES, "piece": PIECE, "key": jax.random.key(1), **changed}
+    return ss.Study(
+        ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching(2.0, 0.5), **arguments
+    )  # fmt: skip
+
+
+def assert_same(found, wanted):
+    """The data sets are equal to the last bit, but for the time spent."""
+    assert set(found.variables) == set(wanted.variables)
+    for name in set(wanted.variables) - {"run_seconds"}:
+        np.testing.assert_array_equal(found[name].values, wanted[name].values, err_msg=name, strict=True)
