@@ -92,12 +92,13 @@ class Work:
             self.store.write(path, data)
         name = "" if task.derivative is None else derivative_name(self.plan, task.derivative)
         pieces = self._pieces.setdefault(self._identities[task.point], [])
-        pieces.append(Piece(path, task.first, task.end, name))
+        piece = Piece(path, task.first, task.end, name)
+        pieces.append(piece)
         pieces.sort(key=lambda piece: (piece.derivative, piece.first))
         self._left[task.point] -= 1
         if task.derivative is None:
             self.done[task.point] += task.samples
-            self._log_unfinished(task, data)
+            self._log_unfinished(task, self.store.read(piece) if data is None else data)
             more = self._missing(task.point) if self.plan.is_adaptive else []
             self._left[task.point] += len(more)
         else:
