@@ -3,8 +3,9 @@
 All are by Lima and Sampaio: "An electromechanical system with uncertain stick-slip oscillations" (2022; `motor_cart`),
 "Parametric analysis of the statistical model of the stick-slip process" (2017; `parametric_analysis`), "Stick-mode
 duration of a dry-friction oscillator with an uncertain model" (2015; `stick_share_map`), and "Analysis of the
-stick-mode duration of dry-friction oscillators with a stochastic approach" (the conference paper; all others). The frequency ratio of the conference paper is ``r = f_b / (omega / 2 pi)``, the frequency of the base over
-the natural frequency of the oscillator, both in Hz.
+stick-mode duration of dry-friction oscillators with a stochastic approach" (the conference paper; all others). The
+frequency ratio of the conference paper is ``r = f_b / (omega / 2 pi)``, the frequency of the base over the natural
+frequency of the oscillator, both in Hz.
 """
 
 import math
@@ -33,7 +34,7 @@ BELT_SPEED = 1.0
 """Absolute value of the belt velocity, m/s (conference paper, section 3)."""
 
 ANALYSIS_FRICTIONS, ANALYSIS_RATES = (0.25, 2.0, 8), (0.2, 5.0, 8)
-"""Friction coefficients (first, last, number; evenly spaced) and rates (1/s; geometrically) of `parametric_analysis`."""
+"""Friction coefficients (first, last, number) and rates (1/s, spaced geometrically) of `parametric_analysis`."""
 SHARE_FRICTIONS, SHARE_RATIOS, SHARE_SAMPLES = (0.1, 2.0, 20), (0.1, 2.5, 25), 1000
 """Friction coefficients and frequency ratios of `stick_share_map`, and how many samples a random belt has."""
 

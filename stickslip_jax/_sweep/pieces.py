@@ -112,6 +112,15 @@ def unpacked(data: bytes, run: Run) -> Ensemble:
     )  # fmt: skip
 
 
+def head_of(data: bytes) -> dict[str, Any]:
+    """What a piece says of itself: "samples", "status_counts", "run_seconds". Raises DamagedPieceError."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return json.loads(archive.read("head.json"))
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise DamagedPieceError(str(error)) from error
+
+
 def joined(pieces: list[Ensemble]) -> Ensemble:
     """Consecutive pieces as one, merged one after the other from the first."""
     first, *_ = pieces

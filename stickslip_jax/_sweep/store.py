@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .errors import StudyError
-from .files import cannot_write, locked, remove_unfinished, write_whole
+from .files import cannot_write, is_locked, locked, remove_unfinished, write_whole
 from .manifest import FORMAT, UnreadableError, body_of, differences, fingerprint, manifest_text, with_piece
 from .plan import Plan, Task
 
@@ -41,8 +41,8 @@ class Store:
     values of the parameters only, so that a point keeps its pieces when others come.
     """
 
-    def __init__(self, folder: Path, body: dict[str, Any]):
-        self.folder = folder
+    def __init__(self, folder: Path, body: dict[str, Any], *, writable: bool = False):
+        self.folder, self.writable = folder, writable
         self.body = body
         self.mark = fingerprint(body)[:16].encode()
 
@@ -50,6 +50,11 @@ class Store:
     def reading(cls, folder: Path) -> "Store":
         """The store in a folder. Raises StudyError if there is none, or none that this version can read."""
         return cls(folder, _body_in(folder))
+
+    @property
+    def is_in_use(self) -> bool:
+        """Whether a run holds the folder now."""
+        return is_locked(self.folder / LOCK)
 
     # --- pieces
 
@@ -128,7 +133,7 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         else:
             text = manifest_text(plan)
             here = body_of(text)
-        store = Store(folder, here)
+        store = Store(folder, here, writable=True)
         try:
             (folder / PIECES).mkdir(exist_ok=True)
             for name in (MANIFEST, COPY):

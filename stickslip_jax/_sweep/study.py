@@ -40,7 +40,8 @@ from .setting import setting_of
 if TYPE_CHECKING:
     import xarray
 
-Over = Mapping[str | tuple[str, ...], Sequence[float] | np.ndarray] | Design
+_Values = Sequence[float] | Sequence[Sequence[float]] | np.ndarray
+Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
 Folder = str | os.PathLike[str]
 
 

@@ -113,7 +113,7 @@ class Work:
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
-        Pieces that are damaged are removed, and end it.
+        Pieces that are damaged end it; they are removed, unless the store is only read.
         """
         found, at = [], 0
         run = self.plan.run_at(point)
@@ -123,6 +123,8 @@ class Work:
             try:
                 found.append(unpacked(self.store.read(piece), run))
             except (DamagedPieceError, FileNotFoundError) as error:
+                if self._was_joined(piece):
+                    return self.ensemble(point)
                 self._remove(point, piece, str(error))
                 break
             at = piece.end
@@ -155,8 +157,16 @@ class Work:
         for piece in pieces:
             piece.path.unlink(missing_ok=True)
 
+    def _was_joined(self, piece: Piece) -> bool:
+        """Whether a run, which this store only watches, has made one file of this one and others; then look again."""
+        if self.store.writable or piece.path.exists():
+            return False
+        self._pieces = self.store.pieces()
+        return True
+
     def _remove(self, point: int, piece: Piece, reason: str) -> None:
-        self.store.log(f"damaged, to be done again: {piece.path.name} ({reason})")
-        piece.path.unlink(missing_ok=True)
+        if self.store.writable:
+            self.store.log(f"damaged, to be done again: {piece.path.name} ({reason})")
+            piece.path.unlink(missing_ok=True)
         self._pieces[self._identities[point]].remove(piece)
         self.damaged += 1

@@ -45,7 +45,9 @@ def _values(name: str, given: Any) -> np.ndarray:
     if isinstance(given, dict) and not several:
         return _range(name, given)
     if not isinstance(given, list) or not given:
-        wanted = "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else "a list, { linspace = ... } or { logspace = ... }"
+        wanted = (
+            "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else "a list, { linspace = ... } or { logspace = ... }"
+        )
         raise ValueError(f"{name} must be {wanted}, but {toml_value(given)} was given.")
     rows = given if several else [[one] for one in given]
     width = name.count(",") + 1
@@ -66,15 +68,17 @@ def _range(name: str, given: dict[str, Any]) -> np.ndarray:
             f"{name} must be a list, or a table with {one_of(_RANGES)}, but {toml_value(given)} was given"
             f"{hint or dotted or '.'}"
         )
-    fits = isinstance(limits, list) and len(limits) == 3 and all(map(_is_number, limits))
-    if not fits or not isinstance(limits[2], int) or limits[2] < 1:
+    ends = limits if isinstance(limits, list) else []
+    if len(ends) != 3 or not all(map(_is_number, ends)) or not isinstance(ends[2], int) or ends[2] < 1:
         raise ValueError(
             f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], but {toml_value(limits)} "
             "was given."
         )
-    if kind == "logspace" and min(limits[:2]) <= 0:
-        raise ValueError(f"logspace of {name} must go from and to positive numbers, but {toml_value(limits)} was given.")
-    return _RANGES[kind](*limits)
+    if kind == "logspace" and min(ends[:2]) <= 0:
+        raise ValueError(
+            f"logspace of {name} must go from and to positive numbers, but {toml_value(limits)} was given."
+        )
+    return _RANGES[kind](*ends)
 
 
 def _is_number(value: Any) -> bool:

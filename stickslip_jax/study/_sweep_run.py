@@ -25,10 +25,10 @@ _SECONDS_TO_CONNECT = 10
 def study_of(config: SweepConfig, source: str = "") -> Study:
     """The study that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
     run, study = config.run, config.study
-    over = {
-        tuple(_full_name(name, run.initial) for name in names) if len(names) > 1 else _full_name(names[0], run.initial): values
-        for names, values in study.over.axes().items()
-    }  # fmt: skip
+    over: dict[str | tuple[str, ...], Any] = {}
+    for names, values in study.over.axes().items():
+        full = tuple(_full_name(name, run.initial) for name in names)
+        over[full if len(full) > 1 else "".join(full)] = values
     try:
         return Study(
             built(config.system, "system"),
@@ -60,6 +60,7 @@ def _full_name(name: str, initial: tuple[str, ...]) -> str:
     return f"y0[{initial.index(name)}]" if name in initial else name
 
 
+_SENSITIVITIES = "sensitivities in [study] must hold lists of parameters by statistic"
 _OF_STUDY = ("keep", "statistics", "standard_error", "realizations", "piece")
 
 
@@ -67,7 +68,7 @@ def _in_words_of_the_sweep(said: str) -> str:
     """A message of `Study` with the names of its arguments replaced by sections and keys of the file."""
     said = re.sub(r"\AArgument over\['?(.+?)'?\] ", r"\1 in [study.over] ", said)
     said = re.sub(r"\AArgument over ", "[study.over] ", said)
-    said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", "sensitivities in [study] must be lists of parameters by statistic", said)  # fmt: skip
+    said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)
     said = re.sub(rf"\AArgument ({'|'.join(_OF_STUDY)})\b(\['\w+'\])?", r"\1\2 in [study]", said)
     return in_words_of_the_file(said)
 
@@ -90,8 +91,8 @@ def _client(address: str) -> Iterator[Any]:
         client = import_module("distributed").Client(address, timeout=_SECONDS_TO_CONNECT)
     except (OSError, ValueError) as error:
         raise StudyError(
-            f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} gave no "
-            f"answer ({error}); start one with `dask scheduler`."
+            f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} gave "
+            f"no answer ({error}); start one with `dask scheduler`."
         ) from None
     with client:
         yield client
