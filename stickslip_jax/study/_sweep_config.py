@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -62,7 +63,8 @@ def _range(name: str, given: dict[str, Any]) -> np.ndarray:
     """The values of ``{ linspace = [from, to, number] }``, or logspace."""
     (kind, limits), *more = given.items() or [("", None)]
     if kind not in _RANGES or more:
-        hint = "" if kind not in ("geomspace", "logspaced") else "; did you mean logspace?"
+        near = get_close_matches(kind, {"geomspace": "", **_RANGES}, n=1)
+        hint = f"; did you mean {near[0].replace('geom', 'log')}?" if near else ""
         dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
         raise ValueError(
             f"{name} must be a list, or a table with {one_of(_RANGES)}, but {toml_value(given)} was given"

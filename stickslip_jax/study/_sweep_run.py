@@ -4,6 +4,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -66,11 +67,23 @@ _OF_STUDY = ("keep", "statistics", "standard_error", "realizations", "piece")
 
 def _in_words_of_the_sweep(said: str) -> str:
     """A message of `Study` with the names of its arguments replaced by sections and keys of the file."""
-    said = re.sub(r"\AArgument over\['?(.+?)'?\] ", r"\1 in [study.over] ", said)
+    said = re.sub(
+        r"\AArgument over\[\(?'(.+?)'\)?\] ", lambda found: f"{found[1].replace("', '", ', ')} in [study.over] ", said
+    )
     said = re.sub(r"\AArgument over ", "[study.over] ", said)
     said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)
     said = re.sub(rf"\AArgument ({'|'.join(_OF_STUDY)})\b(\['\w+'\])?", r"\1\2 in [study]", said)
-    return in_words_of_the_file(said)
+    return in_words_of_the_file(_with_suggestion(said))
+
+
+def _with_suggestion(said: str) -> str:
+    """A message that lists the names allowed, with the one that was probably meant."""
+    found = re.fullmatch(r".*? (?:names? out of|must name one of|statistic out of) (.*), but (.*) was given\.", said)
+    if found is None:
+        return said
+    given = (re.findall(r"[\w.]+", found[2]) or [""])[0]
+    near = get_close_matches(given, re.findall(r"\w+", found[1]), n=1, cutoff=0.5)
+    return f"{said.removesuffix('.')}; did you mean {near[0]}?" if near else said
 
 
 def run_stored(
