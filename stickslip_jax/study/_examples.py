@@ -43,7 +43,7 @@ def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, sw
     }
 
 
-def _range_of(kind: str, limits: tuple[float, float, int]) -> dict[str, list[float]]:
+def _range_of(kind: str, limits: tuple[float, float, int]) -> dict[str, list[float | int]]:
     return {kind: list(limits)}
 
 

@@ -67,13 +67,16 @@ _OF_STUDY = ("keep", "statistics", "standard_error", "realizations", "piece")
 
 def _in_words_of_the_sweep(said: str) -> str:
     """A message of `Study` with the names of its arguments replaced by sections and keys of the file."""
-    said = re.sub(
-        r"\AArgument over\[\(?'(.+?)'\)?\] ", lambda found: f"{found[1].replace("', '", ', ')} in [study.over] ", said
-    )
+    said = re.sub(r"\AArgument over\[\(?'(.+?)'\)?\] ", _values_in_the_file, said)
     said = re.sub(r"\AArgument over ", "[study.over] ", said)
     said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)
     said = re.sub(rf"\AArgument ({'|'.join(_OF_STUDY)})\b(\['\w+'\])?", r"\1\2 in [study]", said)
     return in_words_of_the_file(_with_suggestion(said))
+
+
+def _values_in_the_file(argument: re.Match[str]) -> str:
+    names = argument[1].replace("', '", ", ")  # of parameters that change together
+    return f"{names} in [study.over] "
 
 
 def _with_suggestion(said: str) -> str:

@@ -343,7 +343,8 @@ def test_stopped_study_goes_on(capsys, tmp_path):
     asked, stopped = err.strip().splitlines()
     assert asked.startswith("Stopping after the pieces under way")
     assert stopped == (
-        "stickslip: Stopped with 0 of 4 points done; `stickslip resume study`, or the same call again, goes on from here."
+        "stickslip: Stopped with 0 of 4 points done; `stickslip resume study`, or the same call again, goes on from "
+        "here."
     )
     stored = set(Path("study/pieces").iterdir())
     process = _started("resume", "study", "--threads", "1")
