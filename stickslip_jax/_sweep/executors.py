@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 
@@ -15,6 +15,7 @@ from .plan import Plan, Task
 from .workers import arguments_of_worker, perform_in_worker, prepare_worker
 
 
+@runtime_checkable
 class Executor(Protocol):
     """Does tasks somewhere."""
 

@@ -40,7 +40,7 @@ from .setting import setting_of
 if TYPE_CHECKING:
     import xarray
 
-_Values = Sequence[float] | Sequence[Sequence[float]] | np.ndarray
+_Values = Sequence[Any] | np.ndarray
 Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
 Folder = str | os.PathLike[str]
 
