@@ -116,5 +116,5 @@ def test_studies_are_of_the_papers_systems(annotations_unchecked):
     analysis = papers.parametric_analysis()
     assert (analysis.points, analysis.plan.samples, analysis.plan.t1) == (64, 10_000, 200.0)
     assert analysis.plan.points.values(63) == pytest.approx((2.0, 5.0))
-    with pytest.raises(ValueError, match="Argument belt must be one of 'constant', .*, but 'triangular' was given"):
+    with pytest.raises(ValueError, match=r"Argument belt must be one of 'constant', .*, but 'triangular' was given"):
         papers.stick_share_map("triangular")

@@ -48,7 +48,7 @@ samples = 100_000
 
 [study]
 keep = "totals"
-piece = 1024
+piece = 4096
 
 [study.over]
 mu = { linspace = [0.5, 2.0, 4] }
@@ -309,14 +309,21 @@ def test_looking_changes_nothing_and_leaves_damaged_pieces_out(capsys, finished,
 
 
 def _started(*arguments):
+    """A run in ``study``, begun, and with a piece that is done."""
+    begun = _log().count("begun")
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + 120
-    while not list(Path("study").glob("pieces/*.zip")) and process.poll() is None and time.monotonic() < deadline:
+    while (_log().count("begun") == begun or "done" not in _log()) and time.monotonic() < deadline:
+        assert process.poll() is None, process.communicate()
         time.sleep(0.05)
-    assert process.poll() is None, process.communicate()
     return process
+
+
+def _log():
+    path = Path("study/log.txt")
+    return path.read_text() if path.exists() else ""
 
 
 def _numbers(folder):
@@ -325,7 +332,7 @@ def _numbers(folder):
 
 
 def test_stopped_study_goes_on(capsys, tmp_path):
-    """Ctrl-C, SIGTERM, and then as many samples as there are already: the numbers are those of an undisturbed run."""
+    """Ctrl-C waits for the pieces under way; SIGTERM and a second Ctrl-C do not. Nothing that is stored is lost."""
     path = config_file(tmp_path, LONG)
     process = _started("sweep", path, "--out", "study", "--threads", "1")
     try:
@@ -347,15 +354,19 @@ def test_stopped_study_goes_on(capsys, tmp_path):
         "here."
     )
     stored = set(Path("study/pieces").iterdir())
-    process = _started("resume", "study", "--threads", "1")
-    try:
-        process.send_signal(signal.SIGTERM)
-        out, err = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert (process.returncode, out) == (143, "")
-    assert err == "stickslip: Terminated; what is done is kept, and the same command goes on from there.\n"
-    assert stored <= set(Path("study/pieces").iterdir())
+    kept = "what is done is kept, and the same command goes on from there.\n"
+    for code, said in ((143, f"stickslip: Terminated; {kept}"), (130, f"stickslip: Interrupted; {kept}")):
+        process = _started("resume", "study", "--threads", "1")
+        try:
+            process.send_signal(signal.SIGTERM if code == 143 else signal.SIGINT)
+            if code == 130:  # the first Ctrl-C says what it does; the second one ends it at once
+                assert process.stderr.readline() + process.stderr.readline() == f"\n{asked}\n"
+                process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+        assert (process.returncode, out, err) == (code, "", said)
+        assert stored <= set(Path("study/pieces").iterdir())
     assert cli.main(["status", "study"]) == 0
     assert "`stickslip resume study` goes on from here." in capsys.readouterr().out
 
