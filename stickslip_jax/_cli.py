@@ -1,4 +1,4 @@
-"""The ``stickslip`` command: ``stickslip study [CONFIG]``.
+"""The ``stickslip`` command: ``study`` for one ensemble; ``sweep``, ``resume``, ``status``, ``show`` for many.
 
 Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted (Ctrl-C), 143 terminated.
 """
@@ -12,11 +12,14 @@ import threading
 import weakref
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 
 from . import _compilation_cache
+
+if TYPE_CHECKING:
+    from .study._options import StudyCommand
 
 
 def main(tokens: Sequence[str] | None = None) -> int:
@@ -43,33 +46,44 @@ def _answer(tokens: Sequence[str]) -> int:
         from .study import StudyError  # noqa: PLC0415 - needs the extra
     except ImportError as error:
         return _fail(error, 1)
+    is_stored = list(tokens[:1]) in (["sweep"], ["resume"])
+    left = "what is done is kept, and the same command goes on from there." if is_stored else "no result was written."
     try:
         with _stops_raised():
             return _run(tokens)
     except StudyError as error:
         return _fail(error, 2)
-    except KeyboardInterrupt:
-        return _fail("Interrupted; no result was written.", 130)
+    except KeyboardInterrupt as stop:
+        return _fail(str(stop) or f"Interrupted; {left}", 130)
     except _Terminated:
-        return _fail("Terminated; no result was written.", 143)
+        return _fail(f"Terminated; {left}", 143)
     except OSError as error:
         return _fail(error, 1)
 
 
 def _run(tokens: Sequence[str]) -> int:
     # Imported only here, so that help and errors in the arguments appear without loading the simulation.
-    from .study._options import parse  # noqa: PLC0415
-    from .study._reading import OPTIONS, read_config  # noqa: PLC0415
+    from .study._options import StudyCommand, parse  # noqa: PLC0415
 
     command = parse(tokens)
-    if command is None:
-        return 0
+    if isinstance(command, StudyCommand):
+        _run_study(command)
+    elif command is not None:
+        from .study._sweep_commands import run_command  # noqa: PLC0415
+
+        run_command(command, _prepare_jax)
+    return 0
+
+
+def _run_study(command: "StudyCommand") -> None:
+    from .study._reading import OPTIONS, read_config  # noqa: PLC0415
+
     options = command.options
     given = {name: getattr(options, name) for name in OPTIONS}
     config = read_config(command.config, given, example=options.print_example)
     if options.print_config or options.print_example is not None:
         print(config.to_toml(), end="")
-        return 0
+        return
     _prepare_jax(config.run.dtype)
 
     from .study._report import as_json, table  # noqa: PLC0415
@@ -80,7 +94,6 @@ def _run(tokens: Sequence[str]) -> int:
         print(table(study), file=sys.stderr if options.json else sys.stdout)
     if options.json:
         print(as_json(study))
-    return 0
 
 
 def _prepare_jax(dtype: str) -> None:

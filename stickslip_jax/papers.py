@@ -1,22 +1,29 @@
-"""The systems, base motions and initial states of two published studies, ready to simulate.
+"""The systems, base motions and initial states of published studies, ready to simulate, and two parametric studies.
 
-Both are by Lima and Sampaio: "An electromechanical system with uncertain stick-slip oscillations" (2022; `motor_cart`),
-and "Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach" (the conference paper;
-all others). The frequency ratio of the conference paper is ``r = f_b / (omega / 2 pi)``, the frequency of the base over
-the natural frequency of the oscillator, both in Hz.
+All are by Lima and Sampaio: "An electromechanical system with uncertain stick-slip oscillations" (2022; `motor_cart`),
+"Parametric analysis of the statistical model of the stick-slip process" (2017; `parametric_analysis`), "Stick-mode
+duration of a dry-friction oscillator with an uncertain model" (2015; `stick_share_map`), and "Analysis of the
+stick-mode duration of dry-friction oscillators with a stochastic approach" (the conference paper; all others). The
+frequency ratio of the conference paper is ``r = f_b / (omega / 2 pi)``, the frequency of the base over the natural
+frequency of the oscillator, both in Hz.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from . import _checks
 from ._distributions.families import Uniform
-from ._excitation.laws import BangBangLaw, RandomSteps, SquareWave
+from ._excitation.laws import BangBangLaw, Constant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase
+from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage
 from ._simulation.call import simulate
+from ._sweep.study import Study
 from ._systems.friction import Coulomb
 from ._systems.mass_spring import MassSpring
 from ._systems.motor_cart import MotorCart
@@ -25,6 +32,13 @@ from ._types import Array, Float, Scalar
 
 BELT_SPEED = 1.0
 """Absolute value of the belt velocity, m/s (conference paper, section 3)."""
+
+ANALYSIS_FRICTIONS, ANALYSIS_RATES = (0.25, 2.0, 8), (0.2, 5.0, 8)
+"""Friction coefficients (first, last, number) and rates (1/s, spaced geometrically) of `parametric_analysis`."""
+SHARE_FRICTIONS, SHARE_RATIOS, SHARE_SAMPLES = (0.1, 2.0, 20), (0.1, 2.5, 25), 1000
+"""Friction coefficients and frequency ratios of `stick_share_map`, and how many samples a random belt has."""
+
+Belt: TypeAlias = Literal["constant", "square", "harmonic", "random"]
 
 
 class SetUp(NamedTuple):
@@ -105,6 +119,66 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     sticks = simulate(setup.system, base, t1=t1, y0=setup.y0).sticks
     start, end = (jnp.where(sticks.mask, times, 0) for times in (sticks.start, sticks.end))
     return jnp.sum(jnp.maximum(end - jnp.maximum(start, t1 - period), 0)) / period
+
+
+def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int = 0) -> Study:
+    """Stick-slip statistics over the friction coefficient and the rate of a Poisson switching base (2017 paper).
+
+    The paper varies the two one after the other; its values are missing in the text that this is made from. The grid of
+    64 points, the oscillator (that of the conference paper) and its start are this package's choice.
+
+    - `samples`: at each point. `t1`: duration, s. `seed`: of the random numbers.
+
+    Raises ValueError for arguments that `Study` refuses.
+    """
+    over = {"mu": np.linspace(*ANALYSIS_FRICTIONS), "rate": np.geomspace(*ANALYSIS_RATES)}
+    law = PoissonSwitching(speed=BELT_SPEED, rate=1.0)
+    return Study(
+        belt_oscillator(), law, over=over, t1=t1, samples=samples, key=jax.random.key(seed), y0=(0.0, BELT_SPEED)
+    )
+
+
+def stick_share_map(
+    belt: Belt,
+    *,
+    mu: Sequence[float] | np.ndarray | None = None,
+    ratios: Sequence[float] | np.ndarray | None = None,
+    samples: int | None = None,
+    t1: float = 200.0,
+    seed: int = 0,
+) -> Study:
+    """The share of time spent sticking over friction coefficient and frequency ratio r (2015 and conference papers).
+
+    It is the share of all of ``[0, t1]``, the beginning included; that of a steady period of the square wave is
+    `steady_stick_share`. The values of the 2015 paper are missing in the text that this is made from: the grid is this
+    package's choice, all else is of the conference paper.
+
+    - `belt`: "constant", which has no frequency, so that only `mu` varies; "square"; "harmonic", ``cos`` with the
+      amplitude of the others; or "random", a new direction in each interval of ``1 / f_b``.
+    - `mu`, `ratios`: friction coefficients and frequency ratios; by default 20 of 0.1 to 2, and 25 of 0.1 to 2.5.
+    - `samples`: at each point; by default 1000 of the random belt, else 1. `t1`: s. `seed`: of the random numbers.
+
+    Raises ValueError for another belt, and for arguments that `Study` refuses.
+    """
+    if belt not in get_args(Belt):
+        raise ValueError(
+            f"Argument belt must be one of {', '.join(map(repr, get_args(Belt)))}, but {_checks.show(belt)} was given."
+        )
+    laws = {
+        "constant": Constant(BELT_SPEED),
+        "square": square_wave_belt(1.0).law,
+        "harmonic": Harmonic(BELT_SPEED, 2 * math.pi / _belt_period(1.0)),
+        "random": random_belt(1.0).law,
+    }
+    over = {"mu": np.linspace(*SHARE_FRICTIONS) if mu is None else mu}
+    if belt != "constant":
+        over["r"] = np.linspace(*SHARE_RATIOS) if ratios is None else ratios
+    usual = SHARE_SAMPLES if belt == "random" else 1
+    return Study(
+        belt_oscillator(), laws[belt], over=over, t1=t1, samples=usual if samples is None else samples,
+        key=jax.random.key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
+        statistics=["stick_fraction"],
+    )  # fmt: skip
 
 
 def _belt_period(ratio: Scalar) -> Scalar:

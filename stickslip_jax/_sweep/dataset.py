@@ -19,7 +19,7 @@ from .._status import Status
 from .errors import StudyError
 from .files import cannot_write, write_whole
 from .groups import GROUPS
-from .manifest import manifest_text
+from .manifest import manifest_text, sum_of
 from .plan import Plan
 from .points import POINT, Axis
 from .setting import unit_of
@@ -183,7 +183,7 @@ def _axes(plan: Plan) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for axis in plan.points.axes:
         for name, values in zip(axis.parameters, axis.values.T, strict=True):
-            meaning = GROUPS[name].meaning if name in GROUPS else name
+            meaning = f"{name}, {GROUPS[name].meaning}" if name in GROUPS else name
             found[name] = (axis.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
         if axis.name not in found:
             found[axis.name] = (axis.name, np.arange(len(axis.values)), {"long_name": _number_of(axis)})
@@ -218,6 +218,7 @@ def _attributes(plan: Plan) -> dict[str, Any]:
         "source": f"stickslip_jax {__version__}",
         "format": body["format"],
         "format_version": body["format_version"],
+        "manifest_sha256": sum_of(body),
         **{name: json.dumps(value) for name, value in body["objects"].items()},
         "t1": plan.t1,
         "keep": plan.keep,

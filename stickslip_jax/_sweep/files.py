@@ -14,6 +14,7 @@ from .errors import StudyError
 
 _UNFINISHED = ".unfinished"
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+_LOCK_SECONDS = 0.3  # to wait for a lock: `is_locked` holds it for a moment
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -65,7 +66,7 @@ def locked(path: Path, said: str) -> Iterator[None]:
 
     Raises StudyError with `said` if another program holds it.
     """
-    lock = FileLock(path, timeout=0)
+    lock = FileLock(path, timeout=_LOCK_SECONDS)
     try:
         lock.acquire()
     except Timeout:
@@ -78,6 +79,19 @@ def locked(path: Path, said: str) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a program holds the lock `path`; False where that cannot be found out."""
+    if not path.exists():
+        return False
+    try:
+        with FileLock(path, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:
+        return False
 
 
 def cannot_write(folder: Path, error: OSError) -> StudyError:

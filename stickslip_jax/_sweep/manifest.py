@@ -60,7 +60,7 @@ def extended(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def _text(body: dict[str, Any]) -> str:
-    return json.dumps({"body": body, "sha256": _sum(body)}, indent=1)
+    return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
 
 
 def body_of(text: str) -> dict[str, Any]:
@@ -76,21 +76,23 @@ def body_of(text: str) -> dict[str, Any]:
                 f"{body['versions']['stickslip_jax']}, and this version reads {FORMAT_VERSION}; install that version "
                 "or a newer one."
             )
-        if _sum(body) != stated:
+        if sum_of(body) != stated:
             raise UnreadableError("its check sum is wrong")
     except (KeyError, TypeError, json.JSONDecodeError) as error:
         raise UnreadableError(str(error)) from error
     return body
 
 
-def plan_in(body: dict[str, Any]) -> Plan:
-    """The study that a manifest describes. Raises StudyError where it holds objects of a user's own classes."""
+def plan_in(body: dict[str, Any], *, to_run: bool = True) -> Plan:
+    """The study that a manifest describes. Raises StudyError where it holds objects of a user's own classes, which
+    cannot be run; with `to_run` False these are left as they are stored.
+    """
     floats = np.array([float.fromhex(value) for value in body["floats"]])
     decoder = Decoder(floats, np.array(body["integers"], np.int64))
     objects = {name: decoder.decoded(value) for name, value in body["objects"].items()}
     for name, value in objects.items():
         for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, Unknown):
+            if to_run and isinstance(one, Unknown):
                 raise StudyError(
                     f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again "
                     "with the same folder, which goes on from here."
@@ -123,7 +125,7 @@ def differences(there: dict[str, Any], here: dict[str, Any]) -> list[str]:
 
 def fingerprint(body: dict[str, Any]) -> str:
     """A sum of everything that decides the numbers at a point."""
-    return _sum({name: body[name] for name in _FINGERPRINT})
+    return sum_of({name: body[name] for name in _FINGERPRINT})
 
 
 def versions() -> dict[str, str]:
@@ -133,7 +135,8 @@ def versions() -> dict[str, str]:
     return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
 
 
-def _sum(body: dict[str, Any]) -> str:
+def sum_of(body: dict[str, Any]) -> str:
+    """The check sum of a manifest, or of a part of one."""
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 

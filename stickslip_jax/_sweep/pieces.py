@@ -110,11 +110,19 @@ def unpacked(data: bytes, fields: dict[str, Any]) -> Ensemble:
     )  # fmt: skip
 
 
+def head_of(data: bytes) -> dict[str, Any]:
+    """What a piece says of itself: "samples", "status_counts", "run_seconds". Raises DamagedPieceError."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return json.loads(archive.read("head.json"))
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise DamagedPieceError(str(error)) from error
+
+
 def unfinished_in(data: bytes) -> dict[Status, int]:
     """How many samples of a packed ensemble did not reach the end, by their status."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        counts = json.loads(archive.read("head.json"))["status_counts"]
-    return {status: count for status, count in zip(Status, counts, strict=True) if count and status != Status.FINISHED}
+    counts = zip(Status, head_of(data)["status_counts"], strict=True)
+    return {status: count for status, count in counts if count and status != Status.FINISHED}
 
 
 def joined(pieces: list[Ensemble]) -> Ensemble:

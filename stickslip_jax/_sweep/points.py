@@ -125,7 +125,7 @@ def _distinct(axis: Axis, label: str) -> Axis:
     for index, row in enumerate(axis.values):
         first = seen.setdefault(tuple(row), index)
         if first != index:
-            shown = row[0] if len(row) == 1 else tuple(row)
+            shown = float(row[0]) if len(row) == 1 else tuple(row.tolist())
             raise ValueError(
                 f"Argument {label} must hold every point once, but entries {first} and {index} are both {shown}."
             )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .errors import DamagedPieceError, StudyError
-from .files import cannot_write, finished_name, locked, remove_unfinished, sync_folder, write_whole
+from .files import cannot_write, finished_name, is_locked, locked, remove_unfinished, sync_folder, write_whole
 from .manifest import FORMAT, UnreadableError, body_of, differences, extended, fingerprint, manifest_text, with_piece
 from .plan import Plan, Task
 
@@ -57,6 +57,11 @@ class Store:
     def reading(cls, folder: Path) -> "Store":
         """The store in a folder. Raises StudyError if there is none, or none that this version can read."""
         return cls(folder, _body_in(folder))
+
+    @property
+    def is_in_use(self) -> bool:
+        """Whether a run holds the folder now."""
+        return is_locked(self.folder / LOCK)
 
     # --- pieces
 

@@ -38,7 +38,8 @@ from .setting import setting_of
 if TYPE_CHECKING:
     import xarray
 
-Over = Mapping[str | tuple[str, ...], Sequence[Any] | np.ndarray] | Design
+_Values = Sequence[Any] | np.ndarray
+Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
 Folder = str | os.PathLike[str]
 
 

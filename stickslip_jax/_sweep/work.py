@@ -129,7 +129,7 @@ class Work:
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
-        Pieces that are damaged are removed, and end it.
+        Pieces that are damaged end it; they are removed, unless the store is only read.
         """
         for _ in range(_LISTINGS):
             try:

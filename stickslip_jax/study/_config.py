@@ -1,6 +1,7 @@
 """A study: the sections of its TOML file as pydantic models."""
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -15,21 +16,21 @@ from ._systems_config import MassSpringConfig, MotorCartConfig, SystemConfig
 _OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
 
 
-class RunConfig(Section):
-    """Section ``[run]``: how much is simulated, and how. Each system adds its initial state.
+class PointConfig(Section):
+    """The part of the section ``[run]`` that is the same for one ensemble and for each of a parametric study.
 
-    `maps_first_sticks`: whether a figure shows the duration of the first sticks against their position.
+    Each system adds its initial state.
+
+    - `maps_first_sticks`: whether a figure shows the duration of the first sticks against their position.
+    - `initial`: the keys of the initial state, in its order.
     """
 
     maps_first_sticks: ClassVar[bool] = False
+    initial: ClassVar[tuple[str, ...]] = ()
 
     t1: float = Field(default=200.0, gt=0, description="duration of each sample, s")
     samples: int = Field(default=10_000, ge=1, le=2**31, description="number of samples")
     seed: int = Field(default=0, ge=0, lt=2**32, description="of the random numbers")
-    keep: Literal["sticks", "statistics", "totals"] = Field(
-        default="sticks",
-        description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
-    )
     orders: int = Field(
         default=10, ge=1, le=MOST_ORDERS, description="statistics of the 1st, 2nd, ... up to this stick"
     )
@@ -37,10 +38,6 @@ class RunConfig(Section):
         default=False, description="whether a stick that begins at t = 0 counts as the first"
     )
     dtype: Literal["float64", "float32"] = Field(default="float64", description="float64 or float32")
-    threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
-    chunk: int | None = Field(
-        default=None, ge=1, le=2**31, description="samples simulated per call; not given: chosen for speed"
-    )
     step: float | None = Field(default=None, gt=0, description="time step, s; not given: as the time scales demand")
     max_steps: int | None = Field(
         default=None, ge=1, description="time steps allowed to one sample; not given: more than enough"
@@ -60,11 +57,26 @@ class RunConfig(Section):
 
     def y0(self) -> tuple[Any, ...]:
         """The initial state as the simulation takes it."""
-        raise NotImplementedError  # not abstract: the keys that all systems share can be read and written without one
+        return tuple(start_value(getattr(self, name)) for name in self.initial)
 
 
-class MassSpringRunConfig(RunConfig):
-    """Section ``[run]`` of a `MassSpring`."""
+class RunConfig(PointConfig):
+    """Section ``[run]`` of one ensemble: how much is simulated, and how."""
+
+    keep: Literal["sticks", "statistics", "totals"] = Field(
+        default="sticks",
+        description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
+    )
+    threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
+    chunk: int | None = Field(
+        default=None, ge=1, le=2**31, description="samples simulated per call; not given: chosen for speed"
+    )
+
+
+class MassSpringPointConfig(PointConfig):
+    """The same with the initial state of a `MassSpring`."""
+
+    initial: ClassVar[tuple[str, ...]] = ("initial_position", "initial_velocity")
 
     initial_position: Start = Field(default=0.0, description=f"m, {_OR_RANDOM}")
     initial_velocity: Start = Field(default=1.0, description="m/s, likewise")
@@ -77,30 +89,25 @@ class MassSpringRunConfig(RunConfig):
         """The method as the simulation takes it."""
         return super().method(solver if self.solver is None else getattr(diffrax, self.solver)())
 
-    def y0(self) -> tuple[Any, ...]:
-        """The initial state as the simulation takes it."""
-        return start_value(self.initial_position), start_value(self.initial_velocity)
 
-
-class MotorCartRunConfig(RunConfig):
-    """Section ``[run]`` of a `MotorCart`; the defaults are the paper's."""
+class MotorCartPointConfig(PointConfig):
+    """The same with the initial state of a `MotorCart`; the defaults are the paper's."""
 
     maps_first_sticks: ClassVar[bool] = True
+    initial: ClassVar[tuple[str, ...]] = ("initial_angle", "initial_angular_velocity", "initial_current")
+
     t1: float = Field(default=2.0, gt=0, description="duration of each sample, s")
     initial_angle: Start = Field(default=UniformConfig(low=0.0, high=2 * math.pi), description=f"rad, {_OR_RANDOM}")
     initial_angular_velocity: Start = Field(default=0.0, description="rad/s, likewise")
     initial_current: Start = Field(default=0.0, description="A, likewise")
 
-    def y0(self) -> tuple[Any, ...]:
-        """The initial state as the simulation takes it."""
-        return tuple(map(start_value, (self.initial_angle, self.initial_angular_velocity, self.initial_current)))
+
+class MassSpringRunConfig(MassSpringPointConfig, RunConfig):
+    """Section ``[run]`` of an ensemble of a `MassSpring`."""
 
 
-RUNS: dict[type[Section], type[RunConfig]] = {
-    MassSpringConfig: MassSpringRunConfig,
-    MotorCartConfig: MotorCartRunConfig,
-}
-"""The section ``[run]`` of each system."""
+class MotorCartRunConfig(MotorCartPointConfig, RunConfig):
+    """Section ``[run]`` of an ensemble of a `MotorCart`."""
 
 
 class OutputConfig(Section):
@@ -110,16 +117,17 @@ class OutputConfig(Section):
     figures: bool = Field(default=True, description="whether to draw figures")
 
 
-class StudyConfig(Section):
-    """A whole study. The default is the oscillator of Lima and Sampaio's conference paper under Poisson switching.
+class FileConfig(Section):
+    """What the files of an ensemble and of a parametric study share: the system, what drives it, and how it is run.
 
-    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s.
+    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s. `runs`: the section
+    ``[run]`` of each system.
     """
+
+    runs: ClassVar[Mapping[type[Section], type[PointConfig]]]
 
     system: SystemConfig = MassSpringConfig()
     base: BaseConfig = Field(default_factory=dict, validate_default=True)
-    run: MassSpringRunConfig | MotorCartRunConfig = Field(default_factory=dict, validate_default=True)
-    output: OutputConfig = OutputConfig()
 
     @field_validator("base", mode="before")
     @classmethod
@@ -129,18 +137,18 @@ class StudyConfig(Section):
         by_voltage = getattr(info.data.get("system"), "driven_by_voltage", False)
         return {"law": "SourceVoltage" if by_voltage else "PoissonSwitching", **table}
 
-    @field_validator("run", mode="before")
+    @field_validator("run", mode="before", check_fields=False)
     @classmethod
-    def _run_of_the_system(cls, table: Any, info: Any) -> RunConfig:
+    def _run_of_the_system(cls, table: Any, info: Any) -> PointConfig:
         if "system" not in info.data:  # the mistake in [system] is reported
-            return MassSpringRunConfig()
-        kind = RUNS[type(info.data["system"])]
+            return cls.runs[MassSpringConfig]()
+        kind = cls.runs[type(info.data["system"])]
         if type(table) is RunConfig:
             table = table.model_dump(exclude_unset=True)
         return kind.model_validate(table, context=info.context)
 
     @model_validator(mode="after")
-    def _base_drives_the_system(self) -> "StudyConfig":
+    def _base_drives_the_system(self) -> "FileConfig":
         law, model = toml_value(tag_of(type(self.base))), tag_of(type(self.system))
         voltage = isinstance(self.base, SourceVoltageConfig)
         if self.system.driven_by_voltage and not voltage:
@@ -161,3 +169,17 @@ class StudyConfig(Section):
         kinds = {"system": kinds_in(SystemConfig), "base": laws}
         blocks = [toml_blocks(getattr(self, name), name, kinds.get(name, ())) for name in type(self).model_fields]
         return "\n\n".join(block for part in blocks for block in part) + "\n"
+
+
+class StudyConfig(FileConfig):
+    """A whole study of one ensemble. The default is the oscillator of Lima and Sampaio's conference paper under Poisson
+    switching.
+    """
+
+    runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
+        MassSpringConfig: MassSpringRunConfig,
+        MotorCartConfig: MotorCartRunConfig,
+    }
+
+    run: MassSpringRunConfig | MotorCartRunConfig = Field(default_factory=dict, validate_default=True)
+    output: OutputConfig = OutputConfig()

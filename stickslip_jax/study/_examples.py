@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from .. import papers
+
 _BUILDING, _PERIOD, _GRAVITY = 2.0e5, 2.5, 9.81  # kg; s, natural period on its isolators; m/s^2
 
 EXAMPLES: dict[str, Mapping[str, Any]] = {
@@ -28,3 +30,37 @@ EXAMPLES: dict[str, Mapping[str, Any]] = {
     "motor-cart": {"system": {"model": "MotorCart"}, "output": {"directory": "results/motor-cart"}},
 }
 """A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart."""
+
+
+def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, swept: bool = True) -> dict[str, Any]:
+    over = {"mu": _range_of("linspace", papers.SHARE_FRICTIONS)}
+    if swept:
+        over["r"] = _range_of("linspace", papers.SHARE_RATIOS)
+    return {
+        "base": law,
+        "run": {"samples": samples},
+        "study": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
+    }
+
+
+def _range_of(kind: str, limits: tuple[float, float, int]) -> dict[str, list[float | int]]:
+    return {kind: list(limits)}
+
+
+PAPERS: dict[str, Mapping[str, Any]] = {
+    "parametric-analysis": {
+        "study": {
+            "over": {
+                "mu": _range_of("linspace", papers.ANALYSIS_FRICTIONS),
+                "rate": _range_of("logspace", papers.ANALYSIS_RATES),
+            }
+        }
+    },
+    "stick-share-constant": _share({"law": "Constant", "speed": 1.0}, swept=False),
+    "stick-share-square": _share({"law": "SquareWave", "speed": 1.0, "period": math.pi}),
+    "stick-share-harmonic": _share({"law": "Harmonic", "amplitude": 1.0, "angular_frequency": 2.0, "phase": 0.0}),
+    "stick-share-random": _share(
+        {"law": "RandomSteps", "speed": 1.0, "interval": math.pi}, papers.SHARE_SAMPLES, "statistics"
+    ),
+}
+"""The studies of `papers.parametric_analysis` and `papers.stick_share_map` as files."""

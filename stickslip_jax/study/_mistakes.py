@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from .._checks import one_of
-from ._config import RUNS, StudyConfig
+from ._config import FileConfig, StudyConfig
 from ._sections import NUMBER, Section, UniformConfig, kinds_in, tables_of, tag_key, tag_of, toml_value
 from ._systems_config import MassSpringConfig
 
@@ -16,20 +16,22 @@ Options = Mapping[tuple[str, str], str]
 _CHOSEN = None  # the name under which the chosen kind stands
 
 
-def sentence_for(error: ValidationError, table: Mapping[str, Any], options: Options) -> str:
-    """One sentence for the first problem that pydantic found in `table`."""
+def sentence_for(
+    error: ValidationError, table: Mapping[str, Any], options: Options, file: type[FileConfig] = StudyConfig
+) -> str:
+    """One sentence for the first problem that pydantic found in `table`, the content of this kind of `file`."""
     # A misspelt key shows as unknown and, often, also as missing: the first says more.
     problem: Any = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
-    run = _run_kind(table)
-    place = _place_of(problem["loc"], run)
+    run = _run_kind(table, file)
+    place = _place_of(problem["loc"], file, run)
     if problem["type"] == "extra_forbidden":
-        return _unknown_key(place) if place.section else _unknown_section(place.key, problem["input"])
+        return _unknown_key(place, file) if place.section else _unknown_section(place.key, problem["input"], file)
     if problem["type"] in ("model_type", "model_attributes_type"):
         return f"{place.name} must be a section [{place.section}] of keys, but {_show(problem['input'])} was given."
     if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
         return _wrong_tag(place, problem["input"])
     if problem["type"] == "missing":
-        return _missing(place, _place_of(problem["loc"][:-1], run))
+        return _missing(place, _place_of(problem["loc"][:-1], file, run))
     if problem["type"] == "value_error":
         said = str(problem["ctx"]["error"]).removeprefix("Argument ").removeprefix("Arguments ")
         return f"in [{place.section}], {said}" if place.section else said
@@ -59,9 +61,9 @@ class _Place(NamedTuple):
         return self.kinds[_CHOSEN]
 
 
-def _place_of(location: Iterable[Any], run: type[Section]) -> _Place:
+def _place_of(location: Iterable[Any], file: type[FileConfig], run: type[Section]) -> _Place:
     """The place that pydantic locates by keys, indices of lists, and the names of the chosen kinds."""
-    place = outside = _Place("", {_CHOSEN: StudyConfig})
+    place = outside = _Place("", {_CHOSEN: file})
     for part in location:
         if isinstance(part, int):
             place = place._replace(key=f"{place.key}[{part}]")
@@ -85,22 +87,26 @@ def _kinds_of_place(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, t
     return {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
 
 
-def _run_kind(table: Mapping[str, Any]) -> type[Section]:
+def _run_kind(table: Mapping[str, Any], file: type[FileConfig]) -> type[Section]:
     """The kind of the section [run]."""
     system = table.get("system")
     model = system.get("model") if isinstance(system, dict) else None
-    return {tag_of(kind): run for kind, run in RUNS.items()}.get(model or "", RUNS[MassSpringConfig])
+    return _runs_by_model(file).get(model or "", file.runs[MassSpringConfig])
+
+
+def _runs_by_model(file: type[FileConfig]) -> dict[str, type[Section]]:
+    return {tag_of(system): run for system, run in file.runs.items()}
 
 
 def _all_sections(
-    kind: type[Section] = StudyConfig, within: str = ""
+    file: type[FileConfig], kind: type[Section] | None = None, within: str = ""
 ) -> Iterator[tuple[str, dict[str, type[Section]]]]:
     """The name of every section, and its possible kinds."""
-    for key, kinds in tables_of(kind).items():
+    for key, kinds in tables_of(kind or file).items():
         name = f"{within}.{key}".removeprefix(".")
-        yield name, {tag_of(system): run for system, run in RUNS.items()} if name == "run" else kinds
+        yield name, _runs_by_model(file) if name == "run" else kinds
         for each in kinds.values():
-            yield from _all_sections(each, name)
+            yield from _all_sections(file, each, name)
 
 
 # --- what is wrong
@@ -136,31 +142,27 @@ def _wrong_tag(place: _Place, table: Mapping[str, Any]) -> str:
     )
 
 
-def _unknown_key(place: _Place) -> str:
-    key, models = place.key, _models_of_runs()
+def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
+    key, models = place.key, {run: model for model, run in _runs_by_model(file).items()}
     tag, name = ("model", models[place.kind]) if place.kind in models else (tag_key(place.kind), tag_of(place.kind))
     owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
-    hint = _owner_of(key, place.section) or _nearest(key, place.kind.model_fields)
+    hint = _owner_of(key, file, place.section) or _nearest(key, place.kind.model_fields)
     return f"unknown key {key} in {owner}; {hint or f'its keys are {_listed(place.kind.model_fields)}.'}"
 
 
-def _models_of_runs() -> dict[type[Section], str]:
-    return {run: tag_of(system) for system, run in RUNS.items()}
-
-
-def _unknown_section(name: str, value: Any) -> str:
-    sections = _listed(StudyConfig.model_fields)
+def _unknown_section(name: str, value: Any, file: type[FileConfig]) -> str:
+    sections = _listed(file.model_fields)
     if not isinstance(value, dict):
-        return f"unknown key {name} outside every section; {_owner_of(name) or f'keys belong in {sections}.'}"
-    inner = [section for section, _ in _all_sections() if section.endswith(f".{name}")]
+        return f"unknown key {name} outside every section; {_owner_of(name, file) or f'keys belong in {sections}.'}"
+    inner = [section for section, _ in _all_sections(file) if section.endswith(f".{name}")]
     if inner:
         return f"unknown section [{name}]; did you mean [{inner[0]}]?"
-    return f"unknown section [{name}]; {_nearest(name, StudyConfig.model_fields) or f'the sections are {sections}.'}"
+    return f"unknown section [{name}]; {_nearest(name, file.model_fields) or f'the sections are {sections}.'}"
 
 
-def _owner_of(key: str, section: str = "") -> str:
+def _owner_of(key: str, file: type[FileConfig], section: str = "") -> str:
     """A hint for a `key` that exists elsewhere, the `section` itself (of another kind) first, or ""."""
-    for name, kinds in sorted(_all_sections(), key=lambda each: each[0] != section):
+    for name, kinds in sorted(_all_sections(file), key=lambda each: each[0] != section):
         owners = [tag for tag, kind in kinds.items() if key in kind.model_fields]
         if owners and len(owners) == len(kinds):
             return f"{key} belongs in [{name}]."

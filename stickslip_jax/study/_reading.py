@@ -1,16 +1,19 @@
-"""Reads a `StudyConfig` from a TOML file and the command's options; every mistake becomes one sentence."""
+"""Reads studies from TOML files and the command's options; every mistake becomes one sentence."""
 
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from .._sweep.errors import StudyError
-from ._config import StudyConfig
-from ._examples import EXAMPLES
+from ._config import FileConfig, StudyConfig
+from ._examples import EXAMPLES, PAPERS
 from ._mistakes import Options, sentence_for
+from ._sweep_config import SweepConfig
+
+_File = TypeVar("_File", bound=FileConfig)
 
 OPTIONS = {
     "samples": ("run", "samples"),
@@ -36,20 +39,39 @@ def read_config(
     Raises StudyError for a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
     unsuitable options.
     """
-    table = dict(EXAMPLES.get(example or "", {})) if path is None else _parse(path)
-    config = _validated(table, path, f"{path}: ", {})
+    return _read(StudyConfig, "study", path, EXAMPLES.get(example or "", {}), options)
+
+
+def read_sweep_config(
+    path: Path | None = None, options: Mapping[str, Any] | None = None, *, paper: str | None = None
+) -> SweepConfig:
+    """Read the parametric study described by a TOML file; the rest is as in `read_config`.
+
+    `paper`: without `path`, the name of one of `PAPERS` to read instead; by default the parametric analysis.
+    """
+    return _read(SweepConfig, "sweep", path, PAPERS[paper or "parametric-analysis"], options)
+
+
+def _read(
+    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, Any] | None
+) -> _File:
+    table = dict(usual) if path is None else _parse(path, command)
+    config = _validated(kind, table, path, f"{path}: ", {})
     given = {option: value for option, value in (options or {}).items() if value is not None}
     for option, value in given.items():
         section, key = OPTIONS[option]
         table = {**table, section: {**table.get(section, {}), key: value}}
-    return _validated(table, path, "", {OPTIONS[option]: option for option in given}) if given else config
+    named = {OPTIONS[option]: option for option in given}
+    return _validated(kind, table, path, "", named) if given else config
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def _parse(path: Path, command: str) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise StudyError(f"{path}: no such file; `stickslip study --print-config` prints one to start from.") from None
+        raise StudyError(
+            f"{path}: no such file; `stickslip {command} --print-config` prints one to start from."
+        ) from None
     except OSError as error:
         raise StudyError(f"{path}: cannot be read ({error.strerror}).") from None
     except UnicodeDecodeError:
@@ -58,8 +80,8 @@ def _parse(path: Path) -> dict[str, Any]:
         raise StudyError(f"{path}: is not valid TOML ({error}).") from None
 
 
-def _validated(table: dict[str, Any], path: Path | None, source: str, options: Options) -> StudyConfig:
+def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: Options) -> _File:
     try:
-        return StudyConfig.model_validate(table, context={"folder": Path() if path is None else path.parent})
+        return kind.model_validate(table, context={"folder": Path() if path is None else path.parent})
     except ValidationError as error:
-        raise StudyError(source + sentence_for(error, table, options)) from None
+        raise StudyError(source + sentence_for(error, table, options, kind)) from None

@@ -76,8 +76,8 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
     run = config.run
     try:
         return simulate_ensemble(
-            _built(config.system, "system"),
-            _built(config.base, "base"),
+            built(config.system, "system"),
+            built(config.base, "base"),
             t1=run.t1,
             samples=run.samples,
             key=jax.random.key(run.seed),
@@ -91,10 +91,10 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
             progress=progress,
         )
     except ValueError as error:
-        raise StudyError(_in_words_of_the_file(str(error))) from error
+        raise StudyError(in_words_of_the_file(str(error))) from error
 
 
-def _built(section: Any, name: str) -> Any:
+def built(section: Any, name: str) -> Any:
     """The object that `section` describes, for the simulation. Raises StudyError if it cannot be built."""
     try:
         return section.build()
@@ -120,7 +120,7 @@ _NAMES = {
 }
 
 
-def _in_words_of_the_file(said: str) -> str:
+def in_words_of_the_file(said: str) -> str:
     """A message of `simulate_ensemble` with the names of its arguments replaced by sections and keys of the file."""
     said = re.sub(r"\AArguments? (\w+)", lambda found: _NAMES.get(found[1], found[1]), said)
     return said.replace("use method=Exact(solver=diffrax.Dopri8())", 'set solver = "Dopri8" in [run]')

@@ -5,6 +5,7 @@ Types are strict: neither the string "1" nor true is a number; nan and infinity 
 
 import dataclasses
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from textwrap import wrap
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
@@ -168,8 +169,12 @@ def toml_value(value: Any) -> str:
     if isinstance(value, Section):
         return toml_value(value.model_dump())
     if isinstance(value, dict):
-        return f"{{ {', '.join(f'{key} = {toml_value(entry)}' for key, entry in value.items())} }}"
+        return f"{{ {', '.join(f'{_toml_key(key)} = {toml_value(entry)}' for key, entry in value.items())} }}"
     return repr(value)
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
 
 
 def toml_blocks(section: Section, name: str, choices: Iterable[str] = ()) -> Iterator[str]:
@@ -182,6 +187,7 @@ def toml_blocks(section: Section, name: str, choices: Iterable[str] = ()) -> Ite
     comments = {key: str(info.description) for key, info in kind.model_fields.items() if key not in tables}
     lines = [] if tag is None else [_line(tag, tag_of(kind), one_of(choices))]
     lines += [_line(key, getattr(section, key), comment) for key, comment in comments.items() if key != tag]
+    lines += [f"{_toml_key(key)} = {toml_value(value)}" for key, value in (section.model_extra or {}).items()]
     for key, kinds in tables.items():
         if getattr(section, key) is None:
             tags = f"{tag_key(next(iter(kinds.values())))}: {one_of(kinds)}"

@@ -80,3 +80,41 @@ def test_bad_ratios(make, ratio, annotations_unchecked):
 def test_bad_numbers_of_periods(periods, annotations_unchecked):
     with pytest.raises(ValueError, match="Argument periods must be a whole number of at least 1"):
         papers.steady_stick_share(1.0, periods=periods)
+
+
+def test_constant_belt_holds_the_mass_until_the_spring_wins():
+    """It starts at the belt's speed in the middle, sticks for mu n / (k v), and never again (physics: tangent slip)."""
+    found = papers.stick_share_map("constant").run(progress=False)
+    expected = found.mu.values * 1.0 / (4.0 * 1.0) / 200.0
+    assert found.stick_fraction.dims == ("mu",)
+    assert found.stick_fraction.values == pytest.approx(expected, rel=1e-12)
+
+
+def test_square_belt_sticks_as_in_the_figure():
+    """What is added from 1000 to 1025 periods of r = 1 (pi s each) is whole periods of r = 0.8, 1.0 and 1.2 too."""
+    times = [1000 * math.pi, 1025 * math.pi]
+    totals = [
+        t1 * papers.stick_share_map("square", mu=[1.0], ratios=[0.8, 1.0, 1.2], t1=t1).run(progress=False)
+        .stick_fraction.sel(mu=1.0)
+        for t1 in times
+    ]  # fmt: skip
+    shares = 100 * (totals[1] - totals[0]) / (times[1] - times[0])
+    assert shares.values == pytest.approx([TABLE[0.8], TABLE[1.0], TABLE[1.2]], abs=0.02)
+
+
+def test_harmonic_belt_in_resonance_carries_the_mass():
+    """At r = 1 the belt moves as the free mass would, which starts with its velocity: friction has nothing to do."""
+    found = papers.stick_share_map("harmonic", mu=[0.1, 1.0], ratios=[1.0]).run(progress=False)
+    assert found.stick_fraction.values == pytest.approx(np.ones((2, 1)), abs=1e-12)
+
+
+def test_studies_are_of_the_papers_systems(annotations_unchecked):
+    random = papers.stick_share_map("random", mu=[1.0], ratios=[0.5], samples=10).plan.setting_at(0)
+    assert (random.system, random.law) == papers.random_belt(0.5)[:2]
+    harmonic = papers.stick_share_map("harmonic", mu=[1.0], ratios=[0.5]).plan.setting_at(0)
+    assert float(harmonic.law.angular_frequency) == pytest.approx(0.5 * 2)
+    analysis = papers.parametric_analysis()
+    assert (analysis.points, analysis.plan.samples, analysis.plan.t1) == (64, 10_000, 200.0)
+    assert analysis.plan.points.values(63) == pytest.approx((2.0, 5.0))
+    with pytest.raises(ValueError, match=r"Argument belt must be one of 'constant', .*, but 'triangular' was given"):
+        papers.stick_share_map("triangular")

@@ -15,6 +15,7 @@ DOCUMENTS = {
     "docs/regularized.md": 2,
     "docs/sensitivity.md": 1,
     "docs/statistics.md": 4,
+    "docs/studies.md": 3,
     "docs/uncertain.md": 3,
 }
 """And how many pieces of code each holds, those that are only shown (other words after ``python``) not counted."""

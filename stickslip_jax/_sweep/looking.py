@@ -1,0 +1,80 @@
+"""Looking at a study without changing its folder, also while a run writes to it."""
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from .._status import Status
+from .dataset import dataset_of, read_dataset
+from .errors import StudyError
+from .manifest import plan_in, sum_of
+from .pieces import DamagedPieceError, head_of
+from .store import Store
+from .work import Work
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class StudyStatus(NamedTuple):
+    """How far a study has come.
+
+    - `points`, `complete`: of these are done. `samples`: simulated. `most_samples`: wanted, or, where points end at a
+      standard error (`is_adaptive`), at most.
+    - `endings`: how many samples have each status. `seconds`: simulated, summed over threads.
+    - `is_running`: whether a run works on it now. `is_finished`: whether its data set is complete.
+    """
+
+    points: int
+    complete: int
+    samples: int
+    most_samples: int
+    is_adaptive: bool
+    endings: dict[Status, int]
+    seconds: float
+    is_running: bool
+    is_finished: bool
+
+
+def status_of(folder: Path) -> StudyStatus:
+    """The status of the study in `folder`. Raises StudyError if there is none."""
+    store = Store.reading(folder)
+    is_running, is_finished = store.is_in_use, _finished(store) is not None
+    # Whether a point has the standard error that was asked for, only a plan that can be run can tell.
+    plan = plan_in(store.body, to_run=bool(store.body["asked"]["standard_errors"]))
+    work = Work(plan, store)
+    for _ in work.tasks():  # counts what is done
+        pass
+    endings, seconds = dict.fromkeys(Status, 0), 0.0
+    for point in range(plan.points.number):
+        for piece in work.pieces(point):
+            if piece.derivative:
+                continue
+            with contextlib.suppress(FileNotFoundError, DamagedPieceError):
+                head = head_of(store.read(piece))
+                seconds += head["run_seconds"]
+                for status, count in zip(Status, head["status_counts"], strict=True):
+                    endings[status] += count
+    points = plan.points.number
+    return StudyStatus(
+        points, points if is_finished else work.complete, sum(work.done), points * plan.samples, plan.is_adaptive,
+        endings, seconds, is_running, is_finished,
+    )  # fmt: skip
+
+
+def stored_dataset(folder: Path) -> "xarray.Dataset":
+    """The result of the study in `folder`, as far as it is there. Raises StudyError if there is no study, or one of
+    own classes that is not finished.
+    """
+    store = Store.reading(folder)
+    finished = _finished(store)
+    return dataset_of(Work(plan_in(store.body), store)) if finished is None else finished
+
+
+def _finished(store: Store) -> "xarray.Dataset | None":
+    """The stored data set, if it is that of what was asked for last."""
+    try:
+        found = read_dataset(store.folder)
+    except (StudyError, OSError, ValueError):  # none, or a damaged one, which the pieces replace
+        return None
+    return found if found.attrs.get("manifest_sha256") == sum_of(store.body) else None

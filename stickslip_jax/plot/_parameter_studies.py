@@ -1,0 +1,93 @@
+"""The statistics of a parametric study: curves, or maps."""
+
+import math
+from collections.abc import Sequence
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from . import _style
+from ._curves import curve
+from ._labeled import is_labeled
+from ._parameter_maps import parameter_map
+from ._types import SeveralAxes
+
+if TYPE_CHECKING:
+    import xarray
+
+_MOST_CURVES = 4  # of several values of a parameter; more make a map
+_PANEL, _LABEL_WIDTH = (5.6, 4.2), 40
+
+
+def parameter_study(
+    results: "xarray.Dataset", names: Sequence[str], *, level: float | None = 0.9, axes: SeveralAxes | None = None
+) -> tuple[Axes, ...]:
+    """Draw statistics of a parametric study, each in axes of its own.
+
+    Along one parameter a curve with error bars; along two, of which one has at most four values, curves with bands;
+    else a map. Parameters that are spaced geometrically have logarithmic axes. Points that are not there yet are gaps.
+
+    - `results`: as `Study.run` returns it, with one or two dimensions of points; ``results.isel(...)`` chooses of more.
+    - `names`: of the variables to draw, such as ``["mean_stick_duration"]``.
+    - `level`: of the confidence intervals, as in `curve`.
+    - `axes`: where to draw, one for each name; by default those of a new figure.
+
+    Returns the axes. Raises ValueError for results of other dimensions, and for names that are not in them.
+    """
+    if not is_labeled(results) or not hasattr(results, "data_vars"):
+        raise ValueError(f"Argument results must be a Dataset of a Study, but {_checks.show(results)} was given.")
+    if not isinstance(names, (list, tuple)) or not names or not all(name in results for name in names):
+        known = ", ".join(map(str, results.data_vars))
+        raise ValueError(
+            f"Argument names must be a list of variables of the results, some of {known}, but {_checks.show(names)} "
+            "was given."
+        )
+    found = _new_axes(len(names)) if axes is None else _style.axes_below_or_new(axes, tuple(names), _PANEL)
+    for ax, name in zip(found, names, strict=True):
+        _draw(ax, results, name, level)
+    return tuple(found)
+
+
+def _new_axes(number: int) -> list[Axes]:
+    columns = 1 if number == 1 else 2
+    rows = math.ceil(number / columns)
+    size = (columns * _PANEL[0], rows * _PANEL[1])
+    _, axes = plt.subplots(rows, columns, squeeze=False, figsize=size, layout="constrained")
+    found = list(axes.flat)
+    for spare in found[number:]:
+        spare.remove()
+    return found[:number]
+
+
+def _draw(ax: Axes, results: Any, name: str, level: float | None) -> None:
+    dimensions = [str(one) for one in results[name].dims]
+    if len(dimensions) not in (1, 2):
+        raise ValueError(
+            f"Argument results must have one or two dimensions of points, but {name} has {len(dimensions)} "
+            f"({', '.join(dimensions) or 'none'}); choose of the others with results.isel(...)."
+        )
+    logs = {one: _is_geometric(np.asarray(results[one])) for one in dimensions}
+    few = min(dimensions, key=lambda one: results.sizes[one])
+    if len(dimensions) == 2 and results.sizes[few] > _MOST_CURVES:
+        errors = np.asarray(results.get(f"{name}_error", np.nan))
+        # A single sample of each point has no errors at all, which needs no mark.
+        data, variable = (results[name], None) if np.all(np.isnan(errors)) else (results, name)
+        parameter_map(data, variable, xlog=logs[dimensions[0]], ylog=logs[dimensions[1]], ax=ax)
+    else:
+        along = next((one for one in dimensions if one != few), few)
+        bands = "bars" if len(dimensions) == 1 else "band"
+        curve(results, name, along=along, xlog=logs[along], uncertainty=bands, level=level, ax=ax)
+    ax.set_xlabel(fill(ax.get_xlabel(), _LABEL_WIDTH))
+    ax.set_ylabel(fill(ax.get_ylabel(), _LABEL_WIDTH))
+
+
+def _is_geometric(values: np.ndarray) -> bool:
+    """Whether neighbouring values have the same ratio, and not the same difference."""
+    if len(values) < 3 or values.dtype.kind != "f" or np.any(values <= 0):
+        return False
+    steps, ratios = np.diff(values), np.diff(np.log(values))
+    return bool(np.ptp(ratios) < 1e-6 * np.abs(ratios).max() and np.ptp(steps) > 1e-6 * np.abs(steps).max())

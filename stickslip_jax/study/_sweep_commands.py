@@ -1,0 +1,103 @@
+"""The commands of parametric studies: ``sweep``, ``resume``, ``status`` and ``show``."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ._options import Executors, ResumeCommand, ShowCommand, StatusCommand, SweepCommand
+
+if TYPE_CHECKING:
+    import xarray
+
+    from .._sweep.study import Study
+
+_Prepare = Callable[[str], None]
+"""Sets the precision of JAX, "float64" or "float32", before it starts."""
+
+
+def run_command(command: SweepCommand | ResumeCommand | StatusCommand | ShowCommand, prepare: _Prepare) -> None:
+    """Run a command, and print what it has to say. Raises StudyError for what the user can correct."""
+    if isinstance(command, SweepCommand):
+        _sweep(command, prepare)
+    elif isinstance(command, ResumeCommand):
+        _resume(command, prepare)
+    elif isinstance(command, StatusCommand):
+        _status(command.folder)
+    else:
+        _show(command, prepare)
+
+
+def _sweep(command: SweepCommand, prepare: _Prepare) -> None:
+    from ._reading import read_sweep_config  # noqa: PLC0415 - what only a simulation needs is loaded when there is one
+
+    options = command.options
+    config = read_sweep_config(command.config, {"samples": options.samples}, paper=options.paper)
+    if options.print_config:
+        print(config.to_toml(), end="")
+        return
+    prepare(config.run.dtype)
+    from ._sweep_run import study_of  # noqa: PLC0415
+
+    assert options.out is not None  # as the options are checked
+    study = study_of(config, "" if command.config is None else f"{command.config}: ")
+    _run(study, options.out.expanduser(), command.executors)
+
+
+def _resume(command: ResumeCommand, prepare: _Prepare) -> None:
+    from .._sweep.store import Store  # noqa: PLC0415
+    from .._sweep.study import Study  # noqa: PLC0415
+
+    prepare(Store.reading(command.folder).body["deciding"]["dtype"])
+    _run(Study.load(command.folder), command.folder, command.executors)
+
+
+def _run(study: "Study", folder: Path, executors: Executors) -> None:
+    from .._sweep.store import DATA  # noqa: PLC0415
+    from ._sweep_run import run_stored  # noqa: PLC0415
+
+    dataset = run_stored(
+        study, folder, threads=executors.threads, workers=executors.workers, dask=executors.dask,
+        progress=False if executors.quiet else executors.progress,
+    )  # fmt: skip
+    if not executors.quiet:
+        _print_table(dataset)
+        print(f"The result is in {folder / DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")
+
+
+def _status(folder: Path) -> None:
+    from .._sweep.looking import status_of  # noqa: PLC0415
+    from ._sweep_report import status_text  # noqa: PLC0415
+
+    print(status_text(folder, status_of(folder)))
+
+
+def _show(command: ShowCommand, prepare: _Prepare) -> None:
+    from .._sweep.looking import stored_dataset  # noqa: PLC0415
+    from .._sweep.store import Store  # noqa: PLC0415
+
+    prepare(Store.reading(command.folder).body["deciding"]["dtype"])
+    dataset = stored_dataset(command.folder)
+    names = _print_table(dataset, command.statistics)
+    if command.out is not None:
+        _draw(dataset, names, command.out)
+        print(f"The figure is in {command.out}.")
+
+
+def _print_table(dataset: "xarray.Dataset", wanted: tuple[str, ...] = ()) -> list[str]:
+    from ._sweep_report import chosen_statistics, sweep_table  # noqa: PLC0415
+
+    names = chosen_statistics(dataset, wanted)
+    print(sweep_table(dataset, names))
+    return names
+
+
+def _draw(dataset: "xarray.Dataset", names: list[str], path: Path) -> None:
+    from .. import plot  # noqa: PLC0415 - slow to load
+    from .._sweep.errors import StudyError  # noqa: PLC0415
+
+    if len(dataset["samples"].dims) > 2:
+        raise StudyError(
+            f"option --out draws studies of one or two parameters, but this one has {len(dataset['samples'].dims)} "
+            "dimensions; in Python, plot.parameter_study(results.isel(...), names) draws a part of it."
+        )
+    plot.save(plot.parameter_study(dataset, names), path)

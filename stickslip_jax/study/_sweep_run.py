@@ -1,0 +1,114 @@
+"""Parametric studies of the command: made from their file, run, resumed."""
+
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from difflib import get_close_matches
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+
+from .._sweep.errors import StudyError
+from .._sweep.study import Study
+from ._run import built, in_words_of_the_file
+from ._sweep_config import SweepConfig
+
+if TYPE_CHECKING:
+    import xarray
+
+_SECONDS_TO_CONNECT = 10
+
+
+def study_of(config: SweepConfig, source: str = "") -> Study:
+    """The study that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
+    run, study = config.run, config.study
+    over: dict[str | tuple[str, ...], Any] = {}
+    for names, values in study.over.axes().items():
+        full = tuple(_full_name(name, run.initial) for name in names)
+        over[full if len(full) > 1 else "".join(full)] = values
+    try:
+        return Study(
+            built(config.system, "system"),
+            built(config.base, "base"),
+            over=over,
+            t1=run.t1,
+            samples=run.samples,
+            key=jax.random.key(run.seed),
+            y0=run.y0(),
+            method=run.method(),
+            keep=study.keep,
+            statistics=study.statistics,
+            sensitivities=[(name, tuple(wrt)) for name, wrt in (study.sensitivities or {}).items()],
+            orders=run.orders,
+            count_initial_rest=run.count_initial_rest,
+            independent=study.independent,
+            standard_error=study.standard_error,
+            realizations=study.realizations,
+            piece=study.piece,
+        )
+    except StudyError as error:
+        raise StudyError(f"{source}{error}") from error
+    except ValueError as error:
+        raise StudyError(source + _in_words_of_the_sweep(str(error))) from error
+
+
+def _full_name(name: str, initial: tuple[str, ...]) -> str:
+    """The name in `Study` of a parameter of the file: initial values have names of their own there."""
+    return f"y0[{initial.index(name)}]" if name in initial else name
+
+
+_SENSITIVITIES = "sensitivities in [study] must hold lists of parameters by statistic"
+_OF_STUDY = ("keep", "statistics", "standard_error", "realizations", "piece")
+
+
+def _in_words_of_the_sweep(said: str) -> str:
+    """A message of `Study` with the names of its arguments replaced by sections and keys of the file."""
+    said = re.sub(r"\AArgument over\[\(?'(.+?)'\)?\] ", _values_in_the_file, said)
+    said = re.sub(r"\AArgument over ", "[study.over] ", said)
+    said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)
+    said = re.sub(rf"\AArgument ({'|'.join(_OF_STUDY)})\b(\['\w+'\])?", r"\1\2 in [study]", said)
+    return in_words_of_the_file(_with_suggestion(said))
+
+
+def _values_in_the_file(argument: re.Match[str]) -> str:
+    names = argument[1].replace("', '", ", ")  # of parameters that change together
+    return f"{names} in [study.over] "
+
+
+def _with_suggestion(said: str) -> str:
+    """A message that lists the names allowed, with the one that was probably meant."""
+    found = re.fullmatch(r".*? (?:names? out of|must name one of|statistic out of) (.*), but (.*) was given\.", said)
+    if found is None:
+        return said
+    given = (re.findall(r"[\w.]+", found[2]) or [""])[0]
+    near = get_close_matches(given, re.findall(r"\w+", found[1]), n=1, cutoff=0.5)
+    return f"{said.removesuffix('.')}; did you mean {near[0]}?" if near else said
+
+
+def run_stored(
+    study: Study, folder: Path, *, threads: int | None, workers: int | None, dask: str | None, progress: bool | None
+) -> "xarray.Dataset":
+    """Run what is left of a study in `folder`, and return its result. Raises StudyError as `Study.run` does."""
+    with nullcontext() if dask is None else _client(dask) as client, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "This study runs in float32")  # as its file asks
+        return study.run(folder, threads=threads, workers=workers, executor=client, progress=progress)
+
+
+@contextmanager
+def _client(address: str) -> Iterator[Any]:
+    """A client of the dask scheduler at `address`. Raises StudyError if there is none."""
+    if find_spec("distributed") is None:
+        raise StudyError("Option --dask needs distributed: pip install 'stickslip_jax[cluster]'.")
+    try:
+        client = import_module("distributed").Client(address, timeout=_SECONDS_TO_CONNECT)
+    except (OSError, ValueError) as error:
+        raise StudyError(
+            f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} gave "
+            f"no answer ({error}); start one with `dask scheduler`."
+        ) from None
+    with client:
+        yield client
