@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from .._ensemble.progress import progress_bar
 from .dataset import dataset_of, write_dataset
 from .errors import StudyError
-from .executors import Where, executor_for
+from .places import Where, executor_for
 from .plan import Plan
 from .runner import run_tasks
 from .stopping import stoppable

@@ -169,7 +169,7 @@ class Study:
         Raises StudyError for a folder that holds something else or cannot be written, and if points failed; ImportError
         without the extra ``study``.
         """
-        from .executors import Where, check_where  # noqa: PLC0415 - with what runs studies only
+        from .places import Where, check_where  # noqa: PLC0415 - with what runs studies only
         from .run import run_study  # noqa: PLC0415 - needs an extra
 
         where = Where(threads, workers, executor, shared_folder)

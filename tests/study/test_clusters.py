@@ -253,16 +253,31 @@ SCHEDULER = """
 import time
 from distributed import LocalCluster
 if __name__ == "__main__":
-    cluster = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0")
+    options = {"processes": False, "protocol": "tcp://", "dashboard_address": ":0"}
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, **options)
     print(cluster.scheduler_address, flush=True)
     time.sleep(600)
 """
 
 
+@contextmanager
+def _killed(process):
+    """Kills a process at the end at the latest, so that nothing waits for it in vain."""
+    try:
+        yield
+    finally:
+        process.kill()
+
+
 @pytest.mark.slow
 def test_killed_scheduler_is_told_and_what_came_is_kept(tmp_path):
     scheduler = subprocess.Popen([sys.executable, "-c", SCHEDULER], stdout=subprocess.PIPE, text=True)
-    with scheduler, Client(scheduler.stdout.readline().strip()) as client, ThreadPoolExecutor(1) as pool:
+    with (
+        scheduler,
+        _killed(scheduler),
+        Client(scheduler.stdout.readline().strip()) as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
         running = pool.submit(small_study(samples=40_000).run, tmp_path, executor=client)
         wait_for(lambda: "done " in log_of(tmp_path))
         scheduler.kill()
