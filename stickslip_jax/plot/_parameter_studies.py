@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
-from . import _style
+from . import _parts, _style
 from ._curves import curve
 from ._labeled import is_labeled
 from ._parameter_maps import parameter_map
@@ -76,7 +76,13 @@ def _draw(ax: Axes, results: Any, name: str, level: float | None) -> None:
         errors = np.asarray(results.get(f"{name}_error", np.nan))
         # A single sample of each point has no errors at all, which needs no mark.
         data, variable = (results[name], None) if np.all(np.isnan(errors)) else (results, name)
-        parameter_map(data, variable, xlog=logs[dimensions[0]], ylog=logs[dimensions[1]], ax=ax)
+        values = results[name]
+        label = _parts.quantity_label(str(values.attrs.get("long_name", name)), values.attrs.get("units") or "1")
+        # Lines between cells of which many are not there yet would be scraps.
+        complete = not np.any(np.isnan(np.asarray(values)))
+        xlog, ylog = (logs[one] for one in dimensions)
+        label = fill(label, _LABEL_WIDTH)
+        parameter_map(data, variable, xlog=xlog, ylog=ylog, label=label, contours=complete, ax=ax)
     else:
         along = next((one for one in dimensions if one != few), few)
         bands = "bars" if len(dimensions) == 1 else "band"

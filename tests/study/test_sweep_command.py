@@ -13,7 +13,7 @@ import jax
 import matplotlib as mpl
 import numpy as np
 import pytest
-from support.study import config_file
+from support.study import BAD_SWEEPS, config_file
 
 mpl.use("Agg")
 
@@ -154,59 +154,9 @@ def test_printed_configuration_is_one_to_start_from(capsys, tmp_path):
     assert read_sweep_config(path) == read_sweep_config(None, {"samples": 7}, paper="stick-share-random")
 
 
-_OVER = "\n[study.over]\nmu = [1.0]\n"
-MISTAKES = {
-    "no points": ("[run]\nsamples = 3", "[study] lacks [study.over]"),
-    "no parameter": ("[study.over]", "in [study.over], a parameter must be given with its values"),
-    "samples": ("[study]\nsamples = 3" + _OVER, "unknown key samples in [study]; samples belongs in [run]."),
-    "keep": ('[run]\nkeep = "totals"' + _OVER, "unknown key keep in [run] of the model MassSpring; keep belongs in"),
-    "misspelt key": ("[study]\nkep = 1" + _OVER, "unknown key kep in [study]; did you mean keep?"),
-    "misspelt section": ("[stdy.over]\nmu = [1.0]", "unknown section [stdy]; did you mean study?"),
-    "section of another file": ("[output]\nfigures = true" + _OVER, "unknown section [output]; the sections are"),
-    "inner section": ("[over]\nmu = [1.0]", "did you mean [study.over]?"),
-    "sticks": ('[study]\nkeep = "sticks"' + _OVER, "keep in [study] must be 'statistics' or 'totals', but \"sticks\""),
-    "misspelt parameter": ("[study.over]\nmw = [1.0]", "but 'mw' was given; did you mean mu?"),
-    "misspelt range": ("[study.over]\nmu = { linspce = [0, 1, 5] }", "did you mean linspace?"),
-    "NumPy's range": ("[study.over]\nmu = { geomspace = [1, 2, 5] }", "did you mean logspace?"),
-    "short range": ("[study.over]\nmu = { linspace = [0, 1] }", "linspace of mu must be [from, to, number of values]"),
-    "range from zero": ("[study.over]\nmu = { logspace = [0, 1, 5] }", "must go from and to positive numbers"),
-    "half a value": ("[study.over]\nmu = { linspace = [0, 1, 2.5] }", "number of values"),
-    "text": (
-        '[study.over]\nmu = "a"',
-        'mu must be a list, { linspace = ... } or { logspace = ... }, but "a" was given',
-    ),
-    "truth": ("[study.over]\nmu = [true]", "mu must hold numbers, but true was given"),
-    "empty list": ("[study.over]\nmu = []", "but [] was given"),
-    "name with a dot": ("[study.over]\nmu.low = [0, 1]", 'for a name with dots write "mu.low" = ...'),
-    "rows": ('[study.over]\n"mu, rate" = [[1, 2, 3]]', "mu, rate must hold rows of 2 numbers, but [1, 2, 3] was"),
-    "the same row": (
-        '[study.over]\n"mu, rate" = [[1, 2], [1, 2]]',
-        "mu, rate in [study.over] must hold every point once, but entries 0 and 1 are both (1.0, 2.0).",
-    ),
-    "negative friction": ("[study.over]\nmu = [-1.0]", "mu must be zero or positive, but -1.0 was given"),
-    "infinite": ("[study.over]\nmu = [inf]", "mu in [study.over] must hold finite numbers, but inf was given"),
-    "no frequency": (
-        '[base]\nlaw = "Constant"\nspeed = 1.0\n[study.over]\nr = [1.0]',
-        "it needs a law with a frequency",
-    ),
-    "unknown statistic": (
-        '[study]\nstatistics = ["mean_stick"]' + _OVER,
-        "statistics in [study] must be names out of 'stick_fraction'",
-    ),
-    "unknown precision": (
-        "[study]\nstandard_error = { stik_fraction = 0.1 }" + _OVER,
-        "standard_error in [study] must name statistics out of",
-    ),
-    "unknown derivative": (
-        '[study]\nsensitivities = { stik_fraction = ["mu"] }' + _OVER,
-        "sensitivities in [study] must hold lists of parameters by statistic out of 'stick_fraction'",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", MISTAKES)
+@pytest.mark.parametrize("case", BAD_SWEEPS)
 def test_mistakes_name_file_and_key(capsys, tmp_path, case):
-    text, said = MISTAKES[case]
+    text, said = BAD_SWEEPS[case]
     path = config_file(tmp_path, text)
     sentence = _refused(capsys, "sweep", path, "--out", "out")
     assert sentence.startswith(f"stickslip: {path}: ")
