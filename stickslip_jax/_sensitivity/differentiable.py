@@ -12,12 +12,11 @@ from jax import lax
 from .._dynamics.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
-from .._inputs.numbers import Path, with_numbers
+from .._inputs.numbers import with_numbers
 from .._status import Status
 from .._systems.system import System
 from .._types import Array
-from .counting import IntervalCounting
-from .estimators import RATE, counting_engine, counting_paths
+from .estimators import counting_engine, counting_paths, score_path
 from .first_look import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem, buffer_sizes_for
 from .random_inputs import over
@@ -117,14 +116,13 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = counting_paths(problem)
     own = problem.own_leaves(0, rows * _LANES)
-    has_likelihood = isinstance(engine, IntervalCounting) and engine.likelihood is not None
-    by_score: tuple[Path, ...] = (("likelihood", "rate"),) if has_likelihood and RATE in paths else ()
-    by = tuple(by_score[0] if by_score and path == RATE else path for path in paths)
+    by = tuple(score_path(engine, path) or path for path in paths)
+    by_score = tuple(other for path, other in zip(paths, by, strict=True) if other != path)
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = with_numbers(engine, paths, values)
         if by_score:
-            here = with_numbers(here, by_score, (values[paths.index(RATE)],))
+            here = with_numbers(here, by_score, (values[by.index(by_score[0])],))
         if varied is not None:
             here = with_numbers(here, by, varied)
         job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), own)

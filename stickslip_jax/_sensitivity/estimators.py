@@ -14,14 +14,13 @@ from .._status import Status
 from .._systems.own import is_own
 from .counting import IntervalCounting, Likelihood
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
-from .random_inputs import RandomEngine, inside, over
+from .random_inputs import RandomEngine, inside, over, plain
 from .runs import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
 from .sequences import BufferSizes
 from .statistic import OfTotals
 from .step_counting import StepCounting
 from .traces import traced
 
-RATE: Path = ("law", "rate")
 _MOST_DOUBLINGS = 6  # of the buffers of a realisation
 
 
@@ -55,11 +54,11 @@ def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> tuple[Acc
     paths, number = list(counting_paths(problem)), len(problem.parameters)
     pathwise = list(range(number))
     for index, path in enumerate(problem.paths()):
-        if path == RATE and isinstance(engine, IntervalCounting) and engine.likelihood is not None:
-            # Its derivative comes from the likelihood; the pathwise one is found beside it.
-            paths[index] = ("likelihood", "rate")
+        score = score_path(engine, path)
+        if score is not None:  # its derivative comes from the likelihood; the pathwise one is found beside it
+            paths[index] = score
             pathwise[index] = len(paths)
-            paths.append(RATE)
+            paths.append(path)
     accumulator = _run_counting(problem, engine, tuple(paths))
     return accumulator, _columns(number, max(1, len(bandwidths)), len(paths), pathwise)
 
@@ -74,13 +73,24 @@ def counting_engine(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> A
         if not problem.by_intervals:
             return StepCounting(engine, bandwidths, problem.fixed_start)
         likelihood = None
-        if type(engine.law) is PoissonSwitching and problem.random is None:
+        if type(engine.law) is PoissonSwitching:
             likelihood = Likelihood(engine.law.rate, pilot.stick_time, pilot.sticks)
         return IntervalCounting(
             engine.system, engine.law, engine.t1, engine.y0, bandwidths, likelihood, problem.fixed_start
         )
 
     return over(problem.engine(), counting)
+
+
+def score_path(engine: Any, path: Path) -> Path | None:
+    """The path of the rate that the likelihood of a Poisson base knows, where `path` is that of the base's rate."""
+    *outer, parent, name = path
+    if (parent, name) != ("law", "rate") or outer not in ([], ["template"]):
+        return None
+    counting = plain(engine)
+    if not isinstance(counting, IntervalCounting) or counting.likelihood is None:
+        return None
+    return (*outer, "likelihood", "rate")
 
 
 def counting_paths(problem: Problem) -> tuple[Path, ...]:
@@ -123,7 +133,7 @@ def _counter(problem: Problem, engine: Any, paths: tuple[Path, ...]) -> tuple[in
         slopes = np.stack(slopes, axis=2)
         near = np.stack([_flat(leaf, number) for leaf in near], axis=-1) if near else np.zeros(slopes.shape[:3])
         for index, path in enumerate(paths):
-            if path[0] == "likelihood":  # uses no window: it rests on all sticks
+            if "likelihood" in path:  # uses no window: it rests on all sticks
                 near[index] = totals[:, 1:]
         parts = totals @ weights[:, :2].T + weights[:, 2]
         return parts, slopes, pathwise, near, _flat(status, number).astype(int)

@@ -83,7 +83,7 @@ def require_correctable(problem: Problem) -> None:
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
             "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
             "law is an object of your own with a method sample(key, t1), or where the parameter is one of a Beta "
-            "distribution."
+            "distribution, or of that of a switching rate."
         )
 
 

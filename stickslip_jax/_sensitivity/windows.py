@@ -15,6 +15,7 @@ from .runs import Accumulator
 
 FEW = 100  # sticks: a narrower window with fewer is too noisy to judge others by
 _AGREE = 2.0  # standard errors
+_ROUND_OFF = 1e-12  # relative
 _TORN = 4.0  # standard errors: by chance alone two windows differ so much once in 16,000 times
 
 
@@ -65,6 +66,9 @@ def _widest(moments: Moments, where: Columns, near: np.ndarray, agree: float) ->
 
     for number, window in enumerate(usable):
         differences = [weights(window) - weights(narrower) for narrower in usable[number + 1 :]]
-        if all(abs(of @ mean) <= agree * math.sqrt(max(of @ covariance @ of, 0.0)) for of in differences):
+        # Windows that give the same, as by the likelihood of the switches, differ by round-off only.
+        limits = [agree * math.sqrt(max(of @ covariance @ of, 0.0)) + _ROUND_OFF * (abs(of) @ abs(mean))
+                  for of in differences]  # fmt: skip
+        if all(abs(of @ mean) <= most for of, most in zip(differences, limits, strict=True)):
             return window
     return usable[-1]

@@ -93,6 +93,22 @@ def test_poisson_switching(w, rate):
             assert abs(corrected[name].pathwise - differences[name].derivative) > AGREE * error, (statistic, name)
 
 
+@pytest.mark.parametrize("statistic", [ss.mean_stick_count, ss.mean_stick_duration], ids=lambda one: one.name)
+def test_rate_with_starts_that_hardly_differ(statistic):
+    """Random starts change the engine, not the estimator by the rate, which rests on the likelihood of the switches."""
+    case = poisson(1.4, 1.0, 20.0)
+    options = {"wrt": "rate", "t1": 20.0, "samples": 4_096, "key": jax.random.key(5), "estimator": "corrected"}
+    fixed = ss.sensitivity(statistic, case["system"], case["law"], y0=(0.2, 0.3), **options)
+    start = (ss.Uniform(0.2, 0.2 + 1e-12), 0.3)
+    spread = ss.sensitivity(statistic, case["system"], case["law"], y0=start, **options)
+    assert spread.sticks_in_window == fixed.sticks_in_window > 20_000
+    assert spread.derivative == pytest.approx(fixed.derivative, rel=1e-8)
+    assert spread.standard_error == pytest.approx(fixed.standard_error, rel=1e-8)
+    uncertain = ss.PoissonSwitching(1.0, ss.Uniform(1.0, 3.0))
+    with pytest.raises(ValueError, match=r"\AArgument estimator must be 'finite-difference' \(the default here\)"):
+        ss.sensitivity(statistic, case["system"], uncertain, **options | {"wrt": "rate.low"})
+
+
 # w from 0.3 to 5 and rate/omega from 0.1 to 2. Not among them: w = 1 and w = 2, where the derivative of the mean count
 # does not exist (see docs/sensitivity.md).
 POINTS = [(0.3, 0.1), (0.3, 1.0), (0.6, 2.0), (0.8, 0.3), (1.3, 0.1), (1.3, 2.0), (1.8, 0.5), (2.3, 0.2), (3.2, 0.3),
