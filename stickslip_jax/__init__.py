@@ -24,7 +24,7 @@ from ._fields import Quantity
 from ._html import draw_with as _draw_with
 from ._simulation.call import simulate
 from ._simulation.result import Simulation
-from ._statistics.distribution import Distribution, Histogram
+from ._statistics.distribution import Distribution, Histogram, common_bins
 from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
 from ._statistics.estimate import Estimate
 from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
@@ -214,6 +214,7 @@ __all__ = [
     "Weibull",
     "WithJumps",
     "bootstrap_interval",
+    "common_bins",
     "concatenate",
     "convergence",
     "differentiable",

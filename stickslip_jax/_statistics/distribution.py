@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -283,3 +283,26 @@ class Distribution:
         lines = [f"{self.name}: {self.number:,} values in {self.samples:,} samples"]
         lines += [f"  {name}: {number}" for name, number in self._told()]
         return "\n".join([*lines, f"  from {self.smallest:.6g} to {self.largest:.6g} {self.unit}".removesuffix(" 1")])
+
+
+def common_bins(distributions: Sequence[Distribution], bins: int = DEFAULT_BINS) -> CommonBins:
+    """At most `bins` bins of equal width that hold all values of several distributions of one quantity.
+
+    Histograms and entropies in the same bins can be compared::
+
+        bins = ss.common_bins([one.statistics.duration for one in ensembles])
+        [one.statistics.duration.entropy(bins) for one in ensembles]
+
+    Raises ValueError for anything but distributions in one unit, with at least one value among them.
+    """
+    _checks.whole_number("bins", bins)
+    found = list(distributions) if isinstance(distributions, Sequence) else []
+    if not found or not all(isinstance(one, Distribution) for one in found) or len({one.unit for one in found}) > 1:
+        raise ValueError(
+            "Argument distributions must be a list of distributions in one unit, such as many.statistics.duration of "
+            f"several ensembles, but {_checks.show(distributions)} was given."
+        )
+    common = CommonBins.of((one.bins for one in found), bins)
+    if common is None:
+        raise ValueError("Argument distributions must have a value among them, but all of them are empty.")
+    return common
