@@ -15,7 +15,7 @@ from ..workers import Bench
 MOST = 5
 """Rounds: each takes a minute."""
 KEEP = ("totals", "statistics")
-GROWTH = ((16, 2_500), (64, 2_500), (256, 2_500), (16, 10_000), (16, 40_000))
+GROWTH = ((16, 2_500), (64, 2_500), (256, 2_500), (1_024, 2_500), (16, 10_000), (16, 40_000), (16, 160_000))
 """Points and samples of the rows that show how the cost grows."""
 
 
