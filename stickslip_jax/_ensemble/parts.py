@@ -85,8 +85,11 @@ class EnsembleAccumulator:
     Holds the sums over all samples, and the sticks of the first samples (with ``keep="sticks"``, of all).
     """
 
-    def __init__(self, samples: int, keep: Keep, retained: int = RETAINED):
-        """For `samples` samples, of whose sticks at most `retained` are retained (with ``keep="sticks"`` all)."""
+    def __init__(self, samples: int, keep: Keep, retained: int | None = None):
+        """For `samples` samples, of whose sticks at most `retained` are retained (with ``keep="sticks"`` all).
+
+        `retained`: by default `RETAINED`.
+        """
         self.samples = samples
         self.keep: Keep = keep
         self.moments = Moments.of(np.zeros((0, len(TOTALS))))
@@ -94,7 +97,10 @@ class EnsembleAccumulator:
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
-        self._space, self._retained_samples = retained, 0  # number of sticks that still fit
+        self._space, self._retained_samples = (
+            RETAINED if retained is None else retained,
+            0,
+        )  # number of sticks that still fit
 
     @property
     def wants_sticks(self) -> bool:

@@ -49,7 +49,7 @@ def sync_folder(folder: Path) -> None:
 
 def finished_name(name: str) -> str | None:
     """The name that a file would have got, if a program was stopped while it wrote it; None for other files."""
-    found = re.fullmatch(rf"(.+)\.\d+{re.escape(_UNFINISHED)}", name)
+    found = re.fullmatch(rf"(.+)\.[0-9a-f]+{re.escape(_UNFINISHED)}", name)
     return found and found[1]
 
 

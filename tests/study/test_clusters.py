@@ -142,7 +142,7 @@ def test_point_that_cannot_be_simulated_is_a_failed_point(client, monkeypatch, t
         return perform(plan, task)
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", failing)
-    with pytest.raises(StudyError, match=r"1 of 4 points failed, first mu = 0\.5, rate = 1: Nothing moves here\."):
+    with pytest.raises(StudyError, match=r"1 of 4 points failed, first mu = 0\.5, rate = 1: Nothing moves here;"):
         small_study().run(tmp_path, executor=client)
     assert log_of(tmp_path).count("FAILED") == 3  # once each, without retries
     assert log_of(tmp_path).count("done ") == 9

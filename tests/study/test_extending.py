@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.faults import assert_same, failing, run, study_of
 
-from stickslip_jax._sweep import executors
+from stickslip_jax._sweep import workers
 
 U = 2.0**-53
 SAMPLES, LONGER, PIECE, T1 = 500, 900, 256, 20.0
@@ -15,13 +15,13 @@ SAMPLES, LONGER, PIECE, T1 = 500, 900, 256, 20.0
 @pytest.fixture
 def simulated(monkeypatch):
     """The tasks that are done, (point, first sample, last, number of the derivative)."""
-    tasks, perform = [], executors.perform
+    tasks, perform = [], workers.perform
 
     def noted(plan, task):
         tasks.append(tuple(task))
         return perform(plan, task)
 
-    monkeypatch.setattr(executors, "perform", noted)
+    monkeypatch.setattr(workers, "perform", noted)
     return tasks
 
 

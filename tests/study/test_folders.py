@@ -254,9 +254,9 @@ def test_other_precision(whole):
 
 @pytest.mark.parametrize("program", ["stickslip_jax", "jax", "jaxlib"])
 def test_other_version_of_a_program(whole, program, monkeypatch):
-    versions = manifest._versions()
+    versions = manifest.versions()
     changed = versions | {program: "99.0"}
-    monkeypatch.setattr(manifest, "_versions", lambda: changed)
+    monkeypatch.setattr(manifest, "versions", lambda: changed)
     refused(study_of(), whole[0], f'{program}: "{versions[program]}" there, "99.0" here', "choose another folder")
 
 
