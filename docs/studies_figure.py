@@ -25,17 +25,17 @@ def draw(rows: list[dict[str, Any]]) -> plt.Figure:
     for (varied, (held, value)), column in zip(FIXED.items(), axes.T, strict=True):
         chosen = [row for row in rows if row["program"] == "study" and row["keep"] == "totals" and row[held] == value]
         chosen.sort(key=lambda row: row[varied])
-        x = np.array([row[varied] for row in chosen])
+        x = np.array([row[varied] for row in chosen]) / (1 if varied == "points" else 1000)
         seconds, memory = (np.array([row[name] for row in chosen]) for name in ("seconds", "memory"))
         slope = (seconds[-1] - seconds[0]) / (x[-1] - x[0])
         column[0].plot(x, seconds, "o-", label="study, with compilation")
         column[0].plot(x, seconds[0] + slope * (x - x[0]), "k--", linewidth=0.8, label="straight line through the ends")
         column[1].plot(x, memory / 1e9, "o-")
         column[0].set_title(f"{value:,} {held}" + (" at each point" if held == "samples" else ""))
-        column[1].set_xlabel("points" if varied == "points" else "samples at each point")
+        column[1].set_xlabel("points" if varied == "points" else "thousand samples at each point")
     axes[0, 0].set_ylabel("time (s)")
     axes[1, 0].set_ylabel("largest memory (GB)")
-    axes[1, 0].set_ylim(bottom=0)
+    axes[1, 0].set_ylim(0, 1.3 * max(row["memory"] for row in rows if row["keep"] == "totals") / 1e9)
     axes[0, 0].set_ylim(bottom=0)
     axes[0, 0].legend()
     return figure
