@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,9 @@ from .._numerics.dyadic import CommonBins
 from .._statistics.distribution import DEFAULT_BINS
 from .._statistics.estimate import Estimate
 from .._statistics.registry import BY_NAME as STICK_BY_NAME
-from .._statistics.registry import DISTRIBUTIONS, STATISTICS, SampledQuantity
+from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS, SampledQuantity
 from .._status import Status
+from .._systems.system import require_system
 from .errors import StudyError
 from .files import cannot_write, write_whole
 from .groups import GROUPS
@@ -42,15 +43,14 @@ class Columns:
         self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
 
     def put(
-        self, point: int, name: str, value: Any, long_name: str, unit: str = "1", *, dimensions: tuple[str, ...] = (),
-        **attributes: Any,
-    ) -> None:  # fmt: skip
+        self, point: int, name: str, value: Any, long_name: str, unit: str = "1", *, dimensions: tuple[str, ...] = ()
+    ) -> None:
         """Put the `value` of a variable at a point; `dimensions`: those that it has beside the points'."""
         value = np.asarray(value)
         if name not in self._found:
             empty = np.nan if value.dtype.kind == "f" else 0
             array = np.full((self._number, *value.shape), empty, value.dtype)
-            self._found[name] = (dimensions, array, {"long_name": long_name, "units": unit, **attributes})
+            self._found[name] = (dimensions, array, {"long_name": long_name, "units": unit})
         self._found[name][1][point] = value
 
     def estimate(self, point: int, name: str, estimate: Estimate, long_name: str = "") -> None:
@@ -66,7 +66,7 @@ class Columns:
             yield name, ((*self._dimensions, *dimensions), values, attributes)
 
 
-def dataset_of(work: Work, advance: Callable[[int], Any] = lambda _: None) -> "xarray.Dataset":
+def dataset_of(work: Work) -> "xarray.Dataset":
     """All results that are there. Points are read twice, one at a time: the bins that all share come first."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
@@ -80,7 +80,6 @@ def dataset_of(work: Work, advance: Callable[[int], Any] = lambda _: None) -> "x
         if ensemble is not None:
             _put_statistics(columns, point, ensemble, plan, bins)
         _put_derivatives(columns, point, work)
-        advance(1)
     coordinates = {**_axes(plan), **_bin_coordinates(plan, bins)}
     return xr.Dataset(dict(columns.variables()), coordinates, _attributes(plan))
 
@@ -171,11 +170,18 @@ def _put_derivatives(columns: Columns, point: int, work: Work) -> None:
     for number, (statistic, _) in enumerate(plan.derivatives):
         result = found.get(derivative_name(plan, number))
         for wrt, numbers in (result["by"] if result else {}).items():
-            name, unit = f"d_{statistic}_by_{wrt}", STATISTICS[statistic].unit if statistic in STATISTICS else ""
+            name, unit = f"d_{statistic}_by_{wrt}", _unit_of_derivative(plan, statistic, wrt)
             columns.put(point, name, numbers["derivative"], f"derivative of {statistic} by {wrt}", unit)
             columns.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
             corrected = int(numbers["estimator"] == "corrected")
             columns.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
+
+
+def _unit_of_derivative(plan: Plan, statistic: str, wrt: str) -> str:
+    """Such as "s (1/s)-1", of a duration by a rate."""
+    of = next(one.unit for one in DIFFERENTIABLE if one.name == statistic)
+    by = unit_of(plan.setting, wrt)
+    return of if by == "1" else f"{of} ({by})-1"
 
 
 def _axes(plan: Plan) -> dict[str, Any]:
@@ -196,11 +202,12 @@ def _number_of(axis: Axis) -> str:
 
 def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, Any]:
     found: dict[str, Any] = {}
+    position = require_system(plan.setting.system).stick_position.unit
     if bins:
         found["quantile"] = ("quantile", list(SHARES), {"long_name": "share of values", "units": "1"})
     for name, common in bins.items():
         edges = common.edges
-        about = {"long_name": _BY_NAME[name].label, "units": _BY_NAME[name].unit or "1"}
+        about = {"long_name": _BY_NAME[name].label, "units": _BY_NAME[name].unit or position}
         found[f"{name}_bin"] = (f"{name}_bin", (edges[1:] + edges[:-1]) / 2, {**about, "comment": "middle of the bin"})
         found[f"{name}_bin_low"] = (f"{name}_bin", edges[:-1], {**about, "comment": "lower edge of the bin"})
         found[f"{name}_bin_high"] = (f"{name}_bin", edges[1:], {**about, "comment": "upper edge of the bin"})

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple, get_args
 
@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._dynamics.method import Exact
 from .._ensemble.parts import Keep
 from .._ensemble.run import MOST_SAMPLES, Run
+from .._inputs.numbers import parameters_of
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import Numbering
 from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
@@ -81,11 +83,11 @@ class Plan:
                 key = jax.random.fold_in(key, int(word, 16))
         return key
 
-    def run_at(self, point: int, samples: int | None = None) -> Run:
-        """The checked ensemble of the first `samples` samples (default: all) of a point."""
+    def run_at(self, point: int) -> Run:
+        """The checked ensemble of a point."""
         setting = self.setting_at(point)
         return Run.checked(
-            setting.model, self.t1, self.samples if samples is None else samples, 0, self.key_at(point), None,
+            setting.model, self.t1, self.samples, 0, self.key_at(point), None,
             setting.method, self.keep, self.numbering,
         )  # fmt: skip
 
@@ -105,17 +107,17 @@ class Plan:
         """Check every point as far as that is possible without simulating. Raises ValueError for what does not fit."""
         for point in range(self.points.number):
             self.setting_at(point)
+        for _, wrt in self.derivatives:
+            parameters_of(self.setting_at(0).model._asdict(), wrt)
+        if self.derivatives and not isinstance(self.setting.method, Exact):
+            raise ValueError(
+                "Argument method must be Exact(...) where sensitivities are asked for, but "
+                f"{_checks.show(self.setting.method)} was given."
+            )
         try:
             self.run_at(0)
         except ValueError as error:
             raise ValueError(f"The point {self.points.described(0)} cannot be simulated: {error}") from error
-
-    def pieces(self, point: int, done: int = 0) -> Iterator[Task]:
-        """The tasks for the samples of a point from `done` on."""
-        while done < self.samples:
-            end = min(self.samples, (done // self.piece + 1) * self.piece)
-            yield Task(point, done, end)
-            done = end
 
     @property
     def is_adaptive(self) -> bool:

@@ -60,7 +60,8 @@ class Study:
       "method.width"), of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the base over the
       natural frequency; "w", base speed over ``natural angular frequency * half-width of the stick band``.
     - `samples`: of each point; with `standard_error`, at most.
-    - `keep`: "statistics", or "totals" (fewer statistics, about three times as fast).
+    - `keep`: "statistics", or "totals" (fewer statistics, about three times as fast; a stick that begins at t = 0 then
+      counts in all of them).
     - `statistics`: names of those in the result; by default all.
     - `sensitivities`: pairs of a statistic and a parameter (or several), ``[("mean_stick_duration", "mu")]``.
     - `independent`: by default sample i uses the same random numbers at all points, so that differences between points
@@ -212,9 +213,7 @@ class Study:
                 near(value, values[name]) for name, value in zip(points.parameters, points.values(number), strict=True)
             ):
                 return number
-        raise ValueError(
-            f"Arguments must be the values at a point of the study, but {_checks.show(dict(values))} is none."
-        )
+        raise ValueError(f"Arguments must be the values at a point of the study, but {given} is none.")
 
     def __repr__(self) -> str:
         plan = self._plan

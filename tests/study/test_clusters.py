@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import dask
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
+from support.faults import log_of, wait_for
 from support.sweep import assert_same, small_study
 
 import stickslip_jax as ss
@@ -57,20 +57,6 @@ def tasks_of(client) -> dict:
     return client.run_on_scheduler(
         lambda dask_scheduler: {str(key): task.state for key, task in dask_scheduler.tasks.items()}
     )
-
-
-def log_of(folder) -> str:
-    log = Path(folder) / "log.txt"
-    return log.read_text() if log.exists() else ""
-
-
-def wait_for(true, seconds=240.0):
-    """Wait until a function gives something true; its value."""
-    end = time.monotonic() + seconds
-    while not (value := true()):
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
-    return value
 
 
 # --- the same numbers

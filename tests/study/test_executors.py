@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import psutil
 import pytest
+from support.faults import log_of, wait_for
 from support.sweep import PLACES, assert_same, small_study
 
 import stickslip_jax as ss
@@ -38,20 +39,6 @@ def script(text: str) -> str:
 
 def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join([str(SUPPORT.parent), str(SUPPORT)])}
-
-
-def lines_of(folder: Path) -> str:
-    log = folder / "log.txt"
-    return log.read_text() if log.exists() else ""
-
-
-def wait_for(true, seconds=240.0):
-    """Wait until a function gives something true; its value."""
-    end = time.monotonic() + seconds
-    while not (value := true()):
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
-    return value
 
 
 # --- the same numbers
@@ -102,7 +89,7 @@ def test_two_processes_give_the_same_bits(undisturbed, tmp_path):
     )  # fmt: skip
     assert (done.returncode, done.stdout, done.stderr) == (0, "begun\n", "")
     found = ss.Study.load(tmp_path).run(tmp_path, threads=1)
-    assert lines_of(tmp_path).count("done ") == 12
+    assert log_of(tmp_path).count("done ") == 12
     assert_same(found, undisturbed)
 
 
@@ -254,7 +241,7 @@ def workers_of(program: subprocess.Popen) -> list[psutil.Process]:
 
 
 def begun(folder, pieces: int):
-    return lambda: lines_of(folder).count("done ") >= pieces
+    return lambda: log_of(folder).count("done ") >= pieces
 
 
 @pytest.mark.slow
@@ -264,7 +251,7 @@ def test_killed_worker_of_a_pool_changes_nothing(tmp_path):
     workers_of(program)[0].kill()
     out, err = program.communicate(timeout=500)
     assert (program.returncode, out) == (0, ""), err
-    assert "a worker died" in lines_of(tmp_path)
+    assert "a worker died" in log_of(tmp_path)
     found = ss.Study.load(tmp_path).run(tmp_path, threads=1)
     assert_same(found, small_study(samples=40_000).run(threads=2))
 

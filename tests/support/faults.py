@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -143,3 +144,18 @@ def _main(what: str, folder: Path) -> None:
 
 if __name__ == "__main__":
     _main(sys.argv[1], Path(sys.argv[2]))
+
+
+def log_of(folder: Path | str) -> str:
+    """The log of a study; empty if there is none yet."""
+    log = Path(folder) / "log.txt"
+    return log.read_text() if log.exists() else ""
+
+
+def wait_for(true, seconds: float = 240.0) -> Any:
+    """Wait until a function gives something true; its value."""
+    end = time.monotonic() + seconds
+    while not (value := true()):
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+    return value

@@ -80,6 +80,8 @@ def test_bins_hold_all_points_and_no_more(dataset):
         widths = (dataset[f"{name}_bin_high"] - dataset[f"{name}_bin_low"]).values
         assert math.frexp(widths[0])[0] == 0.5  # a power of two
         np.testing.assert_array_equal(widths, widths[0])
+    units = {name: dataset[f"{name}_bin"].attrs["units"] for name in ("duration", "position", "stick_count")}
+    assert units == {"duration": "s", "position": "m", "stick_count": "1"}
 
 
 def test_sticks_of_the_first_realizations(dataset, many):
@@ -142,6 +144,7 @@ def test_sensitivities():
         assert float(at[f"d_mean_stick_duration_by_{name}_error"]) == pytest.approx(one.standard_error, rel=1e-9)
         assert bool(at[f"d_mean_stick_duration_by_{name}_is_corrected"])
     assert found.d_mean_stick_duration_by_mu.attrs["units"] == "s"
+    assert found.d_mean_stick_duration_by_rate_error.attrs["units"] == "s (1/s)-1"
 
 
 def test_statistics_may_be_chosen():
