@@ -83,8 +83,29 @@ def _refused(capsys, *arguments, code=2):
 # --- the file
 
 
-def test_file_is_the_study_that_python_makes(tmp_path):
-    text = """
+# Sensitivities need exact friction, so no one file holds every key: each of the two adds to the rest what the other
+# cannot have: lines of [run], of [study] and of [study.over], and what they are in Python.
+FORMS = {
+    "exact friction, sensitivities": (
+        "",
+        'sensitivities = { stick_fraction = ["mu", "stiffness"] }',
+        "",
+        {"sensitivities": [("stick_fraction", ("mu", "stiffness"))]},
+        {},
+    ),
+    "regularised friction, its width swept": (
+        "width = 0.01",
+        "",
+        '"method.width" = [0.01, 0.02]',
+        {"method": ss.Regularized(0.01)},
+        {"method.width": [0.01, 0.02]},
+    ),
+}
+
+
+@pytest.mark.parametrize(("run", "study", "swept", "options", "over"), FORMS.values(), ids=FORMS.keys())
+def test_file_is_the_study_that_python_makes(tmp_path, run, study, swept, options, over):
+    text = f"""
 [system]
 mu = 0.7
 [base]
@@ -96,21 +117,21 @@ t1 = 30.0
 samples = 200
 seed = 5
 initial_position = 0.1
-width = 0.01
 orders = 4
 count_initial_rest = true
+{run}
 [study]
 statistics = ["stick_fraction", "mean_stick_duration"]
-sensitivities = { stick_fraction = ["mu", "stiffness"] }
 independent = true
-standard_error = { stick_fraction = 0.01 }
+standard_error = {{ stick_fraction = 0.01 }}
 realizations = 2
 piece = 50
+{study}
 [study.over]
-initial_velocity = { linspace = [0, 1, 3] }
+initial_velocity = {{ linspace = [0, 1, 3] }}
 "mu, period" = [[0.5, 1.0], [1.0, 2.0]]
-speed = { logspace = [1, 4, 3] }
-"method.width" = [0.01, 0.02]
+speed = {{ logspace = [1, 4, 3] }}
+{swept}
 """
     config = read_sweep_config(config_file(tmp_path, text))
     assert read_sweep_config(config_file(tmp_path, config.to_toml())) == config
@@ -121,21 +142,20 @@ speed = { logspace = [1, 4, 3] }
             "y0[1]": [0.0, 0.5, 1.0],
             ("mu", "period"): [[0.5, 1.0], [1.0, 2.0]],
             "speed": [1.0, 2.0, 4.0],
-            "method.width": [0.01, 0.02],
+            **over,
         },
         t1=30.0,
         samples=200,
         key=jax.random.key(5),
         y0=(0.1, 1.0),
-        method=ss.Regularized(0.01),
         statistics=[ss.stick_fraction, ss.mean_stick_duration],
-        sensitivities=[("stick_fraction", ("mu", "stiffness"))],
         orders=4,
         count_initial_rest=True,
         independent=True,
         standard_error={"stick_fraction": 0.01},
         realizations=2,
         piece=50,
+        **options,
     )
     assert manifest_text(study_of(config).plan) == manifest_text(expected.plan)
 
