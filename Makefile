@@ -19,7 +19,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast coverage check-slow lint format bench bench-smoke versions clean
+.PHONY: study test test-fast coverage check-slow docs lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -41,6 +41,10 @@ versions:
 
 check-slow: $(READY)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal
+
+# The code in documents and notebooks.
+docs: $(READY)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m documents
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -225,7 +225,7 @@ class Inputs:
 
     def check(self, dtype: Any) -> None:
         """Check all values against the bounds of their fields. Raises ValueError that says how many are outside."""
-        for first in range(0, self.samples, _AT_ONCE):
+        for first in range(0, self.samples if self.entries else 0, _AT_ONCE):
             number = min(_AT_ONCE, self.samples - first)
             drawn = [np.asarray(column)[:number] for column in self.drawn(first, _AT_ONCE, dtype)]
             for entry, name, values in zip(self.entries, self.names, drawn, strict=True):

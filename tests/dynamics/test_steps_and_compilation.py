@@ -47,6 +47,7 @@ def test_the_number_of_steps_need_not_be_given_for_what_no_time_scale_depends_on
     assert float(slope_of(stick_time)) == pytest.approx(central(stick_time, 1.0), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["stiffness", *(pytest.param(name, marks=pytest.mark.slow) for name in ("frequency", "t1"))]
 )
@@ -86,6 +87,7 @@ def test_what_is_known_of_a_traced_number():
         jax.jit(look)(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [ss.Exact(step=0.19), pytest.param(ss.Regularized(0.05, step=0.02), marks=pytest.mark.slow)]
 )
@@ -123,6 +125,7 @@ def test_blocks_after_the_end_are_not_computed():
     assert 2 <= len(done) <= 2 * len(points)
 
 
+@pytest.mark.slow
 def test_the_question_whether_all_have_ended_stays_one_question():
     """Asked of each lane, both branches would be computed always: the condition of the blocks has no batch."""
     method = ss.Exact(step=0.19, max_steps=640)

@@ -79,6 +79,7 @@ def test_streamed_and_kept_ensembles_agree(kept):
         _ = streamed.slips
 
 
+@pytest.mark.slow
 def test_a_long_trajectory_outgrows_any_block():
     """Far more intervals than one call records: the stream goes on where it stopped, nothing is cut."""
     law = ss.PoissonSwitching(speed=1.0, rate=200.0)

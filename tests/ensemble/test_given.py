@@ -96,6 +96,7 @@ def test_simulations_that_stopped_early_are_counted_apart():
     assert ss.stick_fraction(many).value == pytest.approx(np.mean(np.asarray(batch.stick_time)[finished]) / 20)
 
 
+@pytest.mark.slow
 def test_angles_of_given_simulations_stay_in_a_circle():
     voltage = ss.SourceVoltage()
 

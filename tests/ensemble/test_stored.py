@@ -171,6 +171,7 @@ class _Own(ss.SwitchedSystem):
         return y[1] - base.velocity
 
 
+@pytest.mark.slow
 def test_a_system_of_ones_own_leaves_its_sticks(tmp_path):
     law = ss.Harmonic(amplitude=1.0, angular_frequency=1.3)
     many = ss.simulate_ensemble(_Own(), ss.RandomPhase(law), t1=6.0, samples=8, key=KEY, keep="sticks")

@@ -183,6 +183,7 @@ class TestDistribution:
         top = 2 * math.pi * float(bump(2 * math.pi * 0.25))
         assert estimates.mean(axis=0)[np.argmin(abs(frequencies - 0.25))] == pytest.approx(top, rel=0.05)
 
+    @pytest.mark.slow
     def test_averages_over_a_sample(self):
         """The mean square over 60 s of a sample varies from sample to sample as that of the process:
         variance ``4 / T^2 integral (T - lag) R(lag)^2``.
@@ -226,6 +227,7 @@ class TestSimulation:
         for name in ("amplitudes", "angular_frequencies", "phases"):
             assert np.asarray(getattr(one, name)) == pytest.approx(np.asarray(getattr(base.motion, name)), rel=1e-14)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("law", [LAW, pytest.param(JUMPING, marks=pytest.mark.slow)], ids=["alone", "with jumps"])
     def test_sample_repeats_each_sample_of_an_ensemble(self, law):
         """But for the rounding of the frequencies."""

@@ -63,7 +63,10 @@ def test_samples_are_the_simulations_of_their_realizations(law):
         np.testing.assert_array_equal(base.times, realization.times)
 
 
-@pytest.mark.parametrize("mu", [0.6, ss.Uniform(0.3, 0.7)], ids=["one system", "many systems"])
+@pytest.mark.parametrize(
+    "mu",
+    [pytest.param(0.6, marks=pytest.mark.slow, id="one system"), pytest.param(ss.Uniform(0.3, 0.7), id="many systems")],
+)
 def test_differences_of_a_known_law_by_this_way_are_the_same(mu):
     """Only differences: what is about to change in a base motion of one's own is not known."""
     system = ss.MassSpring(mass=1.0, stiffness=100.0, normal_force=20.0, friction=ss.Coulomb(mu))

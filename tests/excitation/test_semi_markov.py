@@ -163,6 +163,7 @@ class TestAgainstPoisson:
         assert np.all(means > 0)
         assert np.max(np.abs(scores)) < stats.norm.isf(CHANCE / 6)
 
+    @pytest.mark.slow
     def test_sensitivities(self):
         """By the mean gap, ``-rate^2`` times that by the rate; and by the speed."""
         system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(4 / 2.8))

@@ -35,6 +35,7 @@ def uncertain():
     return run(system, y0=(ss.Normal(0.0, 0.05), 0.1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "method", "samples"),
     [
@@ -113,6 +114,7 @@ def test_draws_have_their_distribution(name):
     assert abs(lagged) * np.sqrt(5000) < 3.5
 
 
+@pytest.mark.slow
 def test_correlated_inputs():
     correlation = ss.GaussianCopula(["stiffness", "mu"], [[1.0, -0.8], [-0.8, 1.0]])
     many = run(

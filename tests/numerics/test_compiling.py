@@ -165,6 +165,7 @@ print("done")
 """
 
 
+@pytest.mark.slow
 def test_results_and_arguments_that_nobody_reads_do_no_harm():
     done = subprocess.run([sys.executable, "-c", DROPPING], capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr

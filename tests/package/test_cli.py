@@ -204,6 +204,7 @@ def test_stop_that_arrives_in_the_garbage_collection_is_not_lost(capsys, tmp_pat
 # --- as a process of its own
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output(tmp_path):
     done = _subprocess("study", config_file(tmp_path), "--json", "--figures")
     assert done.returncode == 0, done.stderr

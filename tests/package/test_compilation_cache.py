@@ -82,6 +82,7 @@ def test_two_at_once_a_later_one_and_one_that_finds_only_ruins_agree(tmp_path):
     assert first == second == third == fourth
 
 
+@pytest.mark.slow
 def test_switched_off_it_leaves_nothing(tmp_path):
     numbers, err = finish(start(tmp_path, **{VARIABLE: "off"}))
     assert err == ""
@@ -89,6 +90,7 @@ def test_switched_off_it_leaves_nothing(tmp_path):
     assert not (tmp_path / "caches").exists()
 
 
+@pytest.mark.slow
 def test_folder_that_cannot_be_written_is_told_of_once(tmp_path):
     numbers, err = finish(start(tmp_path, **{VARIABLE: "/dev/null/nowhere"}))
     assert numbers
@@ -97,6 +99,7 @@ def test_folder_that_cannot_be_written_is_told_of_once(tmp_path):
     assert f"{VARIABLE} chooses a folder" in err
 
 
+@pytest.mark.slow
 def test_what_the_user_chose_stays(tmp_path):
     chosen = tmp_path / "own"
     finish(start(tmp_path, JAX_COMPILATION_CACHE_DIR=str(chosen), JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0"))

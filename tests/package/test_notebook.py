@@ -7,6 +7,7 @@ import jupytext
 import pytest
 from nbclient import NotebookClient
 
+pytestmark = pytest.mark.documents
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "quickstart.py"
 
 

@@ -24,7 +24,7 @@ DOCUMENTS = {
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     "document",
-    [pytest.param(name, marks=pytest.mark.slow) if name == "docs/regularized.md" else name for name in DOCUMENTS],
+    [name if name == "README.md" else pytest.param(name, marks=pytest.mark.documents) for name in DOCUMENTS],
 )
 def test_documents_print_what_they_say(document):
     text = (ROOT / document).read_text(encoding="utf-8")

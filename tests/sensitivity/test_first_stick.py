@@ -42,6 +42,7 @@ def first_sticks(samples, seed, mu=MU):
     return ss.first_stick(many, count_initial_rest=True)
 
 
+@pytest.mark.slow
 def test_first_duration_between_ensembles(first_duration):
     """Differences of two ensembles with common random numbers, which compile nothing of the sensitivities."""
     step, samples, values, parts = 0.01, 16_384, [], []
@@ -57,6 +58,7 @@ def test_first_duration_between_ensembles(first_duration):
     assert first_duration.relative_bandwidth > 0
 
 
+@pytest.mark.slow
 def test_values_are_those_of_the_ensemble(first_duration):
     """The statistic itself comes from the same samples as `simulate_ensemble`'s."""
     first = first_sticks(4_096, 11)

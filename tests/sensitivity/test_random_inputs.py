@@ -54,6 +54,7 @@ def test_corrected_derivatives_of_counts():
     agree(found["mu.distribution.std"], difference(ss.mean_stick_count, std, 0.1, 0.03, 2))
 
 
+@pytest.mark.slow
 def test_an_estimate_of_fixed_distributions_is_that_of_the_ensemble():
     """The value is the ensemble's, sample by sample; and differences are the default where nothing else is known."""
     system = oscillator(ss.Uniform(0.3, 0.7), damping=0.5)

@@ -88,6 +88,7 @@ class Swing(eqx.Module):
         return 1.3 * self.amplitude * jnp.cos(1.3 * t)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "name", "t1"),
     [
@@ -109,6 +110,7 @@ def test_parameter_of_any_motion(law, name, t1):
     assert abs(z_score(exact, differences)) < 4
 
 
+@pytest.mark.slow
 def test_a_slope_that_depends_on_the_step_is_reported():
     """All trajectories settle on one orbit, which has no stick below mu = 1.1267 and two a period above (bisected)."""
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.1267))

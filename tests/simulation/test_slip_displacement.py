@@ -110,6 +110,7 @@ def test_derivatives_are_those_of_the_ends(method):
     assert float(back) == pytest.approx(got.sum(), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"step": 4e-3}, pytest.param({"rtol": 1e-6}, marks=pytest.mark.slow)])
 def test_regularised_ensembles_hold_it(options):
     method = ss.Regularized(1e-2, max_steps=16_384, **options)

@@ -285,6 +285,7 @@ def test_nothing_is_told_of_the_time_after_the_base_ran_out(keys):
     assert float(np.nanmax(np.asarray(short.slips.end))) <= reached
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 7, pytest.param(256, marks=pytest.mark.slow), 300])
 def test_base_motions_may_be_constants_of_a_compiled_function(number):
     """Arrays that a function closes over are constants in it; XLA aborted where a native loop read constants alone."""

@@ -40,6 +40,7 @@ def check_uniform(p_values):
 
 
 class TestFalseAlarms:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("design", "repeats"),
         [
@@ -60,6 +61,7 @@ class TestFalseAlarms:
         check_rates(p_values[:, :3])
         check_uniform(p_values[:, [0, 2]])
 
+    @pytest.mark.slow
     def test_dependence_is_no_drift(self):
         """Each sample is asked for one order, so its dependent sticks never meet."""
         p_values, _ = repeated(shared, identically_distributed)

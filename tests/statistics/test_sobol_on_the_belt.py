@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from SALib.analyze import sobol as salib
 
 import stickslip_jax as ss
@@ -17,6 +18,7 @@ def stick_time(samples, mu=MU, stiffness=STIFFNESS):
     return many.totals.stick_time
 
 
+@pytest.mark.slow
 def test_indices_on_a_belt():
     design = ss.design.saltelli(1024, ["mu", "stiffness"], second_order=True, seed=1)
     output = stick_time(design)

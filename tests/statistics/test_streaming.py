@@ -35,6 +35,7 @@ def merged(parts, empty):
     return empty
 
 
+@pytest.mark.slow
 @given(parts=PARTS, most=st.integers(2, 40))
 def test_histograms_of_parts_merge_to_that_of_the_whole(parts, most):
     whole = DyadicCounts.of(np.array(joined(parts), float), most)

@@ -70,6 +70,7 @@ def test_cluster_gives_the_same_bits_and_keeps_nothing(client, undisturbed, tmp_
     wait_for(lambda: not tasks_of(client))  # results and plan are released
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [False, True])
 def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tmp_path, shared):
     """At most two for each thread; a piece, or one number where the worker has written it."""
@@ -88,6 +89,7 @@ def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tm
     assert max(sizes) < (100 if shared else 500_000)
 
 
+@pytest.mark.slow
 def test_large_plan_is_sent_once_in_small_parts(client, monkeypatch):
     """A recorded motion of a million instants, 16 MB: dask warns, which is an error here, about tasks of 10 MB."""
     sent_at, send = [], dask_executor.DaskCluster._send

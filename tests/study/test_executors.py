@@ -54,6 +54,7 @@ def test_order_of_the_points_changes_nothing(undisturbed):
     assert_same(found.sortby(["mu", "rate"]), undisturbed)
 
 
+@pytest.mark.slow
 def test_size_of_the_pieces_changes_means_by_round_off_and_counts_not_at_all(undisturbed):
     """Two orders of adding n numbers x differ by at most 2 n u sum|x| (Higham, Accuracy and Stability, eq. 4.4), where
     sum|x| is at most n times the root of their mean square.
@@ -113,6 +114,7 @@ TWO_DEVICES = """
     """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensitivities", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_two_devices_share_the_pieces_and_give_the_same_bits(undisturbed, tmp_path, sensitivities):
     done = subprocess.run(

@@ -79,6 +79,7 @@ def test_more_statistics(tmp_path, simulated):
     assert_same(dataset, run(study_of(), tmp_path / "other"))
 
 
+@pytest.mark.slow
 def test_more_derivatives(tmp_path, simulated):
     """Also by a parameter whose name has a point, which is in the name of the file."""
     first, second = ("stick_fraction", "mu"), ("stick_fraction", "friction.mu")

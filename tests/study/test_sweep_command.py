@@ -160,7 +160,9 @@ speed = {{ logspace = [1, 4, 3] }}
     assert manifest_text(study_of(config).plan) == manifest_text(expected.plan)
 
 
-@pytest.mark.parametrize("name", PAPERS)
+@pytest.mark.parametrize(
+    "name", [name if name == "stick-share-random" else pytest.param(name, marks=pytest.mark.slow) for name in PAPERS]
+)
 def test_papers_by_name_are_those_of_the_module(name):
     belt = name.removeprefix("stick-share-")
     expected = papers.parametric_analysis() if belt == name else papers.stick_share_map(belt)

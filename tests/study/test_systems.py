@@ -139,6 +139,7 @@ def check_sample_0(study):
     return float(one.t1)
 
 
+@pytest.mark.slow
 def test_figures_show_as_much_as_they_can_hold(tmp_path, monkeypatch):
     monkeypatch.setattr("stickslip_jax.study._figures._PERIODS_SHOWN", 2)
     assert check_sample_0(run(tmp_path, STUDIES["artificial accelerogram"][0])) == pytest.approx(2 * math.pi)
@@ -211,6 +212,7 @@ def test_motor_cart_by_statistics_alone(tmp_path, monkeypatch):
     assert repr(back.summary()) == repr(whole.summary()) == (study.directory / SUMMARY).read_text().rstrip("\n")
 
 
+@pytest.mark.slow
 def test_samples_out_of_steps_are_reported(tmp_path):
     study = run(tmp_path, CART + "max_steps = 20\n", figures=True)
     plt.close("all")

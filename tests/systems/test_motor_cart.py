@@ -295,6 +295,7 @@ def test_each_sample_can_be_followed_again():
         assert int(one.sticks.count) == many.flat_sticks.count[number]
 
 
+@pytest.mark.slow
 def test_phase_and_angle_are_uniform_and_independent():
     many = ensemble(0.2, SAMPLES[0.2])
     phase, angle = np.array([

@@ -124,6 +124,7 @@ def test_ensemble_is_the_simulations(many):
     assert ss.mean_stick_count(many).value > 1
 
 
+@pytest.mark.slow
 def test_samples_with_numbers_of_their_own():
     """Also in fields of which only the type is known."""
     law, springs = ss.PoissonSwitching(SPEED, 0.3), np.linspace(1.0, 3.0, 8)
@@ -200,6 +201,7 @@ class Turntable(DuffingBelt):
         return ss.Coordinate("place", "m", "x", period=0.25), ss.Coordinate("velocity", "m/s")
 
 
+@pytest.mark.slow
 def test_any_period_is_drawn():
     turning = ss.simulate(Turntable(), ss.Constant(SPEED), t1=20.0)
     ax = plot.phase_portrait(turning)

@@ -107,6 +107,7 @@ def test_sticks_are_found(name, errors):
     assert np.all(np.diff(missed[1:]) <= 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_belt_of_constant_speed(fixed):
     """A base that never jumps: the exact motion, but for an error of the order of the width."""

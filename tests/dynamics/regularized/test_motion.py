@@ -292,6 +292,7 @@ def test_a_system_written_by_hand(fixed):
     assert counts[0] == counts[1] > 0
 
 
+@pytest.mark.slow
 def test_ensembles_of_fixed_steps():
     """Samples are simulations, whatever the chunks and threads; those that need more than 264 steps are given up."""
     system, law, t1 = case().system, ss.PoissonSwitching(0.5, 1.0), 5.2

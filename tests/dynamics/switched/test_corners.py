@@ -36,6 +36,7 @@ def test_a_short_slip_after_a_release_ends(case):
     np.testing.assert_allclose(found.start, [0, caught], rtol=0, atol=2e-10)
 
 
+@pytest.mark.slow
 def test_none_of_many_random_trajectories_stops_at_a_release():
     law = ss.RandomPhase(ss.Harmonic(0.23080255268519517, 0.7114265000773841))
     for damping, mu in ((2.0, 0.46328551824702774), (2.0, 1.3), (0.3, 0.3)):
@@ -84,6 +85,7 @@ def seen(amplitudes, t1=20.0):
     return [np.asarray(found)[: shape[0]] for found in followed(*filled_up)]
 
 
+@pytest.mark.slow
 def test_doubts_see_every_edge():
     """The amplitudes at which the number of sticks changes, bisected to neighbouring numbers: both sides are told."""
     grid = np.linspace(0.2, 3.0, LANES)
@@ -136,6 +138,7 @@ class Fall(eqx.Module):
 CURVES = {0.1: (2e-9, 4e-9), 0.03: (2e-9, 4e-9), 0.01: (2e-9, 4e-9), 0.003: (2e-9, 4e-9)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [pytest.param(0.1, marks=pytest.mark.slow), 0.03, 0.01, 0.003])
 def test_a_users_friction_curve_decides_about_the_step(speed):
     """Flat at rest, steep at `speed`: nothing of that is known beforehand. `Stribeck` knows it, and steps finely."""

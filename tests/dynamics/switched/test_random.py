@@ -190,6 +190,7 @@ def test_motion_and_force_of_a_users_own():
     assert np.sum(counts, axis=0).min() >= 4
 
 
+@pytest.mark.slow
 def test_random_phases():
     """A realisation of a law with random phases is a sum of harmonics; the reference reads its phases."""
     for seed in range(3):
@@ -220,6 +221,7 @@ def test_artificial_accelerograms():
     assert sticks >= 5
 
 
+@pytest.mark.slow
 def test_accuracy_at_the_default_step():
     """Forty-eight steps of Dopri8 in the shortest period, for a friction law that changes slowly with the speed."""
     for seed in range(4):

@@ -121,7 +121,14 @@ def test_both_engines_agree(w, levels):
     assert compared > 5
 
 
-@pytest.mark.parametrize(("solver", "order"), [(diffrax.Heun(), 2), (diffrax.Bosh3(), 3), (diffrax.Dopri5(), 5)])
+@pytest.mark.parametrize(
+    ("solver", "order"),
+    [
+        (diffrax.Heun(), 2),
+        pytest.param(diffrax.Bosh3(), 3, marks=pytest.mark.slow),
+        pytest.param(diffrax.Dopri5(), 5, marks=pytest.mark.slow),
+    ],
+)
 def test_convergence_in_the_step(solver, order):
     """Velocity-weakening friction: event times and end states converge with the solver's order (least squares)."""
     steps, starts = np.array([0.2, 0.14, 0.1, 0.07]), np.linspace(1.0, 1.2, 8)
