@@ -19,7 +19,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast coverage check-slow docs lint format bench bench-smoke versions clean
+.PHONY: study test test-fast coverage check-slow docs notebooks lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -42,7 +42,13 @@ versions:
 check-slow: $(READY)
 	$(BIN)/python -m pytest -m slow -n auto --dist worksteal
 
-# The code in documents and notebooks.
+# The notebooks at full size, as .ipynb files with their figures.
+notebooks: $(READY)
+	mkdir -p results/notebooks
+	for one in notebooks/*.py; do \
+		$(BIN)/jupytext --quiet --to ipynb --execute --output results/notebooks/$$(basename $$one .py).ipynb $$one || exit 1; done
+
+# The code in documents and notebooks, these at a small size.
 docs: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m documents
 

@@ -23,6 +23,7 @@ from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
 from ._html import draw_with as _draw_with
 from ._simulation.call import simulate
+from ._simulation.energy import Energies
 from ._simulation.result import Simulation
 from ._statistics.distribution import Distribution, Histogram, common_bins
 from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
@@ -141,6 +142,7 @@ __all__ = [
     "Discrete",
     "Distribution",
     "Ending",
+    "Energies",
     "Ensemble",
     "EnsembleStatistics",
     "Estimate",

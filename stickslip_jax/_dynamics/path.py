@@ -4,10 +4,14 @@ import abc
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._events.sticks import Sticks, Totals
-from .._systems.switched_model import State
+from .._excitation.segments import added
+from .._excitation.smooth import Signal
+from .._excitation.voltage import SourceVoltage
+from .._systems.switched_model import Segments, State
 from .._types import FloatArray
 
 
@@ -23,9 +27,21 @@ class Path(eqx.Module):
     def state(self, time: FloatArray) -> State:
         """The state at one time (s)."""
 
+    @property
     @abc.abstractmethod
+    def smooth(self) -> Signal | None:
+        """The smooth part of the excitation."""
+
+    @abc.abstractmethod
+    def segments(self, time: FloatArray) -> Segments:
+        """The segments of the piecewise-linear parts of the excitation at one time (s); at a jump, those after it."""
+
     def base_velocity(self, time: FloatArray) -> FloatArray:
-        """The base velocity at one time (s), m/s."""
+        """The base velocity at one time (s), m/s; 0 where the excitation is only a voltage or a ground acceleration."""
+        velocity, _ = added(time, self.segments(time).base)
+        if self.smooth is None or isinstance(self.smooth, SourceVoltage):
+            return velocity
+        return velocity + jnp.asarray(self.smooth.value(time), time.dtype)
 
 
 class Run(NamedTuple):

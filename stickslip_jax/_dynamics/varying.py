@@ -5,11 +5,19 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
 from .._types import AnyArray, Array, BoolArray
 from .lanes import Engine
+
+
+class _Common(eqx.Module):
+    """What the steps of the template share, and which of its leaves differ from sample to sample."""
+
+    shared: Any
+    places: tuple[int, ...] = eqx.field(static=True)
 
 
 class VaryingEngine(Engine):
@@ -35,27 +43,50 @@ class VaryingEngine(Engine):
         return self.begin_own(key_data, tuple(leaves[place] for place in self.places), dtype)
 
     def begin_own(self, key_data: Any, own: tuple[Array, ...], dtype) -> tuple[Any, Any]:
-        """As `begin`, for the sample with its `own` leaves; its constants are these, what its steps share, and its own
-        constants.
+        """As `begin`, for the sample with its `own` leaves.
+
+        Its constants are these, what its steps share unlike those of other samples, and the template's constants.
         """
         engine = self.of_sample(own)
         sample, motion = engine.begin(key_data, dtype)
-        return (own, engine.shared(dtype), sample), motion
+        leaves = jax.tree.leaves(engine.shared(dtype))
+        return (own, tuple(leaves[place] for place in self._places_of_shared(dtype)), sample), motion
 
     def constants(self, sample: Any) -> Any:
         """The constants of samples as the template knows them."""
         return sample[2]
 
-    def shared(self, dtype) -> None:
-        return None
+    def shared(self, dtype) -> _Common:
+        return _Common(self.template.shared(dtype), self._places_of_shared(dtype))
+
+    def _places_of_shared(self, dtype) -> tuple[int, ...]:
+        """Which leaves of what the steps share follow from `own` leaves.
+
+        The others are not carried from lane to lane: a record of a base motion has thousands of points.
+        """
+        leaves = jax.tree.leaves(self.template)
+        own = tuple(jnp.asarray(leaves[place])[None] for place in self.places)
+
+        def differs(place: int) -> bool:
+            def leaf(own):
+                return jax.tree.leaves(self.of_sample(own).shared(dtype))[place]
+
+            try:
+                jax.eval_shape(jax.vmap(leaf, out_axes=None), own)
+            except ValueError:  # the leaf is mapped
+                return True
+            return False
+
+        return tuple(filter(differs, range(len(jax.tree.leaves(self.template.shared(dtype))))))
 
     def draw(self, sample: Any, number: Array, dtype) -> Any:
         own, _, constants = sample
         return self.of_sample(own).draw(constants, number, dtype)
 
-    def step(self, shared: None, sample: Any, motion: Any, drawn: Any) -> tuple[Any, Any]:
-        own, shared_here, constants = sample
-        return self.of_sample(own).step(shared_here, constants, motion, drawn)
+    def step(self, shared: _Common, sample: Any, motion: Any, drawn: Any) -> tuple[Any, Any]:
+        own, mine, constants = sample
+        here = with_leaves(shared.shared, shared.places, mine)
+        return self.of_sample(own).step(here, constants, motion, drawn)
 
     def ended(self, motion: Any, before: Any) -> BoolArray:
         return self.template.ended(motion, before)  # asks for the horizon only, which is the same for all samples

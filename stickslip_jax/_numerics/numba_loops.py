@@ -81,14 +81,25 @@ def put_in_order(first, owner, order, columns, ordered):
 
 @_loop
 @no_type_check
-def _fill(start, end, position, slip, first, size, rows):
-    """Start, duration, position and preceding slip of each stick of a block, written into `rows`."""
+def _fill(start, end, position, slip, skip_rest, first, size, rows):
+    """Start, duration, position and preceding slip of each stick of a block, written into `rows`; returns their number.
+
+    `skip_rest`: whether to leave out the sticks that begin at 0.
+    """
     # Slices: Numba tests whether sums of signed indices are negative, and does not vectorise then.
     starts, ends, positions = start[first : first + size], end[first : first + size], position[first : first + size]
     slips, one, two, three, four = slip[first : first + size], rows[0], rows[1], rows[2], rows[3]
+    if not skip_rest:
+        for i in range(len(starts)):
+            one[i], three[i], four[i] = starts[i], positions[i], slips[i]
+            two[i] = np.float64(ends[i]) - np.float64(starts[i])
+        return size
+    number = np.uint64(0)
     for i in range(len(starts)):
-        one[i], three[i], four[i] = starts[i], positions[i], slips[i]
-        two[i] = np.float64(ends[i]) - np.float64(starts[i])
+        one[number], three[number], four[number] = starts[i], positions[i], slips[i]
+        two[number] = np.float64(ends[i]) - np.float64(starts[i])
+        number += np.uint64(starts[i] != 0)
+    return np.int64(number)
 
 
 @_loop
@@ -160,15 +171,15 @@ def _product(row, other):
 
 @_loop
 @no_type_check
-def survey(start, end, position, slip, all_slips, number, low, high, total):
+def survey(start, end, position, slip, skip_rest, all_slips, number, low, high, total):
     """How many starts, durations, positions and slips, their extremes and their sums, (4,).
 
-    Only slips above 0 s, unless `all_slips`.
+    Without the sticks that begin at 0 if `skip_rest`; only slips above 0 s, unless `all_slips`.
     """
     rows = np.empty((4, _BLOCK))
     for first in range(0, len(start), _BLOCK):
         size = min(_BLOCK, len(start) - first)
-        _fill(start, end, position, slip, first, size, rows)
+        size = _fill(start, end, position, slip, skip_rest, first, size, rows)
         for a in range(4):
             row = rows[a][:size]
             if a == 3 and not all_slips:
@@ -180,7 +191,8 @@ def survey(start, end, position, slip, all_slips, number, low, high, total):
 @_loop
 @no_type_check
 def count(
-    start, end, position, slip, all_slips, mean, scale, bin_of, shift, pair_bin_of, pairs, counts, scatter, third,
+    start, end, position, slip, skip_rest, all_slips, mean, scale, bin_of, shift, pair_bin_of, pairs, counts, scatter,
+    third,
 ):  # fmt: skip
     """Count numbers in bins and sum products and cubes of their deviations from the `mean`.
 
@@ -190,7 +202,7 @@ def count(
     rows, places = np.empty((4, _BLOCK)), np.empty((4, _BLOCK), np.int64)
     for first in range(0, len(start), _BLOCK):
         size = min(_BLOCK, len(start) - first)
-        _fill(start, end, position, slip, first, size, rows)
+        size = _fill(start, end, position, slip, skip_rest, first, size, rows)
         for a in range(4):
             row, place = rows[a][:size], places[a][:size]
             if a == 3 and not all_slips:

@@ -16,6 +16,7 @@ from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
 from .._types import AnyArray, FloatArray, Scalar
+from .energy import Energies, energies_of, friction_force_of
 
 
 class Simulation(WithMethods):
@@ -31,6 +32,7 @@ class Simulation(WithMethods):
       rest where friction could just hold it; or a jump of the base or the horizon came just before or after an event.
       Near means within about 1e-9 of the scale (float32: 1e-3). Counted by `Exact` in time steps only, else 0.
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: the base velocity there.
+    - `friction_force(times)`: the friction force; `energies(times)`: what is stored, supplied, dissipated.
     - `step_starts`: the instants at which the steps of the simulation begin, s: time steps or, where the motion is
       known in closed form, whole intervals of the base velocity.
     - `system`, `base`, `t1`, `method`: the arguments; a `Regularized` method has its options filled in.
@@ -82,6 +84,29 @@ class Simulation(WithMethods):
         """The base velocity at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
         times = self._checked(times)
         return jax.vmap(self._path.base_velocity)(times.reshape(-1)).reshape(times.shape)
+
+    def friction_force(self, times: AnyArray | float) -> FloatArray:
+        """The friction force on the mass at `times` (s, any shape), N: positive in the direction of positive velocity.
+
+        In a slip it opposes the velocity relative to the base; in a stick it is what the stick needs (Lima and Sampaio
+        2015, eqs 1 and 2). With `Regularized` it is the smoothed force. Of a `MotorCart` it is the force on the cart,
+        in the direction of ``eccentricity cos(angle)`` (Lima and Sampaio 2022, eq. 4). It jumps at events; there it is
+        that of the stick or slip that follows.
+
+        NaN outside ``[0, time_reached]``. Raises ValueError for a `SwitchedSystem`, and for a batch.
+        """
+        return friction_force_of(self, self._checked(times))
+
+    def energies(self, times: AnyArray | float) -> Energies:
+        """Stored, supplied and dissipated energies at `times` (s, any shape), J: an `Energies`.
+
+        Integrals of the powers over each time step, by Gauss's rule with 8 points.
+        Where the motion is known in closed form over whole intervals, it is followed again in time steps for this.
+
+        NaN outside ``[0, time_reached]``. Raises ValueError for a `SwitchedSystem`, a `Regularized` method, a
+        `MotorCart` with the printed equation, a batch, and under ``jit`` where `t1` is traced.
+        """
+        return energies_of(self, self._checked(times))
 
     def _checked(self, times: AnyArray | float) -> Array:
         _checks.numeric("times", times, ndim=None)

@@ -92,19 +92,21 @@ class StickAccumulator(NamedTuple):
         """
         fraction = np.asarray(stick_time, np.float64) / t1
         rest, skipped = numbering.rest(sticks)
-        pooled = sticks.later_than(skipped)
-        has = pooled.count > 0
-        own_mean = (fraction[has] * t1 - rest[has]) / pooled.count[has]
+        numbered = sticks.count - skipped
+        has = numbered > 0
+        own_mean = (fraction[has] * t1 - rest[has]) / numbered[has]
+        at_zero = np.flatnonzero(sticks.start == 0)[: int(np.sum(skipped))]
+        endings = [np.count_nonzero(sticks.ending == code) - np.sum(sticks.ending[at_zero] == code) for code in Ending]
         counts = (sticks.count, np.asarray(slips, np.int64))
         by = _summing_module()
         return cls(
-            **by.sums_of_sticks(pooled, t1)._asdict(),
+            **by.sums_of_sticks(sticks, skipped, t1)._asdict(),
             **by.sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
             samples=PowerSums.of(*counts, fraction),
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),
             own_mean_bins=DyadicCounts.of(own_mean, BINS),
-            endings=np.array([np.count_nonzero(pooled.ending == code) for code in Ending]),
+            endings=np.array(endings),
         )
 
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":

@@ -19,16 +19,20 @@ _SLIP = len(QUANTITIES)  # the column of slips, after those of the sticks
 _X, _Y = ([QUANTITIES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
 
 
-def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
-    """Sums and histograms of the sticks of finished samples, simulated up to `t1`, s."""
+def sums_of_sticks(sticks: StickStream, skipped: np.ndarray, t1: float) -> StickSums:
+    """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s.
+
+    `skipped`: whether a sample begins with a stick that is not numbered, 0 or 1, (samples,).
+    """
     d = _SLIP + 1
+    skip_rest = bool(np.any(skipped))
     # A sample that begins with a stick has no slip there.
-    all_slips = not np.any(sticks.begins_at_zero)
-    columns = (sticks.start, sticks.end, sticks.position, sticks.slip, all_slips)
+    all_slips = skip_rest or not np.any(sticks.begins_at_zero)
+    columns = (sticks.start, sticks.end, sticks.position, sticks.slip, skip_rest, all_slips)
     number, low, high, total = np.zeros(d, np.int64), np.full(d, np.inf), np.full(d, -np.inf), np.zeros(d)
     numba_loops.survey(*columns, number, low, high, total)
     if number[0] == 0 or not np.all(np.isfinite(total)):
-        return stick_sums.sums_of_sticks(sticks, t1)
+        return stick_sums.sums_of_sticks(sticks, skipped, t1)
     fine = [_axis(*ends, BINS) for ends in zip(low, high, strict=True)]
     coarse = [_axis(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
     shapes = [(axis.size,) for axis in fine] + [(coarse[x].size, coarse[y].size) for x, y in zip(_X, _Y, strict=True)]

@@ -15,7 +15,7 @@ import numpy as np
 from .. import _checks
 from .._events.sticks import FlatSticks
 from .._status import Ending
-from .registry import DURATION, SLIP_DURATION, TESTED
+from .registry import DURATION, SLIP_DURATION, SLIP_START, TESTED
 from .source import StickSource
 
 
@@ -158,6 +158,12 @@ def _slips(sticks: _Sticks, quantity: str) -> _Intervals:
     return _Intervals(sticks.end, length, exists, ~is_last, length)
 
 
+def _slip_starts(sticks: _Sticks, quantity: str) -> _Intervals:
+    """The instant at which the slip after each stick begins, known from that stick."""
+    known = _durations(sticks, quantity)
+    return known._replace(exists=known.complete, values=sticks.end)
+
+
 def _at_start(sticks: _Sticks, quantity: str) -> _Intervals:
     """A quantity such as the position, known when the stick starts: from the slip before, which may be cut."""
     is_first = np.zeros(len(sticks.start), bool)
@@ -168,5 +174,5 @@ def _at_start(sticks: _Sticks, quantity: str) -> _Intervals:
     return _Intervals(begin, _slips(sticks, quantity).length, everything, everything, values)
 
 
-_INTERVALS = {DURATION.name: _durations, SLIP_DURATION.name: _slips}
-"""Quantities that are durations; all others are known when the stick starts."""
+_INTERVALS = {DURATION.name: _durations, SLIP_START.name: _slip_starts, SLIP_DURATION.name: _slips}
+"""Quantities that are times; all others are known when the stick starts."""

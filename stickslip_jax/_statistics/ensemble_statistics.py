@@ -33,6 +33,7 @@ from .registry import (
     StickValue,
     ordinal,
 )
+from .slip_statistics import SlipStatistics
 from .source import origin_of, require_ensemble
 from .summary import Summary, summary_of_distributions, summary_of_statistics
 
@@ -139,6 +140,11 @@ class EnsembleStatistics(_ByQuantity):
     def _pooled(self) -> np.ndarray:
         """Which of the retained sticks are numbered, (sticks,)."""
         return self.numbering.order_of(self.sticks) > 0
+
+    @cached_property
+    def slips(self) -> SlipStatistics:
+        """Statistics of the slips of the retained samples: when they begin, how long they last, of all and by order."""
+        return SlipStatistics(self.sticks, self.t1, self.origin)
 
     @cached_property
     def slip_duration(self) -> Distribution:

@@ -35,8 +35,10 @@ def identically_distributed(
 
     - `source`: an `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
       Which stick of an ensemble is the first is set by its ``count_initial_rest``; of ``flat_sticks`` all are numbered.
-    - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), or "slip_duration", that of
-      the slip after each stick (s).
+    - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), "slip_duration", that of
+      the slip after each stick (s); or the instants "start" and "slip_start" at which a stick, or the slip after it,
+      begins (s). Instants increase with the order, so they are neither identically distributed nor independent; tests
+      on them show by how much.
     - `orders`: their number, from the first on, or a sequence of at least two different ones.
     - `significance`: largest probability, in (0, 1), of rejecting a true hypothesis.
     - `starts_before`: only values that begin before this instant (s) are used; a position begins with the slip before

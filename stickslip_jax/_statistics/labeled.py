@@ -8,7 +8,7 @@ import numpy as np
 from .distribution import Distribution
 from .estimate import Estimate
 from .joint import JointDistribution
-from .registry import DISTRIBUTIONS, FIRST_TWO, STICK_QUANTITIES, STREAMED_PAIRS, StickValue
+from .registry import DISTRIBUTIONS, FIRST_TWO, SLIP_QUANTITIES, STICK_QUANTITIES, STREAMED_PAIRS, StickValue
 
 if TYPE_CHECKING:
     import xarray
@@ -90,12 +90,17 @@ def _add_bins(
 
 
 def _add_orders(statistics: Any, variables: _Entries, coordinates: _Entries) -> None:
-    """Means of the 1st, 2nd, ... stick."""
+    """Means of the 1st, 2nd, ... stick, and slip."""
     orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
-    coordinates["order"] = _entry("order", [one.number for one in orders], "number of the stick", "1")
+    coordinates["order"] = _entry("order", [one.number for one in orders], "number of the stick or slip", "1")
     shares = [one.share for one in orders]
     _add_estimates("share_by_order", "order", shares, "share of samples that have the stick", "1", variables)
     for quantity in statistics.known(STICK_QUANTITIES):
         means = [getattr(one, quantity.name).mean for one in orders]
         long_name, unit = f"mean {quantity.short_label} of the stick", statistics.unit_of(quantity)
         _add_estimates(f"{quantity.name}_by_order", "order", means, long_name, unit, variables)
+    slips = [statistics.slips.order(one.number) for one in orders]
+    for quantity in SLIP_QUANTITIES:
+        means = [one.distributions[quantity.name].mean for one in slips]
+        long_name = f"mean {quantity.label}"
+        _add_estimates(f"{quantity.name}_by_order", "order", means, long_name, "s", variables)

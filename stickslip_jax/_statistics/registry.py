@@ -36,8 +36,9 @@ class SampledQuantity:
         return self.name.replace("_", " ")
 
     def label_of_order(self, number: int) -> str:
-        """The label where it is the `number`-th stick's: "1st stick duration"."""
-        return self.label.replace("stick", f"{ordinal(number)} stick")
+        """The label where it is the `number`-th stick's: "1st stick duration"; or slip's: "1st slip duration"."""
+        word = "stick" if "stick" in self.label else "slip"
+        return self.label.replace(word, f"{ordinal(number)} {word}")
 
     def axis_label(self, number: int | None) -> str:
         """The label on an axis: "stick duration"; with the `number` of the stick: "duration of stick 1"."""
@@ -58,6 +59,7 @@ START = SampledQuantity("start", "stick start", "s")
 DURATION = SampledQuantity("duration", "stick duration", "s")
 POSITION = SampledQuantity("position", "stick position", None)
 SLIP_BEFORE = SampledQuantity("slip_before", "slip before the stick", "s")
+SLIP_START = SampledQuantity("slip_start", "slip start", "s")
 SLIP_DURATION = SampledQuantity("slip_duration", "slip duration", "s")
 STICK_COUNT = SampledQuantity("stick_count", "number of sticks", "1", is_whole=True)
 SLIP_COUNT = SampledQuantity("slip_count", "number of slips", "1", is_whole=True)
@@ -88,10 +90,13 @@ DISTRIBUTIONS = (
 )  # fmt: skip
 """All quantities whose distributions are estimated from all samples, in the order of tables."""
 
-TestedQuantity: TypeAlias = Literal["duration", "position", "slip_duration"]
+SLIP_QUANTITIES = (SLIP_START, SLIP_DURATION)
+"""Quantities of each slip, of the retained samples. Without "slip_", they are the fields of `FlatSlips`."""
+
+TestedQuantity: TypeAlias = Literal["start", "duration", "position", "slip_start", "slip_duration"]
 """The names of the quantities that tests of independence and of identical distribution take."""
 
-TESTED = {quantity.name: quantity for quantity in (DURATION, POSITION, SLIP_DURATION, *STICK_QUANTITIES[3:])}
+TESTED = {quantity.name: quantity for quantity in (*STICK_QUANTITIES, *SLIP_QUANTITIES)}
 """The same quantities by their names."""
 
 STREAMED_PAIRS: tuple[tuple[StickQuantity, StickQuantity], ...] = (("duration", "position"), ("start", "duration"))

@@ -41,8 +41,12 @@ class OrderSums(NamedTuple):
     first_two_bins: DyadicCounts
 
 
-def sums_of_sticks(sticks: StickStream, t1: float) -> StickSums:
-    """Sums and histograms of the sticks of finished samples, simulated up to `t1`, s."""
+def sums_of_sticks(sticks: StickStream, skipped: np.ndarray, t1: float) -> StickSums:
+    """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s.
+
+    `skipped`: how many sticks of each sample come before its first numbered one, 0 or 1, (samples,).
+    """
+    sticks = sticks.later_than(skipped)
     columns = _columns(sticks)
     stick_bins, pair_bins = _stick_bins(columns)
     slip = _slip_durations(sticks, t1)

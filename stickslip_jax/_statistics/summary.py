@@ -53,15 +53,20 @@ def summary_of_statistics(statistics: "EnsembleStatistics") -> Summary:
     """The tables alone, without what only the ensemble knows: which samples did not finish."""
     distributions = [getattr(statistics, quantity.name) for quantity in statistics.known(DISTRIBUTIONS)]
     tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, distributions)))]
-    orders = [statistics.order(number) for number in range(1, statistics.orders + 1)]
-    present = [one for one in orders if one.duration.number > 0]
-    if present:
-        quantities = [f"{one.short_label} ({statistics.unit_of(one)})" for one in statistics.known(STICK_QUANTITIES)]
+    sticks = [f"{one.short_label} ({statistics.unit_of(one)})" for one in statistics.known(STICK_QUANTITIES)]
+    for body, of, quantities in (
+        ("stick", statistics, sticks),
+        ("slip", statistics.slips, ["start (s)", "duration (s)"]),
+    ):
+        orders = [of.order(number) for number in range(1, statistics.orders + 1)]
         rows = tuple(
-            (str(one.number), _shown(one.share), *(_shown(of.mean) for of in one.distributions.values()))
-            for one in present
+            (str(one.number), _shown(one.share), *(_shown(values.mean) for values in one.distributions.values()))
+            for one in orders
+            if one.duration.number > 0
         )
-        tables.append(("By order (mean +- standard error)", ("stick", "samples that have it", *quantities), rows))
+        if rows:
+            caption = f"{body.capitalize()}s by order (mean +- standard error)"
+            tables.append((caption, (body, "samples that have it", *quantities), rows))
     return Summary(f"{statistics.samples:,} samples on [0, {statistics.t1:g}] s", tuple(tables), ())
 
 

@@ -8,6 +8,7 @@ import abc
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from .._excitation.segments import Segment
 from .._types import BoolArray, FloatArray, State
@@ -114,6 +115,15 @@ class SwitchedModel(eqx.Module):
     @abc.abstractmethod
     def relative_velocity(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
         """The relative velocity, m/s."""
+
+    def holding(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
+        """The signed friction coefficient that keeps the relative velocity constant; 0 where friction has no effect."""
+        free, gripped = (
+            self.relative_acceleration(inputs, tau, y, self.rates_under(inputs, tau, y, jnp.full_like(tau, grip)))
+            for grip in (0.0, 1.0)
+        )
+        gain = gripped - free
+        return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
 
     @abc.abstractmethod
     def relative_acceleration(self, inputs: Any, tau: FloatArray, y: State, rates: State) -> FloatArray:

@@ -16,6 +16,7 @@ Nothing is simulated here. Bad arguments raise ValueError with the name of the a
 
 from ._convergences import convergence
 from ._curves import curve
+from ._energies import energies
 from ._histograms import histogram
 from ._histories import time_history
 from ._joint_histograms import joint_histogram
@@ -32,6 +33,7 @@ from ._stick_maps import stick_map
 __all__ = [
     "convergence",
     "curve",
+    "energies",
     "histogram",
     "joint_histogram",
     "means_by_order",

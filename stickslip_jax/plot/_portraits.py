@@ -47,6 +47,7 @@ def phase_portrait(
     *,
     window: Window | None = None,
     abscissa: str = _POSITION,
+    energy_regions: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw velocity against position, as in Lima and Sampaio (conference paper), figures 3 to 5.
@@ -62,6 +63,9 @@ def phase_portrait(
     - `window`: first and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
     - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega", the
       position times the natural angular frequency (m/s), in which undamped slip arcs are circles, as in the paper.
+    - `energy_regions`: whether to shade where a slip takes energy from the base: where the mass moves the way of the
+      base and is slower, ``0 < x' < v`` (Lima and Sampaio 2015, section 2). Elsewhere friction takes energy from the
+      mass. For a mass and spring on a base of piecewise-constant velocity; each of its velocities has one such region.
     - `ax`: where to draw; by default the axes of a new figure.
 
     Returns the axes. Raises ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
@@ -76,8 +80,16 @@ def phase_portrait(
             f"Argument abscissa must be {names} for a {type(result.system).__name__}, but {_checks.show(abscissa)} was "
             "given."
         )
+    if energy_regions and not has_steady_base(result):
+        raise ValueError(
+            "Argument energy_regions must be False unless a mass and spring moves on a base of piecewise-constant "
+            f"velocity, but a {type(result.system).__name__} on {_checks.show(result.base)} was given."
+        )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
     segments = segments_of(result, window)
+    if energy_regions:
+        for velocity in set(np.unique([segment.base_velocity[0] for segment in segments])) - {0}:
+            ax.axhspan(0, velocity, color=_style.FED, alpha=0.25, lw=0, label="friction feeds energy in")
     if first.period:
         _draw_periodic(ax, segments, first, second)
     else:

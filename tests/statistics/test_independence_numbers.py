@@ -242,7 +242,7 @@ class TestEdges:
             (independent, {"source": iid(np.random.default_rng(0))._replace(start=np.zeros(2))}, "source"),
             (independent, {"source": flat([1], np.array([np.nan]))._replace(ending=np.zeros(1))}, "source"),
             (independent, {"quantity": "position", "starts_before": math.inf}, "source"),
-            (independent, {"quantity": "start"}, "quantity"),
+            (independent, {"quantity": "end"}, "quantity"),
             (independent, {"quantity": ["duration"]}, "quantity"),
             (independent, {"lag": 0}, "lag"),
             (independent, {"first": 1.5}, "first"),

@@ -88,10 +88,13 @@ def test_summary_says_what_the_statistics_say(many):
         assert rows[name].endswith(f"{of.number:,}")
         assert f"{of.median.value:.4g}" in rows[name]
     assert "200 samples on [0, 40] s" in text
+    _, _, of_sticks, of_slips, *_ = text.split("\n\n")
     for number in (1, 2, 3, 4):
-        assert f"{statistics.order(number).start.mean.value:.2f}"[:3] in rows[str(number)]
+        for table, of in ((of_sticks, statistics), (of_slips, statistics.slips)):
+            (row,) = (line for line in table.splitlines() if line.split()[0] == str(number))
+            assert f"{of.order(number).start.mean.value:.2f}"[:3] in row
     widths = {len(line) for line in text.split("\n\n")[1].splitlines()[1:]}
     assert len(widths) == 1, "columns are aligned"
     markup = many.summary()._repr_html_()
-    assert markup.count("<tr>") == markup.count("</tr>") == 2 + 8 + 4
+    assert markup.count("<tr>") == markup.count("</tr>") == 3 + 8 + 4 + 4
     assert "<td>stick duration (s)</td>" in markup

@@ -9,8 +9,9 @@ from jaxtyping import Array
 
 from ..._events.sticks import Sticks, start_totals
 from ..._excitation.piecewise import VelocitySteps
+from ..._excitation.segments import Segment
 from ..._systems.mass_spring import MassSpring
-from ..._systems.switched_model import State
+from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar
 from ..path import Path, Run
 from .engine import Motion, cross_interval, scales_of, status_of
@@ -37,8 +38,15 @@ class IntervalPath(Path):
         motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
         return motion.x, motion.p * scales.omega
 
-    def base_velocity(self, time: FloatArray) -> FloatArray:
-        return self.base.velocities[self._index(time)].astype(time.dtype)
+    @property
+    def smooth(self) -> None:
+        return None
+
+    def segments(self, time: FloatArray) -> Segments:
+        index = self._index(time)
+        begin, velocity = self.beginnings.t[index], self.base.velocities[index].astype(time.dtype)
+        here = Segment(begin, begin + self.base.durations[index].astype(time.dtype), velocity, jnp.zeros_like(velocity))
+        return Segments((here,), (), ())
 
     def _index(self, time: FloatArray) -> Array:
         # Of intervals with the same beginning (empty slots of no length), the last is the one with a length.

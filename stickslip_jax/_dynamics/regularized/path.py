@@ -9,9 +9,9 @@ import numpy as np
 from ..._events.sticks import sticks_in_order
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.segments import first_segment
-from ..._excitation.voltage import SourceVoltage
+from ..._excitation.smooth import Signal
 from ..._numerics.known import NotKnown
-from ..._systems.switched_model import State
+from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, IntArray, Scalar
 from ..blocks import few_sizes, scan_in_blocks
 from ..method import Regularized
@@ -65,13 +65,12 @@ class CubicPath(Path):
             for y, rate, end_rate in zip(self.y, self.rates, self.end_rates, strict=True)
         )
 
-    def base_velocity(self, time: FloatArray) -> FloatArray:
-        velocity = jnp.zeros_like(time)
-        if self.excitation.signal is not None and not isinstance(self.excitation.signal, SourceVoltage):
-            velocity = velocity + self.excitation.signal.value(time)
-        for segment in self.tables.at(time).base:
-            velocity = velocity + segment.value + segment.slope * (time - segment.begin)
-        return velocity
+    @property
+    def smooth(self) -> Signal | None:
+        return self.excitation.signal
+
+    def segments(self, time: FloatArray) -> Segments:
+        return self.tables.at(time)
 
 
 class _Setting(NamedTuple):

@@ -9,15 +9,16 @@ from jaxtyping import Array
 
 from ..._events.sticks import sticks_in_order
 from ..._excitation.excitation import Excitation
+from ..._excitation.smooth import Signal
 from ..._numerics.known import NotKnown, largest
 from ..._status import Status
-from ..._systems.switched_model import State
+from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar
 from ..method import Exact
 from ..path import Path, Run
 from ..time_scales import max_steps_advice
 from ..validation import checked_step
-from .run import Beginnings, base_velocity_at, run_trajectory, state_at, steps_for
+from .run import Beginnings, run_trajectory, state_at, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
 _MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given up
@@ -38,8 +39,12 @@ class StepPath(Path):
     def state(self, time: FloatArray) -> State:
         return state_at(self.system, self.excitation, self.solver, self.beginnings, time)
 
-    def base_velocity(self, time: FloatArray) -> FloatArray:
-        return base_velocity_at(self.excitation, self.beginnings, time)
+    @property
+    def smooth(self) -> Signal | None:
+        return self.excitation.signal
+
+    def segments(self, time: FloatArray) -> Segments:
+        return self.beginnings.at(time).segments
 
 
 def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:

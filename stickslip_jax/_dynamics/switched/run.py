@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
-from ..._excitation.voltage import SourceVoltage
 from ..._numerics.known import largest, smallest
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, Scalar
@@ -27,6 +26,12 @@ class Beginnings(NamedTuple):
     y: tuple[Array, ...]
     sign: Array
     segments: Segments
+
+    def at(self, time: FloatArray) -> "Beginnings":
+        """The beginning of the step that contains `time` (s)."""
+        # Of loop steps with the same beginning (tries of one time step), the last is the one that was accepted.
+        index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0)
+        return jax.tree.map(lambda values: values[index], self)
 
 
 class Trajectory(eqx.Module):
@@ -85,25 +90,16 @@ def run_trajectory(
 
 def state_at(system: Any, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the step that contains it."""
-    model = system.switched_model(excitation.signal, solver)
-    # Of loop steps with the same beginning (tries of one time step), the last is the one that was accepted.
-    index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
-    t, y, sign, segments = jax.tree.map(lambda values: values[index], beginnings)
-    inputs, h = model.inputs(t, segments), time - t
+    begun = beginnings.at(time)
+    return state_in_step(system.switched_model(excitation.signal, solver), begun, time - begun.t)
+
+
+def state_in_step(model: Any, begun: Beginnings, h: FloatArray) -> State:
+    """The state at `h` (s) after the beginning of one step."""
+    _, y, sign, segments = begun
+    inputs = model.inputs(begun.t, segments)
     stuck, slid = model.stick(inputs, y, h), model.slip(inputs, y, jnp.where(sign == 0, 0, h), sign)
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
-
-
-def base_velocity_at(excitation: Excitation, beginnings: Beginnings, time: FloatArray) -> FloatArray:
-    """The base velocity at one `time`, m/s; 0 where the excitation is only a voltage or a ground acceleration."""
-    index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
-    velocity = jnp.zeros_like(time)
-    if excitation.signal is not None and not isinstance(excitation.signal, SourceVoltage):
-        velocity = velocity + excitation.signal.value(time)
-    for segment in beginnings.segments.base:
-        begin, value, slope = (values[index] for values in (segment.begin, segment.value, segment.slope))
-        velocity = velocity + value + slope * (time - begin)
-    return velocity
 
 
 def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> int:

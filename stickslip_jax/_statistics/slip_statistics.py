@@ -1,0 +1,120 @@
+"""The statistics of the slips of an ensemble: when they begin and how long they last, of all and by order."""
+
+import dataclasses
+import math
+from collections.abc import Hashable, Mapping
+from functools import cached_property
+
+import numpy as np
+
+from .. import _checks
+from .._events.slips import FlatSlips, slips_among
+from .._events.sticks import FlatSticks
+from .._numerics.dyadic import DyadicCounts
+from .._numerics.power_sums import PowerSums
+from .clusters import Clusters
+from .distribution import Distribution
+from .estimate import Estimate
+from .registry import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity, ordinal
+from .stick_sums import BINS
+from .summary import Summary, summary_of_distributions
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class SlipStatistics:
+    """Statistics of the slips of the retained samples, those cut by the horizon with the part before it.
+
+    `start`, `duration`: each the `Distribution` over all slips, s. `order(i)`: of the i-th slip of each sample. The
+    first slip is that before the first stick, or after it where a sample begins with a stick. The duration of the
+    slips of all samples, retained or not, is ``statistics.slip_duration``.
+
+    - `sticks`: those of the retained samples. `t1`: s. `origin`: of the random numbers; see `Estimate`.
+    """
+
+    sticks: FlatSticks
+    t1: float
+    origin: Hashable
+
+    @cached_property
+    def start(self) -> Distribution:
+        """When the slips begin, s."""
+        return self._distribution(SLIP_START, SLIP_START.label, np.ones(len(self._slips.start), bool))
+
+    @cached_property
+    def duration(self) -> Distribution:
+        """How long the slips last, s."""
+        return self._distribution(SLIP_DURATION, SLIP_DURATION.label, np.ones(len(self._slips.start), bool))
+
+    def order(self, number: int) -> "SlipOrderStatistics":
+        """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
+        chosen = self._order == _checks.whole_number("number", number)
+        found = {one.name: self._distribution(one, one.label_of_order(number), chosen) for one in SLIP_QUANTITIES}
+        samples, having = len(self.sticks.count), int(chosen.sum())
+        share = having / samples if samples else math.nan
+        error = math.sqrt(share * (1 - share) / (samples - 1)) if samples > 1 else math.nan
+        label = f"share of samples that have a {ordinal(number)} slip"
+        return SlipOrderStatistics(number, Estimate(label, share, error, "1", samples, self.origin), found)
+
+    @cached_property
+    def _slips(self) -> FlatSlips:
+        return slips_among(self.sticks, self.t1)
+
+    @cached_property
+    def _order(self) -> np.ndarray:
+        return self._slips.order
+
+    def _distribution(self, quantity: SampledQuantity, label: str, chosen: np.ndarray) -> Distribution:
+        """The distribution of a quantity of the `chosen` slips."""
+        column = getattr(self._slips, quantity.name.removeprefix("slip_"))
+        values, samples = np.asarray(column, np.float64)[chosen], len(self.sticks.count)
+        ends = (float(values.min()), float(values.max())) if len(values) else (math.nan, math.nan)
+        assert quantity.unit is not None
+        return Distribution(
+            label, quantity.unit, len(values), samples, *ends, PowerSums.of(values), DyadicCounts.of(values, BINS),
+            Clusters(values, self._slips.sample[chosen], samples, samples),
+            4 * float(np.finfo(column.dtype).eps) * self.t1, quantity.is_whole, self.origin,
+        )  # fmt: skip
+
+    def __repr__(self) -> str:
+        return repr(self._summary)
+
+    def _repr_html_(self) -> str:
+        return self._summary._repr_html_()
+
+    @property
+    def _summary(self) -> Summary:
+        title = f"Slips of {len(self.sticks.count):,} samples on [0, {self.t1:g}] s"
+        return summary_of_distributions(title, [self.start, self.duration])
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class SlipOrderStatistics:
+    """Statistics of the `number`-th slip, over the samples that have it.
+
+    - `share`: the share of samples that have it. `start`, `duration` (s): each a `Distribution`.
+    - `distributions`: these by the names "slip_start", "slip_duration".
+    """
+
+    number: int
+    share: Estimate
+    distributions: Mapping[str, Distribution]
+
+    @property
+    def start(self) -> Distribution:
+        """When it begins, s."""
+        return self.distributions[SLIP_START.name]
+
+    @property
+    def duration(self) -> Distribution:
+        """How long it lasts, s."""
+        return self.distributions[SLIP_DURATION.name]
+
+    def __repr__(self) -> str:
+        return repr(self._summary)
+
+    def _repr_html_(self) -> str:
+        return self._summary._repr_html_()
+
+    @property
+    def _summary(self) -> Summary:
+        return summary_of_distributions(str(self.share), list(self.distributions.values()))

@@ -1,0 +1,103 @@
+"""Friction forces and energies of the built-in systems: what is stored, supplied and dissipated."""
+
+from functools import singledispatch
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from .. import _checks
+from .._types import FloatArray, State
+from .mass_spring import OscillatorInputs, OscillatorModel
+from .motor_cart import CartInputs, CartModel, MotorCart
+from .system import System
+
+Terms = dict[str, FloatArray]
+"""Energies (J) or powers (W) by name."""
+
+
+class Powers(NamedTuple):
+    """Powers at one instant, W: what the excitation supplies, and what is turned into heat, each by its name."""
+
+    supplied: Terms
+    dissipated: Terms
+
+
+@singledispatch
+def friction_force(model: Any, y: State, grip: FloatArray) -> FloatArray:
+    """The friction force under the signed friction coefficient `grip`, N: on the mass, of a motor on the cart."""
+    raise NotImplementedError
+
+
+@singledispatch
+def stored_energies(model: Any, y: State) -> Terms:
+    """The energies stored in the state, J."""
+    raise NotImplementedError
+
+
+@singledispatch
+def powers(model: Any, inputs: Any, y: State, force: FloatArray) -> Powers:
+    """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
+    raise NotImplementedError
+
+
+def require_known(system: System, model: Any, name: str) -> None:
+    """Check that friction forces of `system` are known in newtons, not only as shares. Raises ValueError otherwise."""
+    if friction_force.dispatch(type(model)) is friction_force.dispatch(object):
+        raise ValueError(
+            f"{name} needs a MassSpring or a MotorCart, but a simulation of {_checks.show(system)} was given: the "
+            "friction of a SwitchedSystem is known as a share of its largest kinetic force only."
+        )
+
+
+def require_energy(system: System) -> None:
+    """Check that the equations of motion are those of a system with an energy. Raises ValueError otherwise."""
+    if isinstance(system, MotorCart) and system.equation != "physical":
+        raise ValueError(
+            f'energies needs a MotorCart with equation="physical", but one with equation="{system.equation}" was '
+            "given: the units of that equation do not match, so that it has no energy."
+        )
+
+
+@friction_force.register
+def _(model: OscillatorModel, y: State, grip: FloatArray) -> FloatArray:
+    return -grip * model.system.normal_force
+
+
+@stored_energies.register
+def _(model: OscillatorModel, y: State) -> Terms:
+    system, (x, p) = model.system, y
+    return {"kinetic": 0.5 * system.mass * p * p, "elastic": 0.5 * system.stiffness * x * x}
+
+
+@powers.register
+def _(model: OscillatorModel, inputs: OscillatorInputs, y: State, force: FloatArray) -> Powers:
+    # The base moves with velocity v against the force -force that the mass exerts on it (Lima and Sampaio 2015, the
+    # energy analysis of section 2): it supplies force v, of which force x' reaches the mass.
+    system, (_, p), none = model.system, y, jnp.zeros_like(inputs.t)
+    velocity, _ = model.base_motion(inputs, none)
+    damping = 0 if system.damping is None else system.damping
+    supplied = {"base": force * velocity, "load": model.load_at(inputs, none) * p}
+    return Powers(supplied, {"friction": force * (velocity - p), "damping": damping * p * p})
+
+
+@friction_force.register
+def _(model: CartModel, y: State, grip: FloatArray) -> FloatArray:
+    # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
+    return grip * model.system.cart_mass * model.system.gravity * jnp.sign(jnp.sin(y[0]))
+
+
+@stored_energies.register
+def _(model: CartModel, y: State) -> Terms:
+    system, (angle, speed, current) = model.system, y
+    cart = system.eccentricity * jnp.sin(angle) * speed
+    kinetic = 0.5 * (system.motor_inertia * speed * speed + system.cart_mass * cart * cart)
+    return {"kinetic": kinetic, "magnetic": 0.5 * system.inductance * current * current}
+
+
+@powers.register
+def _(model: CartModel, inputs: CartInputs, y: State, force: FloatArray) -> Powers:
+    system, (angle, speed, current) = model.system, y
+    voltage = model.smooth.mean + model.smooth.amplitude * jnp.sin(inputs.phase)
+    rubbing = force * system.eccentricity * jnp.sin(angle) * speed
+    heat = {"friction": rubbing, "damping": system.motor_damping * speed * speed}
+    return Powers({"voltage": voltage * current}, heat | {"resistance": system.resistance * current * current})

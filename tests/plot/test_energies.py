@@ -1,0 +1,54 @@
+"""The figure of the energies, and the regions of a phase portrait where friction feeds energy in."""
+
+import jax
+import numpy as np
+import pytest
+from support.plot import line
+
+import stickslip_jax as ss
+from stickslip_jax import plot
+
+BELT = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3))
+POISSON = ss.PoissonSwitching(0.3, 1.0).sample(jax.random.key(1), 12.0)
+
+
+@pytest.fixture(scope="module")
+def one():
+    return ss.simulate(BELT, POISSON, t1=12.0, y0=(0.1, 0.0))
+
+
+@pytest.mark.parametrize("window", [None, (2.0, 9.0)])
+def test_lines_are_the_energies(one, window):
+    upper, lower = plot.energies(one, window=window)
+    assert upper.get_xlim() == (window or (0.0, 12.0))
+    times, total = line(upper, "sum").get_data()
+    found = one.energies(times)
+    for panel, label, values in (
+        (upper, "kinetic", found.stored["kinetic"]),
+        (upper, "elastic", found.stored["elastic"]),
+        (upper, "sum", found.stored["kinetic"] + found.stored["elastic"]),
+        (lower, "supplied by base", found.supplied["base"]),
+        (lower, "dissipated by friction", found.dissipated["friction"]),
+    ):
+        np.testing.assert_allclose(line(panel, label).get_ydata(), values, rtol=0, atol=1e-13)
+    assert total.min() >= 0
+    labels = {drawn.get_label() for drawn in lower.get_lines()}
+    assert labels == {"supplied by base", "dissipated by friction"}  # no load, no damper
+    sticks = [patch for patch in upper.patches if patch.get_label() == "stick"]
+    inside = np.asarray(one.sticks.mask)
+    if window is None:
+        assert len(sticks) == inside.sum() >= 3
+        ends = sorted(patch.get_x() + patch.get_width() for patch in sticks)
+        np.testing.assert_allclose(ends, np.asarray(one.sticks.end)[inside], rtol=1e-12)
+    assert (upper.get_ylabel(), lower.get_xlabel()) == ("stored energy (J)", "time $t$ (s)")
+
+
+def test_regions_where_friction_feeds_energy_in(one):
+    ax = plot.phase_portrait(one, energy_regions=True)
+    bounds = sorted((patch.get_y(), patch.get_y() + patch.get_height()) for patch in ax.patches)
+    np.testing.assert_allclose(np.sort(bounds), [[-0.3, 0], [0, 0.3]])
+    assert "friction feeds energy in" in [text.get_text() for text in ax.get_legend().get_texts()]
+    assert not plot.phase_portrait(one).patches
+    swinging = ss.simulate(BELT, ss.Harmonic(1.0, 1.0), t1=5.0)
+    with pytest.raises(ValueError, match=r"Argument energy_regions must be False .* MassSpring on Harmonic"):
+        plot.phase_portrait(swinging, energy_regions=True)
