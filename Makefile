@@ -44,9 +44,7 @@ check-slow: $(READY)
 
 # The notebooks at full size, as .ipynb files with their figures.
 notebooks: $(READY)
-	mkdir -p results/notebooks
-	for one in notebooks/*.py; do \
-		$(BIN)/jupytext --quiet --to ipynb --execute --output results/notebooks/$$(basename $$one .py).ipynb $$one || exit 1; done
+	$(BIN)/python tools/notebooks.py
 
 # The code in documents and notebooks, these at a small size.
 docs: $(READY)
