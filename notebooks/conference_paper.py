@@ -13,10 +13,9 @@
 # %% [markdown]
 # # The conference paper, figure by figure
 #
-# Lima and Sampaio, *Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach*: a mass
-# of 1 kg on a spring of 4 N/m, pressed with 1 N on a belt that runs at 1 m/s forward or backward; the
-# friction coefficient is 1.
-# Each figure of the paper is drawn again, exactly, beside what its text says about it and a verdict.
+# Lima and Sampaio, *Analysis of the stick-mode duration of dry-friction oscillators with a stochastic approach*: a
+# mass of 1 kg on a spring of 4 N/m, pressed with 1 N on a belt that runs at 1 m/s forward or backward; the friction
+# coefficient is 1. Each figure of the paper is drawn again, exactly, beside what its text says about it and a verdict.
 # `make notebooks` runs this file at full size.
 
 # %%
@@ -48,8 +47,8 @@ def period(ratio):
 
 # %% [markdown]
 # ## Figure 2: a belt of constant speed
-# The paper: in the plane of `omega x` and `x'` paths are circles about `(n mu / (m omega), 0)`; a stick can happen only
-# before the steady state, which is a circle.
+# The paper: in the plane of `omega x` and `x'` paths are circles about `(n mu / (m omega), 0)`; a stick can happen
+# only before the steady state, which is a circle.
 
 # %%
 figure, panels = plt.subplots(1, 2, figsize=(9, 5.2), layout="constrained")
@@ -76,9 +75,9 @@ print(f"{int(one.sticks.count)} stick, released at {float(one.sticks.end[0]):g} 
 
 # %% [markdown]
 # The paper adds which starts lead to a stick: those faster than the belt; slower ones, it says, only slip. The circle
-# tells: a start slips for ever if it lies inside the circle that touches the belt's line,
-# `x'^2 + (omega x - n mu / (m omega))^2 <= v^2`, and is not on the belt inside the band; from outside it sticks, be it
-# ever so slow. Among slow starts in a box, the share that slips only is the area of the ellipse over that of the box.
+# tells: a start slips for ever if it lies inside the circle that touches the belt's line, `x'^2 + (omega x - n mu / (m
+# omega))^2 <= v^2`, and is not on the belt inside the band; from outside it sticks, be it ever so slow. Among slow
+# starts in a box, the share that slips only is the area of the ellipse over that of the box.
 
 # %%
 rng = np.random.default_rng(0)
@@ -94,8 +93,8 @@ print(f"starts with |x| <= 2 m, |x'| <= 1 m/s that stick: {100 * sticks.mean():.
 print(f"starts that stick, and lie outside the circle, or neither: {np.sum(sticks == outside)} of {len(starts)}")
 
 # %% [markdown]
-# **Verdict.** Circles, centres and the tangent steady state: as the paper says. Its condition on the start is not: four
-# of five slow starts stick.
+# **Verdict.** Circles, centres and the tangent steady state: as the paper says. Its condition on the start is not:
+# four of five slow starts stick.
 
 # %% [markdown]
 # ## Figures 3 to 5: the belt runs backward and forward alternately
@@ -169,8 +168,8 @@ print(f"five starts at twenty ratios: the shares differ by at most {float(np.ptp
 
 # %% [markdown]
 # **Verdict.** The main peak is as the paper says: nearly 39 % near 1.22, nothing above 1.42. Besides, there are narrow
-# windows of sticks below `r = 0.4` and a spike near 0.76, which a coarse sweep of `r` misses; the paper's text does not
-# mention them.
+# windows of sticks below `r = 0.4` and a spike near 0.76, which a coarse sweep of `r` misses; the paper's text does
+# not mention them.
 
 # %% [markdown]
 # ## Figure 7: a belt of random direction

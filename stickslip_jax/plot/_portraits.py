@@ -80,6 +80,7 @@ def phase_portrait(
             f"Argument abscissa must be {names} for a {type(result.system).__name__}, but {_checks.show(abscissa)} was "
             "given."
         )
+    _checks.truth("energy_regions", energy_regions)
     if energy_regions and not has_steady_base(result):
         raise ValueError(
             "Argument energy_regions must be False unless a mass and spring moves on a base of piecewise-constant "
