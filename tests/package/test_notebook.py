@@ -9,7 +9,7 @@ from nbclient import NotebookClient
 
 pytestmark = pytest.mark.documents
 FOLDER = Path(__file__).parents[2] / "notebooks"
-FIGURES = {"quickstart": 7, "conference_paper": 4, "parametric_oscillator": 5}
+FIGURES = {"quickstart": 7, "conference_paper": 4, "parametric_oscillator": 5, "statistical_model": 6}
 """And how many figures each draws."""
 PRINTED = {
     "quickstart": (
@@ -33,6 +33,12 @@ PRINTED = {
         "the belt supplied 10.3579 J, friction turned 11.3482 J into heat",
         "exactly where the formula says so at 49 of 49 points",
         r"mu = 1: at most 38\.5 % of a steady period, at r = 1\.225",
+    ),
+    "statistical_model": (
+        r"mean of number of sticks: 5\d\.\d\d \+- 0\.\d\d",
+        r" 2     1 .* 0\.0\d{3} \+- 0\.01\d\d      rejected",
+        r" 1     1 .* \+- 0\.01\d\d      not rejected",
+        r"Spearman, orders 1 and 2: p = \S+, rank correlation 0\.8",
     ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""

@@ -106,6 +106,17 @@ def test_joint_histogram_with_the_conditional_mean(many):
     assert "mean duration of stick 2 given the duration of stick 1" in texts(above)
 
 
+@pytest.mark.parametrize("quantity", ["slip_start", "slip_duration"])
+def test_means_of_slips_by_order(many, quantity):
+    ax = plot.means_by_order(many, quantity)
+    numbers, values = line(ax, "mean").get_data()
+    of_slips = [many.statistics.slips.order(int(number)).distributions[quantity] for number in numbers]
+    assert values.tolist() == [one.mean.value for one in of_slips]
+    assert len(numbers) > 5
+    assert ax.get_ylabel() == f"mean {quantity[5:]} of the $i$-th slip (s)"
+    assert ax.get_xlabel() == "order $i$ of the slip in its sample"
+
+
 @pytest.mark.parametrize("quantity", ["start", "duration", "position"])
 def test_means_by_order(many, quantity):
     sticks = many.numbered_sticks()
@@ -304,7 +315,12 @@ def test_bad_arguments(many, annotations_unchecked):
         (plot.joint_histogram, (joint,), {"conditional_mean": "yes"}, "conditional_mean must be True or False"),
         (plot.joint_histogram, (joint,), {"axes": plt.figure().subplots(2)}, "axes must hold three matplotlib Axes"),
         (plot.means_by_order, (statistics,), {}, "result must be an Ensemble, but"),
-        (plot.means_by_order, (many, "slip"), {}, "quantity must be one of 'start', 'duration', 'position'"),
+        (
+            plot.means_by_order,
+            (many, "slip"),
+            {},
+            "quantity must be one of 'start', 'duration', 'position', 'slip_start', 'slip_duration'",
+        ),
         (plot.means_by_order, (many,), {"level": 1.0}, "level must lie between 0 and 1"),
         (plot.convergence, (many,), {}, "result must be a Convergence or a HistogramConvergence, but"),
         (plot.convergence, (settled,), {"level": 90}, "level must lie between 0 and 1"),
