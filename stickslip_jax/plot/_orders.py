@@ -15,7 +15,7 @@ _BOTTOM = 0.3  # of the height of the axes, for the shares
 def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float = 0.9, ax: Axes | None = None) -> Axes:
     """Draw the mean over the samples of the i-th stick's duration, start or position, or of a slip's, against i.
 
-    Each mean is over the samples that have an i-th stick (slip), with its confidence interval. Where not all samples have one,
+    Each mean is over the samples that have an i-th one, with its confidence interval. Where not all samples have one,
     gray bars at the bottom show the share of those that do, on the axis at the right. Orders that no sample has are
     left out.
 

@@ -9,7 +9,13 @@ from nbclient import NotebookClient
 
 pytestmark = pytest.mark.documents
 FOLDER = Path(__file__).parents[2] / "notebooks"
-FIGURES = {"quickstart": 7, "conference_paper": 4, "parametric_oscillator": 5, "statistical_model": 6}
+FIGURES = {
+    "quickstart": 7,
+    "conference_paper": 4,
+    "parametric_oscillator": 5,
+    "statistical_model": 6,
+    "electromechanical": 5,
+}
 """And how many figures each draws."""
 PRINTED = {
     "quickstart": (
@@ -39,6 +45,13 @@ PRINTED = {
         r" 2     1 .* 0\.0\d{3} \+- 0\.01\d\d      rejected",
         r" 1     1 .* \+- 0\.01\d\d      not rejected",
         r"Spearman, orders 1 and 2: p = \S+, rank correlation 0\.8",
+    ),
+    "electromechanical": (
+        r"mu = 0\.2: at pi/2 0\.10315 s",
+        r"mu = 0\.6: at pi/2 inf s; no stick at 19\.1 % of the angles, for ever at 30\.8 %",
+        r"mu \|sin alpha\| > 0\.17698, for ever where it is > 0\.53093",
+        r"by at most 9 mA of 4\.9 A",
+        r"mu = 0\.5: 1\.0000 \+- 0\.0000 of the samples have a first stick, 0 of these are longer",
     ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""
