@@ -53,6 +53,11 @@ PRINTED = {
         r"by at most 9 mA of 4\.9 A",
         r"mu = 0\.5: 1\.0000 \+- 0\.0000 of the samples have a first stick, 0 of these are longer",
     ),
+    "parametric_analysis": (
+        r"Study of 64 points \(8 mu x 8 rate\), 100 samples each",
+        r"(?s)(the study's mean again: True.*){8}",
+        r"d log / d log mu of mean stick duration \(pooled\): 0\.[89]",
+    ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""
 
