@@ -15,6 +15,7 @@ FIGURES = {
     "parametric_oscillator": 5,
     "statistical_model": 6,
     "electromechanical": 5,
+    "parametric_analysis": 4,
 }
 """And how many figures each draws."""
 PRINTED = {
