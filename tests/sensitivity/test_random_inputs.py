@@ -85,13 +85,15 @@ def test_rates_and_starts():
         return oscillator(), ss.PoissonSwitching(1.3, ss.Uniform(1.0, value)), (ss.Normal(0.0, 0.1), 0.0)
 
     system, law, y0 = rate(3.0)
-    found = ss.sensitivity(
-        ss.mean_stick_count, system, law, wrt=("rate.high", "y0[0].std"), t1=2.0, samples=100_000,
-        key=jax.random.key(0), y0=y0, estimator="corrected",
-    )  # fmt: skip
+    options = {"t1": 2.0, "samples": 100_000, "key": jax.random.key(0), "y0": y0}
+    by_rate = ss.sensitivity(ss.mean_stick_count, system, law, wrt="rate.high", **options)
+    by_start = ss.sensitivity(ss.mean_stick_count, system, law, wrt="y0[0].std", estimator="corrected", **options)
     start = lambda value: (system, law, (ss.Normal(0.0, value), 0.0))  # noqa: E731
-    agree(found["rate.high"], difference(ss.mean_stick_count, rate, 3.0, 0.2, 5, t1=2.0, samples=400_000))
-    agree(found["y0[0].std"], difference(ss.mean_stick_count, start, 0.1, 0.01, 6, t1=2.0, samples=400_000))
+    agree(by_rate, difference(ss.mean_stick_count, rate, 3.0, 0.2, 5, t1=2.0, samples=400_000))
+    agree(by_start, difference(ss.mean_stick_count, start, 0.1, 0.01, 6, t1=2.0, samples=400_000))
+    assert by_rate.estimator == "finite-difference"
+    with pytest.raises(ValueError, match="or of that of a switching rate"):  # how often it switches is in no path
+        ss.sensitivity(ss.mean_stick_count, system, law, wrt="rate.high", estimator="corrected", **options)
 
 
 @pytest.mark.slow
