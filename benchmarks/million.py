@@ -3,7 +3,6 @@
 ``python -m benchmarks.million``; with ``totals`` as an argument, the engine alone.
 """
 
-import resource
 import sys
 from typing import Any
 
@@ -11,6 +10,8 @@ import jax
 
 import stickslip_jax as ss
 from stickslip_jax import papers
+
+from .memory import largest_memory
 
 jax.config.update("jax_enable_x64", True)
 keep: Any = sys.argv[1] if len(sys.argv) > 1 else "statistics"
@@ -28,4 +29,4 @@ print(ss.mean_stick_duration(many))
 if keep != "totals":
     print(many.summary())
     print(many.statistics.joint("duration", "position"))
-print(f"largest memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+print(f"largest memory: {largest_memory() / 1e9:.2f} GB")

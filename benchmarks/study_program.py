@@ -5,7 +5,6 @@ seconds (from after the imports, so with all compilations) and the largest memor
 """
 
 import json
-import resource
 import sys
 import tempfile
 import time
@@ -18,6 +17,8 @@ import xarray as xr
 
 import stickslip_jax as ss
 from stickslip_jax import papers
+
+from .memory import largest_memory
 
 T1 = 200.0
 STATISTICS = (ss.stick_fraction, ss.mean_stick_count, ss.mean_slip_count, ss.mean_stick_duration, ss.mean_slip_duration)
@@ -64,7 +65,7 @@ def main() -> None:
     started = time.perf_counter()
     {"loop": loop, "study": study}[program](keep, int(points), int(samples))
     seconds = time.perf_counter() - started
-    print(json.dumps({"seconds": seconds, "memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}))
+    print(json.dumps({"seconds": seconds, "memory": largest_memory()}))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ is compiled: `compile_seconds` is how much longer a first call takes than a seco
 import argparse
 import json
 import os
-import resource
 import sys
 import time
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import jax
 
 from .cases import CASES, Run
+from .memory import largest_memory
 from .rounds import Timed
 from .sizes import FULL, TINY, Sizes
 
@@ -41,7 +41,7 @@ class _Clock:
         return Timed(seconds, done.amount, done.error)
 
     def answer(self, case: str, number: int | None) -> dict[str, Any]:
-        memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        memory = largest_memory()
         if number is None:
             return {"compile_seconds": self.compile_seconds(case), "memory": memory}
         return {"timed": self.timed(case, number), "memory": memory}

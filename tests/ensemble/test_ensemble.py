@@ -220,7 +220,7 @@ def test_more_room_than_samples_costs_nothing(kept):
 
 @pytest.mark.slow
 def test_one_million_samples_within_one_gigabyte():
-    """In a process of its own, whose largest memory is what the benchmark prints."""
+    """In a process of its own, which prints the most memory that it held."""
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.million"], capture_output=True, text=True, check=True, cwd=ROOT
     )
