@@ -46,9 +46,12 @@ check-slow: $(READY)
 notebooks: $(READY)
 	$(BIN)/python tools/notebooks.py
 
-# The code in documents and notebooks, these at a small size.
+# The site in results/docs. Before, all code in documents, docstrings and notebooks is run, these at a small size; the
+# site shows notebooks of full size where `make notebooks` was run.
+docs: export STICKSLIP_KEEP_NOTEBOOKS = $(CURDIR)/results/notebooks-small
 docs: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m documents
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet --fresh-env docs results/docs
 
 lint: $(READY)
 	$(BIN)/ruff check .

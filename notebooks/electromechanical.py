@@ -52,19 +52,13 @@ axes = ss.plot.time_history(one, window=(0.0, 1.5))
 # %%
 angles = np.linspace(0.0, 2 * math.pi, 4001)
 figure, panels = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained", sharey=True)
-colors = ("#000000", "#0072B2", "#009E73", "#CC79A7", "#E69F00")
 for panel, frictions in zip(panels, ((0.1, 0.2, 0.3, 0.4, 0.5), (0.6, 0.7, 0.8, 0.9, 1.0)), strict=True):
-    for mu, color in zip(frictions, colors, strict=True):
+    ss.plot.stick_bounds(ss.MotorCart(), voltage, mu=frictions, ax=panel)
+    for mu in frictions:
         bound = np.asarray(ss.stick_duration_bound(ss.MotorCart(mu=mu), voltage, angles))
-        panel.plot(angles, np.where(np.isinf(bound), np.nan, bound), color=color, label=rf"$\mu$ = {mu:g}")
         highest = float(ss.stick_duration_bound(ss.MotorCart(mu=mu), voltage, math.pi / 2))
-        for_ever = np.isinf(bound).mean()
         print(f"mu = {mu:g}: at pi/2 {highest:.5g} s; no stick at {100 * (bound == 0).mean():.1f} % of the angles, "
-              f"for ever at {100 * for_ever:.1f} %")  # fmt: skip
-    panel.set_xlabel(r"angle $\alpha$ where the motor stops (rad)")
-    panel.set_xticks(np.arange(5) * math.pi / 2, ("0", r"$\pi/2$", r"$\pi$", r"$3\pi/2$", r"$2\pi$"))
-    panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
-panels[0].set_ylabel("upper bound of the stick duration (s)")
+              f"for ever at {100 * np.isinf(bound).mean():.1f} %")  # fmt: skip
 plt.show()
 
 # %% [markdown]

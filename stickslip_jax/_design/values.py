@@ -23,6 +23,8 @@ def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:
       whole numbers (samples,), by which samples with the same number share one.
 
     Raises ValueError for anything else.
+
+    >>> ss.design.grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})
     """
     columns = _named_columns("values", values)
     for name, column in columns.items():

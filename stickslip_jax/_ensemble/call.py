@@ -86,6 +86,11 @@ def simulate_ensemble(
 
     Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
     Raises ValueError for arguments outside these bounds.
+
+    >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
+    >>> many = ss.simulate_ensemble(system, law, t1=50.0, samples=1000, key=jax.random.key(0), y0=(0.0, 1.0))
+    >>> print(ss.mean_stick_duration(many))
     """
     numbering = _numbering(orders, count_initial_rest)
     run = Run.checked(Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering)

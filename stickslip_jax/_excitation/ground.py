@@ -30,6 +30,10 @@ class GroundMotion(SegmentLaw):
 class GroundSegments(GivenSegments, GroundMotion):  # pyright: ignore[reportIncompatibleVariableOverride] - a property
     """One realisation of a ground acceleration, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s)."""
 
+    def acceleration(self, t: AnyArray | float) -> FloatArray:
+        """The ground acceleration at times `t` (s, any shape), m/s^2."""
+        return self.value(t)
+
 
 class GroundAcceleration(GroundMotion):
     """A recorded ground acceleration, linear in time between the points of the record.

@@ -288,12 +288,15 @@ class Distribution:
 def common_bins(distributions: Sequence[Distribution], bins: int = DEFAULT_BINS) -> CommonBins:
     """At most `bins` bins of equal width that hold all values of several distributions of one quantity.
 
-    Histograms and entropies in the same bins can be compared::
-
-        bins = ss.common_bins([one.statistics.duration for one in ensembles])
-        [one.statistics.duration.entropy(bins) for one in ensembles]
+    Histograms and entropies in the same bins can be compared.
 
     Raises ValueError for anything but distributions in one unit, with at least one value among them.
+
+    >>> law, study = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 50.0, "samples": 500, "key": jax.random.key(0)}
+    >>> ensembles = [ss.simulate_ensemble(ss.papers.belt_oscillator(mu), law, **study) for mu in (0.5, 1.0)]
+    >>> bins = ss.common_bins([one.statistics.duration for one in ensembles])
+    >>> for one in ensembles:
+    ...     print(one.statistics.duration.entropy(bins))
     """
     _checks.whole_number("bins", bins)
     found = list(distributions) if isinstance(distributions, Sequence) else []

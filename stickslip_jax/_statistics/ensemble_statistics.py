@@ -268,6 +268,7 @@ class EnsembleStatistics(_ByQuantity):
             y=columns[1],
             bins=bins,
             streamed_correlation=correlation,
+            round_off=(self._round_off(values[0]), self._round_off(values[1])),
             origin=self.origin,
         )
 
@@ -315,13 +316,17 @@ class EnsembleStatistics(_ByQuantity):
         )
         number = int(sums.number)
         ends = (float(own.smallest[0]), float(own.largest[0])) if number else (np.nan, np.nan)
-        largest = max(self.t1, np.abs(ends).max()) if number else self.t1
-        round_off = 4 * float(np.finfo(self.sticks.start.dtype).eps) * float(largest)
+        round_off = self._round_off(np.asarray(ends) if number else np.zeros(0))
         label, unit = label or quantity.label, self.unit_of(quantity)
         whole = quantity.is_whole
         return Distribution(
             label, unit, number, self.samples, *ends, own, bins, clusters, round_off, whole, self.origin
         )
+
+    def _round_off(self, values: np.ndarray) -> float:
+        """Differences up to this may be round-off: times are differences of instants up to ``t1``."""
+        largest = max(self.t1, float(np.abs(values).max(initial=0)))
+        return 4 * float(np.finfo(self.sticks.start.dtype).eps) * largest
 
     def _clusters(self, values: np.ndarray, owner: np.ndarray, of_all: bool = True) -> Clusters:
         retained = len(self.totals)

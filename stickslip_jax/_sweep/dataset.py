@@ -23,7 +23,7 @@ from .groups import GROUPS
 from .manifest import manifest_text, sum_of
 from .plan import Plan
 from .points import POINT, Axis
-from .setting import unit_of
+from .setting import label_of, unit_of
 from .store import DATA, Store, derivative_name
 from .work import Work
 
@@ -189,7 +189,7 @@ def _axes(plan: Plan) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for axis in plan.points.axes:
         for name, values in zip(axis.parameters, axis.values.T, strict=True):
-            meaning = f"{name}, {GROUPS[name].meaning}" if name in GROUPS else name
+            meaning = f"{name}, {GROUPS[name].meaning}" if name in GROUPS else label_of(plan.setting, name)
             found[name] = (axis.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
         if axis.name not in found:
             found[axis.name] = (axis.name, np.arange(len(axis.values)), {"long_name": _number_of(axis)})

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from .._distributions.random_number import RandomNumber
 from .._excitation.excitation import law_of
 from .._excitation.smooth import SIGNAL_UNIT
 from .._fields import Quantity, described
@@ -86,14 +87,40 @@ def _replaced(setting: Setting, paths: list[Path], values: list[float]) -> Setti
     )
 
 
+def label_of(setting: Setting, name: str) -> str:
+    """What figures call a parameter, in words: "friction coefficient", "initial position"."""
+    path = _path_of(setting, name)
+    if path is None:
+        return name
+    *above, last = path
+    if above[0] == "y0":
+        return f"initial {require_system(setting.system).coordinates[int(last)].name}"
+    if isinstance(number_at(setting, tuple(above)), RandomNumber):
+        return f"{_in_words(last)} of {_in_words(above[-1])}"
+    return _in_words(last)
+
+
+def _in_words(field: Any) -> str:
+    return _SYMBOLS.get(str(field), str(field).replace("_", " "))
+
+
+_SYMBOLS = {"mu": "friction coefficient", "mu_static": "static friction coefficient"}
+
+
 def unit_of(setting: Setting, name: str) -> str:
     """The unit of a parameter; "1" where it has none, or none is known."""
-    known = list(paths_of_numbers(setting._asdict()))
-    if not _fits(name, known):
+    path = _path_of(setting, name)
+    if path is None:
         return "1"
-    *above, last = known[matching("over", name, known)]
+    *above, last = path
     if above[0] == "y0":
         return require_system(setting.system).coordinates[int(last)].unit
     about = described(type(number_at(setting, tuple(above)))).get(str(last))
     unit = about.unit if isinstance(about, Quantity) else ""
     return "m/s" if unit == SIGNAL_UNIT and above[0] == "law" else unit or "1"
+
+
+def _path_of(setting: Setting, name: str) -> Path | None:
+    """Where the parameter stands; None for one that is no number of `setting`, such as a dimensionless group."""
+    known = list(paths_of_numbers(setting._asdict()))
+    return known[matching("over", name, known)] if _fits(name, known) else None

@@ -72,6 +72,11 @@ class Study:
     - `piece`: samples that are done, and stored, together; by default chosen from the size of the study.
 
     Nothing is simulated before `run`. Raises ValueError for arguments that do not fit, at any point.
+
+    >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
+    >>> study = ss.Study(system, law, over={"mu": [0.5, 1.0]}, t1=20.0, samples=200, key=jax.random.key(0))
+    >>> study.run(progress=False).stick_fraction.round(3).values
     """
 
     def __init__(

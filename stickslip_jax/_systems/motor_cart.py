@@ -156,6 +156,9 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
 
     A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind, and for
     angles that are not finite.
+
+    >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
+    >>> print(f"{bound:.5f} s")
     """
     if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
         raise ValueError(

@@ -14,6 +14,7 @@ All functions are called alike:
 Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
+from ._bounds import stick_bounds
 from ._convergences import convergence
 from ._curves import curve
 from ._energies import energies
@@ -42,6 +43,7 @@ __all__ = [
     "phase_portrait",
     "save",
     "sensitivity_curve",
+    "stick_bounds",
     "stick_fraction_curve",
     "stick_map",
     "stick_raster",

@@ -23,6 +23,7 @@ class Cells(NamedTuple):
     """A joint histogram.
 
     - `edges`: of the bins along x (m + 1,) and y (n + 1,). `density`: masked where no pair fell, (m, n).
+      Of pairs, atoms are not in it.
     - `sides`: the histograms of x and of y.
     - `units`: of x and y. `label`: how many pairs there are, or a note that there are none. `empty`: whether there are
       none.
@@ -60,7 +61,8 @@ def cells_of_pairs(joint: JointDistribution, bins: int) -> Cells:
         share = drawn.counts.sum(axis=1 - axis) / max(drawn.number, 1)
         place = np.searchsorted(edges[axis], own.values, side="right") - 1
         sides.append(Side(share / width, own.errors_of_shares(place, len(width)) / width))
-    density = np.ma.masked_where(drawn.counts == 0, drawn.density)
+    atoms = joint.share_of_atoms(bins)
+    density = np.ma.masked_where((drawn.counts == 0) | (atoms == 1), drawn.density * (1 - atoms))
     label = _parts.counted(drawn.number, "pair") if drawn.number else "no pairs"
     return Cells(edges, density, (sides[0], sides[1]), joint.units, label, drawn.number == 0)
 

@@ -1,5 +1,6 @@
-"""The state against time."""
+"""The state and what drives it against time."""
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -7,6 +8,7 @@ from .._excitation.ground import GroundMotion
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
+from ._excitations import drive_of
 from ._trajectory import Segment, check_simulation, check_window, joined, segments_of, values_of
 from ._types import SeveralAxes, Window
 
@@ -19,13 +21,15 @@ def time_history(
     window: Window | None = None,
     axes: SeveralAxes | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw the state against time; sticks are thick and coloured.
+    """Draw the state against time, and below it what drives it; sticks are thick and coloured.
 
     - `result`: a result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
       velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a system of
-      your own each coordinate.
+      your own each coordinate. What drives it besides the velocity of the base has axes of its own: the voltage of a
+      motor, the acceleration of the ground, or a force.
     - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
-    - `axes`: as many as there are coordinates; by default those of a new figure, one below the other.
+    - `axes`: as many as there are coordinates, and if the excitation is to be drawn, one more; by default those of a
+      new figure, one below the other.
 
     The shaded band shows where friction can hold a stick. For a mass and spring without damping and force, on a base of
     piecewise-constant velocity, it holds the positions ``|x| <= mu n / k`` (static friction coefficient mu, normal
@@ -40,15 +44,22 @@ def time_history(
     window = check_window(window, float(result.t1))
     coordinates = result.system.coordinates
     whose = "\nrelative to ground" if isinstance(result.base, GroundMotion) else ""
-    height = 4.6 if len(coordinates) == 2 else 2.0 * len(coordinates) + 0.2
-    panels = _style.axes_below_or_new(axes, tuple(coordinate.name for coordinate in coordinates), (6.4, height))
+    names, drive = tuple(coordinate.name for coordinate in coordinates), drive_of(result)
+    if drive is not None and (axes is None or len(_style.axes_in(axes)) == len(names) + 1):
+        names = (*names, "excitation")
+    panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
     segments = segments_of(result, window)
     _draw_band(panels, result, segments)
     if result.system.rides_base:
         _draw_base(panels[1], segments, "ground" if isinstance(result.base, GroundMotion) else "base")
-    for number, panel in enumerate(panels):
-        _draw_state(panel, segments, number, result.system.body_name)
-        panel.set_ylabel(_label(coordinates[number], result.system.rides_base and number == 1) + whose)
+    for number, coordinate in enumerate(coordinates):
+        _draw_state(panels[number], segments, number, result.system.body_name)
+        panels[number].set_ylabel(_label(coordinate, result.system.rides_base and number == 1) + whose)
+    if drive is not None and len(panels) > len(coordinates):
+        times = np.concatenate([segment.times for segment in segments])
+        panels[-1].plot(times, np.asarray(drive.value(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
+        panels[-1].set_ylabel(drive.label)
+    for panel in panels:
         panel.set_xlim(window)
         if panel.xaxis.get_tick_params().get("labelbottom", True):
             panel.set_xlabel("time $t$ (s)")

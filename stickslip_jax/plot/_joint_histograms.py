@@ -15,6 +15,7 @@ from ._types import JointBins, SeveralAxes, SimulatedSticks, Voltage
 
 _ALSO = ', or a JointDistribution such as ensemble.statistics.joint("duration", "position")'
 _MEANS = 20  # bins at most of the conditional mean
+_LARGEST = 1500  # square points: the area of an atom that holds all pairs
 
 
 def joint_histogram(
@@ -47,8 +48,10 @@ def joint_histogram(
     - `axes`: three axes, of the joint histogram, above it and to the right of it; or one, for the joint histogram
       alone. By default the three of a new figure.
 
-    Cells without a pair are white. Returns the axes, with a note in the first if there is nothing to draw. Raises
-    ValueError for an ensemble with ``keep="totals"``, and for arguments of another kind.
+    Points that have a probability of their own (`JointDistribution.atoms`) are circles, whose area is in proportion to
+    their share, and are left out of the density, which would depend on the bins. Cells without a pair are white.
+    Returns the axes, with a note in the first if there is nothing to draw. Raises ValueError for an ensemble with
+    ``keep="totals"``, and for arguments of another kind.
     """
     _checks.truth("log", log)
     _checks.truth("conditional_mean", conditional_mean)
@@ -59,6 +62,7 @@ def joint_histogram(
         panels = _panels(axes)
         _draw(panels, cells, log)
         _finish_pairs(panels[0], result, cells)
+        _draw_atoms(panels[0], result)
         if conditional_mean and not cells.empty:
             _draw_conditional_mean(panels[0], result, min(number, _MEANS))
     else:
@@ -120,6 +124,16 @@ def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
         ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
         if not cells.empty:
             _parts.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
+
+
+def _draw_atoms(main: Axes, joint: JointDistribution) -> None:
+    """The points that have a probability of their own."""
+    atoms = joint.atoms
+    if not len(atoms.share):
+        return
+    label = f"atoms: {_parts.counted(len(atoms.share), 'point')}, {100 * atoms.share.sum():.1f} % of the pairs"
+    look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
+    main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
 
 
 def _finish_pairs(main: Axes, joint: JointDistribution, cells: Cells) -> None:

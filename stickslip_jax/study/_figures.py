@@ -31,7 +31,8 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
 
     one = beginning_of_sample_0(config, ensemble)
     if int(one.status) == Status.FINISHED:
-        title = f"Sample 0, first {float(one.t1):.3g} s of {config.run.t1:g} s"
+        part = f", first {float(one.t1):.3g} s of {config.run.t1:g} s" if float(one.t1) < config.run.t1 else ""
+        title = f"Sample 0{part}"
         plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
         plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
     if ensemble.accumulator is not None:

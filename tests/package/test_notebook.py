@@ -1,9 +1,11 @@
 """The notebooks run from top to bottom, draw their figures, and print the numbers that their text names."""
 
+import os
 import re
 from pathlib import Path
 
 import jupytext
+import nbformat
 import pytest
 from nbclient import NotebookClient
 
@@ -75,7 +77,11 @@ def executed(request, tmp_path_factory):
         client = NotebookClient(
             notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
         )
-        return request.param, client.execute()
+        notebook = client.execute()
+    if kept := os.environ.get("STICKSLIP_KEEP_NOTEBOOKS"):  # for the site, which shows them
+        Path(kept).mkdir(parents=True, exist_ok=True)
+        nbformat.write(notebook, Path(kept) / f"{request.param}.ipynb")
+    return request.param, notebook
 
 
 def outputs(notebook):

@@ -118,3 +118,26 @@ def test_studies_are_of_the_papers_systems(annotations_unchecked):
     assert analysis.plan.points.values(63) == pytest.approx((2.0, 5.0))
     with pytest.raises(ValueError, match=r"Argument belt must be one of 'constant', .*, but 'triangular' was given"):
         papers.stick_share_map("triangular")
+
+
+@pytest.mark.parametrize(
+    ("mu", "ratio", "holds"),
+    [(1.0, 1.2, True), (0.5, 1.2, False), (0.3, 1.1, False), (0.4, 1.1, True), (2.9, 2.0, False)],
+)
+def test_harmonic_belt_sticks_for_ever_where_friction_can_hold_the_mass(mu, ratio, holds):
+    """The force that a stick needs has the amplitude ``m v0 omega |r - 1/r|`` = 2 N |r - 1/r| once it is centred."""
+    assert (mu >= 2 * abs(ratio - 1 / ratio)) == holds
+    setup = papers.harmonic_belt(ratio, mu)
+    one = ss.simulate(setup.system, setup.law, t1=setup.t1, y0=setup.y0)
+    last = int(one.sticks.count) - 1
+    for_ever = int(one.sticks.ending[last]) == ss.Ending.HORIZON and float(one.sticks.duration[last]) > setup.t1 / 2
+    assert for_ever == holds
+
+
+@pytest.mark.parametrize("make", [papers.constant_belt, lambda mu: papers.square_wave_belt(1.0, mu),
+                                  lambda mu: papers.random_belt(1.0, mu=mu), papers.belt_oscillator])  # fmt: skip
+def test_friction_of_the_set_ups_is_free(make, annotations_unchecked):
+    found = make(0.3)
+    assert getattr(found, "system", found).friction.mu == 0.3
+    with pytest.raises(ValueError, match="Argument mu must be"):
+        make(-1.0)

@@ -12,13 +12,26 @@ DOCUMENTS = {
     "README.md": 5,
     "docs/clusters.md": 2,
     "docs/designs.md": 8,
+    "docs/howto/engine.md": 2,
+    "docs/howto/memory.md": 1,
+    "docs/howto/own_friction.md": 2,
+    "docs/howto/own_law.md": 4,
+    "docs/howto/own_system.md": 2,
+    "docs/howto/precision.md": 2,
+    "docs/howto/save.md": 2,
     "docs/regularized.md": 2,
     "docs/sensitivity.md": 1,
     "docs/statistics.md": 4,
     "docs/studies.md": 3,
+    "docs/tutorial.md": 11,
     "docs/uncertain.md": 3,
 }
 """And how many pieces of code each holds, those that are only shown (other words after ``python``) not counted."""
+
+
+def test_every_document_with_code_is_tested():
+    found = [path for path in ROOT.glob("docs/**/*.md") if "```python\n" in path.read_text(encoding="utf-8")]
+    assert {str(path.relative_to(ROOT)) for path in found} == set(DOCUMENTS) - {"README.md"}
 
 
 @pytest.mark.filterwarnings("ignore")

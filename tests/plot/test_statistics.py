@@ -64,13 +64,19 @@ def test_histogram_of_whole_numbers_is_centered_on_them(many):
 @pytest.mark.parametrize("log", [False, True])
 def test_joint_histogram_and_its_sides(many, log):
     sticks = many.numbered_sticks()
-    main, above, right = plot.joint_histogram(many.statistics.joint("duration", "position"), bins=16, log=log)
+    joint = many.statistics.joint("duration", "position")
+    main, above, right = plot.joint_histogram(joint, bins=16, log=log)
     density, *edges = mesh(main)
     counts, *_ = np.histogram2d(sticks.duration, sticks.position, edges)
-    assert np.array_equal(np.ma.getmaskarray(density), counts == 0)
-    assert np.any(counts == 0)
+    spread = ~joint.atoms.of_pair
+    assert 0.5 < spread.mean() < 1
+    smooth, *_ = np.histogram2d(sticks.duration[spread], sticks.position[spread], edges)
+    assert np.array_equal(np.ma.getmaskarray(density), smooth == 0)
+    assert np.any(smooth == 0)
     area = np.outer(*map(np.diff, edges))
-    assert np.ma.filled(density, 0) * area * len(sticks.duration) == pytest.approx(counts)
+    assert np.ma.filled(density, 0) * area * len(sticks.duration) == pytest.approx(smooth)
+    (circles,) = [drawn for drawn in main.collections if isinstance(drawn, mpl.collections.PathCollection)]
+    assert np.asarray(circles.get_offsets()) == pytest.approx(np.column_stack([joint.atoms.x, joint.atoms.y]))
     for side, axis, values in ((above, 0, sticks.duration), (right, 1, sticks.position)):
         heights, own = steps(side)
         assert own == pytest.approx(edges[axis])
@@ -81,7 +87,10 @@ def test_joint_histogram_and_its_sides(many, log):
         assert (high - low)[5] / 2 * np.diff(own)[5] == pytest.approx(error_of_share(inside, sticks.sample, 200))
     assert main.get_xlim() == above.get_xlim()
     assert main.get_ylim() == right.get_ylim()
-    assert texts(above) == [f"{len(sticks.duration):,} pairs"]
+    share = 100 * (1 - spread.mean())
+    assert len(joint.atoms.share) == 1
+    atoms = f"atoms: 1 point, {share:.1f} % of the pairs"
+    assert texts(above) == [f"{len(sticks.duration):,} pairs", atoms]
 
 
 def test_joint_histogram_with_the_conditional_mean(many):

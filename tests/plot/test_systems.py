@@ -89,6 +89,11 @@ def names_of(simulation):
 base_velocity = jax.jit(ss.Simulation.base_velocity)
 
 
+def history(simulation, **options):
+    """The axes of the state, without those of the excitation."""
+    return plot.time_history(simulation, **options)[: len(simulation.system.coordinates)]
+
+
 def exact(simulation, times):
     """State and base velocity at `times`; always as many times, so that few sizes are compiled."""
     padded = np.concatenate([times, np.zeros(MOST_TIMES - len(times))])
@@ -112,7 +117,7 @@ def needed_position(name, times):
 
 @of(*MASSES, "motor")
 def test_history_is_the_trajectory(one):
-    panels = plot.time_history(one)
+    panels = history(one)
     states, _ = exact(one, line(panels[0], names_of(one)).get_xdata())
     for panel, state in zip(panels, states, strict=True):
         times, values = line(panel, names_of(one)).get_data()
@@ -134,7 +139,7 @@ def ends_of(simulation):
 @of(*MASSES, "motor")
 def test_each_stick_is_drawn_where_it_happens(one):
     assert int(one.sticks.count) >= 2
-    for number, panel in enumerate(plot.time_history(one)):
+    for number, panel in enumerate(history(one)):
         drawn = line(panel, f"{names_of(one)}, stick")
         assert drawn.get_color() == _style.STICK
         pieces = segments(drawn)
@@ -148,7 +153,7 @@ def test_each_stick_is_drawn_where_it_happens(one):
 
 @of(*MASSES)
 def test_velocities_in_sticks_are_those_of_the_base(one):
-    _, lower = plot.time_history(one)
+    _, lower = history(one)
     for piece in segments(line(lower, "mass, stick")):
         inside = piece[1:-1]
         assert inside[:, 1] == pytest.approx(exact(one, inside[:, 0])[1], abs=1e-9)
@@ -156,7 +161,7 @@ def test_velocities_in_sticks_are_those_of_the_base(one):
 
 @of(*MASSES)
 def test_base_line_is_the_base_velocity(one):
-    _, lower = plot.time_history(one)
+    _, lower = history(one)
     label = "ground" if isinstance(one.base, ss.GroundAcceleration) else "base"
     times, velocity = line(lower, label).get_data()
     once = ~np.isin(times, times[:-1][np.diff(times) == 0])
@@ -173,7 +178,7 @@ def test_base_line_is_the_base_velocity(one):
 
 @pytest.mark.parametrize(("one", "name"), [(name,) * 2 for name in MASSES if name != "weakening"], indirect=["one"])
 def test_band_holds_where_the_mass_can_stick(one, name):
-    upper, _ = plot.time_history(one)
+    upper, _ = history(one)
     assert not upper.patches
     (band,) = upper.collections
     assert band.get_label() == "stick possible"
@@ -196,7 +201,7 @@ def test_band_holds_where_the_mass_can_stick(one, name):
 
 @of("weakening")
 def test_band_of_a_steady_base_stays(one):
-    upper, _ = plot.time_history(one)
+    upper, _ = history(one)
     (band,) = upper.patches
     assert (band.get_y(), band.get_height()) == pytest.approx((-0.25, 0.5))
     assert band.get_label() == r"stick possible, $|x| \leq \mu_\mathrm{s} n/k$"
@@ -205,7 +210,7 @@ def test_band_of_a_steady_base_stays(one):
 
 @of("motor")
 def test_band_of_a_motor_holds_the_currents_of_its_sticks(one):
-    *_, panel = plot.time_history(one)
+    *_, panel = history(one)
     (path,) = panel.collections[0].get_paths()
     times = np.random.default_rng(3).uniform(0, float(one.t1), 200)
     (angle, _, _), _ = exact(one, times)
@@ -220,7 +225,7 @@ def test_band_of_a_motor_holds_the_currents_of_its_sticks(one):
 def test_window_on_a_jump_shows_one_side_of_it(one):
     jump = next(float(time) for time in np.asarray(one.base.jumps.times) if time > 0.5)
     for window in ((jump * (1 - 1e-15), jump + 0.3), (jump - 0.3, jump * (1 + 1e-15))):
-        _, lower = plot.time_history(one, window=window)
+        _, lower = history(one, window=window)
         _, velocity = line(lower, "base").get_data()
         assert np.max(np.abs(np.diff(velocity))) < 0.2
         assert lower.get_xlim() == window
@@ -229,7 +234,7 @@ def test_window_on_a_jump_shows_one_side_of_it(one):
 @of("harmonic", "motor")
 def test_long_runs_are_drawn_with_fewer_points(one, monkeypatch):
     monkeypatch.setattr(_trajectory, "_MOST_POINTS", 50)
-    for panel in plot.time_history(one):
+    for panel in history(one):
         times, _ = line(panel, names_of(one)).get_data()
         assert len(times) <= 3 * 50
         pieces = segments(line(panel, f"{names_of(one)}, stick"))
@@ -309,8 +314,8 @@ def test_axes_name_quantity_and_unit_and_legends_hide_nothing(one):
     panels, portrait = plot.time_history(one), plot.phase_portrait(one)
     motor = names_of(one) == "motor"
     last = {
-        True: ["angle $\\alpha$ (rad)", "angular velocity\n$\\dot\\alpha$ (rad/s)", "current $c$ (A)"],
-        False: ["position $x$ (m)\nrelative to ground", "velocity (m/s)\nrelative to ground"],
+        True: ["angle $\\alpha$ (rad)", "angular velocity\n$\\dot\\alpha$ (rad/s)", "current $c$ (A)", "voltage (V)"],
+        False: ["position $x$ (m)\nrelative to ground", "velocity (m/s)\nrelative to ground", "ground\nacceleration (m/s$^2$)"],
     }
     assert [panel.get_ylabel() for panel in panels] == last[motor]
     assert [panel.get_xlabel() for panel in panels] == [""] * (len(panels) - 1) + ["time $t$ (s)"]

@@ -1,0 +1,45 @@
+"""Settings of Sphinx; `make docs` builds the site."""
+
+import shutil
+from pathlib import Path
+
+import stickslip_jax
+
+HERE = Path(__file__).parent
+RESULTS = HERE.parent / "results"
+
+project = "stickslip_jax"
+author = "The stickslip_jax authors"
+version = release = stickslip_jax.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+myst_heading_anchors = 3
+nb_execution_mode = (
+    "off"  # documents are tested by tests/package/test_readme.py, notebooks executed by tools/notebooks.py
+)
+
+default_role = "py:obj"
+add_module_names = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+python_use_unqualified_type_names = True
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"stickslip_jax {release}"
+html_theme_options = {"show_prev_next": False, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+html_static_path: list[str] = []
+exclude_patterns = ["**.ipynb_checkpoints"]
+
+
+def _copy_notebooks() -> None:
+    """Take the executed notebooks into the sources; those of full size where `make notebooks` made them."""
+    into = HERE / "notebooks"
+    shutil.rmtree(into, ignore_errors=True)
+    into.mkdir()
+    for folder in ("notebooks-small", "notebooks"):
+        for notebook in sorted((RESULTS / folder).glob("*.ipynb")):
+            shutil.copy(notebook, into)
+
+
+_copy_notebooks()

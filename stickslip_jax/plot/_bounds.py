@@ -1,0 +1,55 @@
+"""The longest possible stick of a motor against the angle at which it stops."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from .._systems.motor_cart import MotorCart, stick_duration_bound
+from . import _parts, _style
+from ._types import Voltage
+
+_POINTS = 1441  # every quarter of a degree
+
+
+def stick_bounds(
+    system: MotorCart,
+    voltage: Voltage,
+    *,
+    mu: Sequence[float] | np.ndarray | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
+
+    This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
+    infinite; the legend gives the share of such angles.
+
+    - `system`: a `MotorCart`. `voltage`: a `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
+    - `mu`: friction coefficients in place of that of `system`, zero or positive.
+    - `ax`: where to draw; by default the axes of a new figure.
+
+    Returns the axes. Raises ValueError for arguments of another kind.
+    """
+    signal: Any = getattr(voltage, "signal", voltage)
+    stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
+    given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
+    _checks.numeric("mu", given, ndim=1)
+    ax = _style.axes_or_new(ax, (5.6, 4.0))
+    period = system.coordinates[0].period
+    assert period is not None
+    angles = np.linspace(0, period, _POINTS)
+    for one in given:
+        longest = np.asarray(stick_duration_bound(dataclasses.replace(system, mu=float(one)), signal, angles), float)
+        endless = np.isinf(longest)
+        color, line = _style.free_look(ax)
+        label = rf"$\mu$ = {one:g}" + (f", for ever at {100 * endless.mean():.0f} %" if endless.any() else "")
+        ax.plot(angles, np.where(endless, np.nan, longest), color=color, ls=line, lw=_style.SLIP_WIDTH, label=label)
+    _style.angle_axis(ax, period)
+    ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
+    ax.set_ylabel(_parts.quantity_label("longest possible stick duration", "s"))
+    ax.set_ylim(bottom=0)
+    _style.legend_above(ax, columns=3)
+    return ax

@@ -1,0 +1,55 @@
+"""Atoms of a joint distribution: points with a probability of their own are found with their shares."""
+
+import jax
+import numpy as np
+import pytest
+
+import stickslip_jax as ss
+from stickslip_jax._statistics.atoms import atoms_of
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-13])
+def test_points_that_repeat_are_found(noise):
+    numbers = np.random.default_rng(0)
+    x, y = numbers.uniform(-1, 1, (2, 10_000))
+    place = numbers.permutation(10_000)
+    for at, (px, py) in zip((place[:3000], place[3000:3500]), ((0.25, 0.5), (0.25, -0.5)), strict=True):
+        x[at], y[at] = (p + noise * numbers.normal(size=len(at)) for p in (px, py))
+    found = atoms_of(x, y, (1e-12, 1e-12))
+    assert found.share == pytest.approx([0.3, 0.05])
+    assert found.x == pytest.approx([0.25, 0.25])
+    assert found.y == pytest.approx([0.5, -0.5])
+    assert set(np.flatnonzero(found.of_pair)) == set(place[:3500])
+
+
+def test_a_line_of_points_is_no_atom():
+    """One value that repeats beside another that does not: a line, which has no atoms."""
+    y = np.random.default_rng(1).uniform(0, 1, 5000)
+    assert len(atoms_of(np.full(5000, 2.0), y, (0.0, 0.0)).share) == 0
+    assert len(atoms_of(y, y, (0.0, 0.0)).share) == 0
+
+
+def test_few_pairs_have_no_atoms():
+    assert len(atoms_of(np.ones(10), np.ones(10), (0.0, 0.0)).share) == 0
+    assert len(atoms_of(np.ones(11), np.ones(11), (0.0, 0.0)).share) == 1
+    assert len(atoms_of(np.zeros(0), np.zeros(0), (0.0, 0.0)).share) == 0
+
+
+def test_atoms_of_the_switching_belt():
+    """A stick that is released at the edge a = 0.25 m of its band after 0.25 s at 1 m/s began in the middle."""
+    system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    many = ss.simulate_ensemble(
+        system, ss.PoissonSwitching(1.0, 1.0), t1=100.0, samples=1000, key=jax.random.key(0), y0=(0.0, 1.0)
+    )
+    joint = many.statistics.joint("duration", "position")
+    atoms = joint.atoms
+    position, duration = joint.y.values[atoms.of_pair], joint.x.values[atoms.of_pair]
+    assert len(atoms.share) > 0
+    assert duration[np.abs(position) < 1e-9] == pytest.approx(0.25)
+    # Both repeat at an atom, so its pairs are not more than those of which one does.
+    assert atoms.share.sum() <= many.statistics.duration.repeated_share.value + 1e-12
+    assert atoms.of_pair.mean() == pytest.approx(atoms.share.sum())
+    # Histogram and atoms: what is left of the density is that of the other pairs.
+    drawn = joint.histogram(16)
+    left = drawn.counts * (1 - joint.share_of_atoms(16))
+    assert left.sum() == pytest.approx(np.sum(~atoms.of_pair))
