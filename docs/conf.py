@@ -42,4 +42,13 @@ def _copy_notebooks() -> None:
             shutil.copy(notebook, into)
 
 
-_copy_notebooks()
+def _link_to_pages(app, name, source) -> None:
+    """Links to files outside of this folder become links to the pages that show them."""
+    for file, page in {"../benchmarks/README.md": "benchmarks.md", "../README.md": "index.md"}.items():
+        source[0] = source[0].replace(f"]({file}", f"]({page}")
+
+
+def setup(app) -> None:
+    """What Sphinx calls first."""
+    _copy_notebooks()
+    app.connect("source-read", _link_to_pages)

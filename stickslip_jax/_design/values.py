@@ -25,6 +25,7 @@ def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:
     Raises ValueError for anything else.
 
     >>> ss.design.grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})
+    <grid design of 6 samples: values of mu, stiffness; each with its own realisation>
     """
     columns = _named_columns("values", values)
     for name, column in columns.items():

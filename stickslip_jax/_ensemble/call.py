@@ -91,6 +91,7 @@ def simulate_ensemble(
     >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
     >>> many = ss.simulate_ensemble(system, law, t1=50.0, samples=1000, key=jax.random.key(0), y0=(0.0, 1.0))
     >>> print(ss.mean_stick_duration(many))
+    mean stick duration (pooled): 0.2540 +- 0.0011 s
     """
     numbering = _numbering(orders, count_initial_rest)
     run = Run.checked(Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering)

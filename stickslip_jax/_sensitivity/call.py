@@ -81,11 +81,6 @@ def sensitivity(
     event part rests on fewer than 100 sticks or differs from window to window, at base speeds w = 1 and 2, and where
     every trajectory begins with an arc that exactly grazes the base velocity: the derivative does not exist there, and
     is NaN. Raises ValueError for invalid arguments, and in single precision for motion that has no closed form.
-
-    >>> law, study = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 200.0, "samples": 2000, "y0": (0.0, 0.5)}
-    >>> ss.sensitivity(
-    ...     ss.mean_stick_duration, ss.papers.belt_oscillator(0.9), law, wrt="mu", key=jax.random.key(0), **study
-    ... )
     """
     _check_options(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(

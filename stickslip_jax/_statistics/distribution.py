@@ -297,6 +297,8 @@ def common_bins(distributions: Sequence[Distribution], bins: int = DEFAULT_BINS)
     >>> bins = ss.common_bins([one.statistics.duration for one in ensembles])
     >>> for one in ensembles:
     ...     print(one.statistics.duration.entropy(bins))
+    entropy of the histogram in 32 bins of stick duration: 2.7682 +- 0.0017 nat
+    entropy of the histogram in 32 bins of stick duration: 3.4191 +- 0.0034 nat
     """
     _checks.whole_number("bins", bins)
     found = list(distributions) if isinstance(distributions, Sequence) else []

@@ -159,6 +159,7 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
 
     >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
     >>> print(f"{bound:.5f} s")
+    0.50828 s
     """
     if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
         raise ValueError(
