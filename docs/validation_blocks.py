@@ -1,8 +1,10 @@
-"""Rigid blocks that slide down a slope under recorded earthquakes, against SLAMMER: three minutes.
+"""Rigid blocks that slide down a slope under recorded earthquakes, against SLAMMER: four minutes.
 
 ``python docs/validation_blocks.py FOLDER``, where FOLDER is a copy of github.com/pySLAMMER/pySLAMMER: its records, and
-the displacements that SLAMMER and pySLAMMER found with them, are read from there. What this prints, and what it means,
-is in ``validation.md``; ``tests/validation/test_blocks.py`` tests the functions of this file without these records.
+the displacements that SLAMMER and pySLAMMER found with them, are read from there. With a second folder, a copy of
+github.com/GeorgePapazafeiropoulos/OpenSeismoMatlab, sliding spectra of two of its records are printed too. What this
+prints, and what it means, is in ``validation.md``; ``tests/validation/test_blocks.py`` tests the functions of this file
+without these records.
 """
 
 import csv
@@ -26,26 +28,34 @@ GRAVITY = 9.80665  # m/s^2, pySLAMMER's
 PULL = GRAVITY / 2  # m/s^2: of gravity down a slope of 30 degrees
 SOFT = 1e-12  # N/m: a spring that pulls by 1e-12 of the weight at most, in place of none
 RECORDS, RESULTS = "src/pyslammer/sample_ground_motions", "tests/verification_data/results"
-FINER = (1, 2, 4, 8)  # parts of each step of a record
+PUBLISHED = {"SLAMMER 1.1": "slammer_results.json.gz", "pySLAMMER 0.2.3": "pyslammer_0.2.3_results.json.gz"}
+OURS = "ours"
+NEGLIGIBLE = 0.5  # cm: pySLAMMER's threshold of small displacements
+SPECTRA = {  # of OpenSeismoMatlab: largest displacements (m) by friction coefficient, read from its figures by eye
+    "Northridge_Sylmar_County": {0.05: 0.78, 0.1: 0.294, 0.15: 0.216, 0.3: 0.051, 0.4: 0.030, 0.7: 0.003},
+    "elcentro_NS_trunc": {0.002: 0.226, 0.01: 0.208, 0.05: 0.086, 0.1: 0.047, 0.15: 0.0105, 0.3: 0.0015},
+}
+FINER = (1, 2, 4, 8)  # parts into which the trapezoidal rule cuts each step of a record
 
 
-def slide(times, accelerations, yields):
-    """Where blocks of 1 kg rest at last, m down the slope, (blocks,); by this package.
+def slide(times, accelerations, yields, pull=PULL):
+    """Positions of blocks of 1 kg at `times` (s), m down the slope, (blocks, points); by this package.
 
-    - `accelerations`: of the ground, up the slope, m/s^2 at `times` (s), (blocks, points): the block lags behind.
-    - `yields`: above which the block slides down, m/s^2, (blocks,). Uphill it needs ``2 PULL`` more.
+    - `accelerations`: of the ground, up the slope, m/s^2, (blocks, points): the block lags behind.
+    - `yields`: above which the block slides down, m/s^2, (blocks,). Uphill it needs ``2 pull`` more.
+    - `pull`: of gravity down the slope, m/s^2, (blocks,) or one for all; 0 on level ground.
     """
 
     @jax.jit
     @jax.vmap
-    def last(acceleration, above):
-        block = ss.MassSpring(1.0, SOFT, 1.0, ss.Coulomb(above + PULL), force=ss.Harmonic(0.0, 1e-6, offset=PULL))
+    def positions(acceleration, above, pull):
+        block = ss.MassSpring(1.0, SOFT, 1.0, ss.Coulomb(above + pull), force=ss.Harmonic(0.0, 1e-6, offset=pull))
         ground = ss.GroundAcceleration(times, -acceleration)  # positions are counted down the slope
         method = ss.Exact(solver=diffrax.Dopri8())  # whose slips are cubic in time: exact
         one = ss.simulate(block, ground, t1=float(times[-1]), y0=(0.0, 0.0), method=method)
-        return jnp.where(one.status == ss.Status.FINISHED, one.final_state[0], jnp.nan)
+        return jnp.where(one.status == ss.Status.FINISHED, one.evaluate(times)[0], jnp.nan)
 
-    return np.asarray(last(jnp.asarray(accelerations), jnp.asarray(yields)))
+    return np.asarray(positions(*map(jnp.asarray, (accelerations, yields, np.broadcast_to(pull, len(yields))))))
 
 
 def slide_by_events(times, acceleration, above, back=math.inf):
@@ -113,12 +123,11 @@ def record(path):
     with path.open(encoding="utf-8-sig") as file:
         rows = [[float(entry) for entry in row[:2]] for row in csv.reader(file) if row and not row[0].startswith("#")]
     times, accelerations = np.array(rows).T
-    step = times[1] - times[0]  # some records lack lines: pySLAMMER goes by this step
-    return step * np.arange(len(times)), accelerations / np.max(np.abs(accelerations))
+    return times, accelerations / np.max(np.abs(accelerations))
 
 
 def published(path):
-    """The cases of a file of results: record, yield and largest acceleration (g), displacement both ways (cm)."""
+    """The rigid blocks of a file of results: both displacements (cm) by record, yield and largest acceleration (g)."""
     with gzip.open(path, "rt", encoding="utf-8") as file:
         cases = [case for case in json.load(file)["analyses"] if case["analysis"]["method"] == "rigid"]
     found: dict[tuple[Any, ...], tuple[float, float]] = {}
@@ -129,28 +138,67 @@ def published(path):
     return found
 
 
-def compare(folder):
-    slammer = published(folder / RESULTS / "slammer_results.json.gz")
-    python = published(folder / RESULTS / "pyslammer_0.2.3_results.json.gz")
-    columns = ("slammer", "python", "ours", "events", *FINER)
-    rows = []
-    for name in dict.fromkeys(key[0] for key in slammer):
+def displacements(folder):
+    """Displacements in cm, (blocks,), by who found them; and yield and largest acceleration (g) of the blocks."""
+    theirs = {name: published(folder / RESULTS / file) for name, file in PUBLISHED.items()}
+    rows, pairs = [], []
+    keys = list(next(iter(theirs.values())))
+    for name in dict.fromkeys(key[0] for key in keys):
         times, shape = record(folder / RECORDS / name)
-        keys = [key for key in slammer if key[0] == name]
-        yields = np.repeat([GRAVITY * above for _, above, _ in keys], 2)
-        ground = np.array([sign * GRAVITY * largest * shape for *_, largest in keys for sign in (1, -1)])
-        both = [[value for key in keys for value in results[key]] for results in (slammer, python)]
-        ours = slide(times, ground, yields)
+        here = [key for key in keys if key[0] == name]
+        yields = np.repeat([GRAVITY * above for _, above, _ in here], 2)
+        ground = np.array([sign * GRAVITY * largest * shape for *_, largest in here for sign in (1, -1)])
         events = [slide_by_events(times, a, above)[-1] for a, above in zip(ground, yields, strict=True)]
         steps = [slide_by_steps(times, ground, yields, parts) for parts in FINER]
-        rows.append(np.array([*both, 100 * ours, 100 * np.array(events), *(100 * x for x in steps)]))
-        print(name,times[1], np.abs(rows[-1]-rows[-1][2]).max(1), flush=True)
-    return dict(zip(columns, np.concatenate(rows, axis=1), strict=True)), [k for k in slammer]
+        found = [[value for key in here for value in results[key]] for results in theirs.values()]
+        rows.append([*found, *(100 * np.array([slide(times, ground, yields)[:, -1], events, *steps]))])
+        pairs += [key[1:] for key in here for _ in range(2)]
+    names = [*theirs, OURS, "event by event, no package", *(f"trapezoidal rule, steps / {n}" for n in FINER)]
+    return dict(zip(names, np.concatenate(rows, axis=1), strict=True)), np.array(pairs)
+
+
+def main(folder):
+    found, pairs = displacements(folder)
+    ours = found[OURS]
+    large = ours > NEGLIGIBLE
+    print(f"{len(ours)} displacements, {np.sum(large)} of them above {NEGLIGIBLE} cm; cm")
+    print(f"  {'from ours':27}   at most   of those above: at most   median")
+    for name, values in found.items():
+        if name != OURS:
+            apart = np.abs(values - ours)
+            share = apart[large] / ours[large]
+            print(f"  {name:27} {np.max(apart):9.1e} {np.max(share):25.1e} {np.median(share):8.1e}")
+    print("The largest of each pair of yield and largest acceleration, cm")
+    print("  yield/g   largest/g   SLAMMER   pySLAMMER      ours")
+    for pair in dict.fromkeys(map(tuple, pairs.tolist())):
+        best = np.argmax(np.where(np.all(pairs == pair, axis=1), ours, -1))
+        slammer, python, here = (found[name][best] for name in (*PUBLISHED, OURS))
+        print(f"  {pair[0]:7.2f} {pair[1]:11.2f} {slammer:9.3f} {python:11.3f} {here:9.3f}")
+    slammer, python = (found[name] for name in PUBLISHED)
+    for name, values in (("pySLAMMER's", python), ("Ours", ours)):
+        allowed = np.where(slammer > NEGLIGIBLE, 0.02 * slammer, 0.05)
+        near = np.sum(np.abs(values - slammer) <= allowed)
+        print(f"{name} within 2 % of SLAMMER's, below {NEGLIGIBLE} cm within 0.05 cm: {near}")
+    rule = found["trapezoidal rule, steps / 1"]
+    print(f"The trapezoidal rule here and pySLAMMER: at most {np.max(np.abs(rule - python)):.0e} cm apart")
+
+
+def sliding_spectra(folder):
+    """Blocks on level ground under two records, with the displacements in the figures of OpenSeismoMatlab."""
+    print("Largest displacements on level ground, m\n  friction   in the figure    ours   event by event")
+    for name, read in SPECTRA.items():
+        times, ground = np.loadtxt(folder / "lib/input" / f"{name}.dat", unpack=True)
+        finer = np.linspace(times[0], times[-1], 4 * (len(times) - 1) + 1)
+        ground = np.interp(finer, times, ground)
+        yields = 9.81 * np.array(list(read))
+        ours = slide(finer, np.broadcast_to(ground, (len(yields), len(ground))), yields, 0.0)
+        print(name)
+        for mu, above, positions in zip(read, yields, ours, strict=True):
+            events = np.max(np.abs(slide_by_events(finer, ground, above, above)))
+            print(f"  {mu:8} {read[mu]:15} {np.max(np.abs(positions)):7.4f} {events:16.4f}")
 
 
 if __name__ == "__main__":
-    import time
-    t0=time.time()
-    r,k=compare(Path(sys.argv[1]))
-    np.savez('/tmp/blocks.npz',**{str(a):b for a,b in r.items()})
-    print(time.time()-t0)
+    main(Path(sys.argv[1]))
+    if len(sys.argv) > 2:
+        sliding_spectra(Path(sys.argv[2]))
