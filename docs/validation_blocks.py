@@ -26,7 +26,7 @@ jax.config.update("jax_enable_x64", True)
 
 GRAVITY = 9.80665  # m/s^2, pySLAMMER's
 PULL = GRAVITY / 2  # m/s^2: of gravity down a slope of 30 degrees
-SOFT = 1e-12  # N/m: a spring that pulls by 1e-12 of the weight at most, in place of none
+SOFT = 1e-12  # N/m: a spring in place of none; over 5 m it pulls by 5e-12 N
 RECORDS, RESULTS = "src/pyslammer/sample_ground_motions", "tests/verification_data/results"
 PUBLISHED = {"SLAMMER 1.1": "slammer_results.json.gz", "pySLAMMER 0.2.3": "pyslammer_0.2.3_results.json.gz"}
 OURS = "ours"
@@ -102,7 +102,7 @@ def _first_zero(v, drive, slope):
 def slide_by_steps(times, accelerations, yields, parts=1):
     """The same of blocks, (blocks,), by the trapezoidal rule of pySLAMMER, with every step cut into `parts`.
 
-    Where a block starts or stops in a step, the rule takes the step as it comes: an error of first order.
+    Where a block starts or stops inside a step, the rule does not look for the instant.
     """
     finer = np.interp(np.arange((len(times) - 1) * parts + 1) / parts, np.arange(len(times)), times)
     ground = np.stack([np.interp(finer, times, row) for row in accelerations], axis=1)

@@ -23,7 +23,7 @@ from .regularized.solve import table_sizes
 from .switched.lanes import SwitchedEngine
 from .switched.path import follow_steps
 from .switched.run import steps_for
-from .validation import check_length, checked_step
+from .validation import check_length, checked_step, warn_of_soft_spring
 from .varying import Engines, engines_of, widest
 
 _MOST_COUNTED = 2**31 - 1
@@ -109,6 +109,7 @@ def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scala
     """
     if isinstance(method, Regularized):
         return Smoothed(system, base, method, t1)
+    warn_of_soft_spring(system, method.solver, t1)
     steady = isinstance(base, (VelocitySteps, BangBangLaw)) and system.has_interval_form
     if steady and method.step is None and method.solver is None:
         return ByIntervals(system, base, method, t1)

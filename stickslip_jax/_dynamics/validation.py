@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .. import _checks
 from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_random, longest_time
@@ -18,6 +19,8 @@ from .._systems.system import System
 from .._types import AnyArray, Scalar
 from .method import Exact, Regularized
 from .time_scales import step_for
+
+_LEAST_TURN = 1e-3  # rad in the whole duration: the motion is then good to about 1e-8 in double precision
 
 
 def check_method(method: Any) -> None:
@@ -76,6 +79,27 @@ def check_length(system: System, base: Any, t1: Scalar) -> None:
                 f"Argument {name} must last until t1 = {float(t1):g} s, but it ends at {longest:g} s; record more of "
                 "it or choose a smaller t1."
             )
+
+
+def warn_of_soft_spring(system: System, solver: Any, t1: Scalar) -> None:
+    """Warn where round-off of the position under a force at rest, ``force / stiffness``, hides the motion up to `t1`.
+
+    The motion is of the size ``force t1^2 / (2 mass)``. An integration does not have this round-off.
+    """
+    frequency = system.natural_frequency
+    if frequency is None or solver is not None or not system.has_closed_form:
+        return
+    if _checks.is_traced(frequency) or _checks.is_traced(t1):
+        return
+    lowest, duration = float(np.min(frequency)), float(np.min(t1))
+    if lowest * duration < _LEAST_TURN:
+        warnings.warn(
+            f"The natural period, {2 * np.pi / lowest:.3g} s, is so long beside t1 = {duration:.3g} s that the closed "
+            "form loses digits: its round-off is that of force / stiffness. If there is to be no spring, integrate "
+            "instead: method=Exact(solver=diffrax.Dopri8()).",
+            RuntimeWarning,
+            stacklevel=3,
+        )
 
 
 def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Excitation, Scalar]:

@@ -124,6 +124,11 @@ class System(Checked):
         return False
 
     @property
+    def has_closed_form(self) -> bool:
+        """Whether slips between events are followed in closed form, without a solver."""
+        return False
+
+    @property
     def has_interval_form(self) -> bool:
         """Whether its motion has a closed form from jump to jump of a piecewise-constant base velocity."""
         return False

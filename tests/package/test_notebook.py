@@ -18,6 +18,15 @@ FIGURES = {
     "statistical_model": 6,
     "electromechanical": 5,
     "parametric_analysis": 4,
+    "sensitivity": 3,
+    "regularized": 2,
+    "pipeline": 2,
+    "own_system": 4,
+    "own_base": 3,
+    "base_isolation": 5,
+    "uncertain": 2,
+    "calibration": 2,
+    "scaling": 2,
 }
 """And how many figures each draws."""
 PRINTED = {
@@ -60,6 +69,56 @@ PRINTED = {
         r"Study of 64 points \(8 mu x 8 rate\), 100 samples each",
         r"(?s)(the study's mean again: True.*){8}",
         r"d log / d log mu of mean stick duration \(pooled\): 0\.[89]",
+    ),
+    "sensitivity": (
+        r"automatic differentiation gives the first of these two: True",
+        r"number of sticks of the realisation: 45 to 73, in 31 jumps",
+        r"derivative of the mean number, \d+\.\d, by automatic differentiation: 0\.0",
+        r"mu and normal force have one elasticity: True",
+    ),
+    "regularized": (
+        r"trajectories that did not reach t1: 0",
+        r"the stick lasts from 13\.1002 to 13\.4667 s",
+        r"the same numbers of sticks: True True",
+    ),
+    "pipeline": (
+        r"five calls, traced and compiled: 1",
+        r"ensemble and pipeline agree sample by sample: True",
+        r"gradient and differences agree: True",
+        r"the wish is met: True",
+    ),
+    "own_system": (
+        r"sticks begin at 0\.2138225744 rad, by the closed form 0\.2138225744 rad",
+        r"closed forms hold within 1e-9 rad: True",
+        r"largest difference of 10 events: \d\.\de-\d\d s, below 1e-8 s: True",
+        r"they agree within 1e-5: True",
+    ),
+    "own_base": (
+        r"velocity and acceleration agree within 1e-8 m/s\^2: True",
+        r"(?s)(within five standard errors: True.*){4}",
+        r"the record misses the function by 1\.1e-04 m/s, at most 1\.1e-04 m/s",
+    ),
+    "base_isolation": (
+        r"supplied 682\.6332 J, dissipated by friction 681\.3582 J",
+        r"by lsim the same within 1e-8 m: True",
+        r"mu_static just above 0\.4080: 0 slips; just below: it slides: True",
+        r"never further than 1 mm from the run: True",
+    ),
+    "uncertain": (
+        r"half-width, mu: first order \S+ \+- \S+ \(exact 0\.6600\), total \S+ \+- \S+ \(exact 0\.6733\)",
+        r"start and realisation: 0 in total",
+        r"mu 1\.1052 to 1\.1052 times as large, the force smaller: the numbers of sticks are the same in 100 %",
+    ),
+    "calibration": (
+        r"base speed 0\.7 m/s, 9477 sticks: mean stick duration \(pooled\): 0\.4301 \+- 0\.0025 s",
+        r"mu, speed and start doubled: the same durations to the last bit: True",
+        r"naive, 0\.268 s by differences",
+    ),
+    "scaling": (
+        r"numbers that are those of a study never stopped: (\d+) of \1\b",
+        r"pieces done by a third run: 0",
+        r"mu = 1\.6: samples for rates 0\.3, 0\.6, 1\.2, 2\.4 \(foretold\): 2100 .*1500 .*1300 .*1000 ",
+        r"numbers of two processes that are those of one thread: 34 of 34",
     ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""

@@ -12,7 +12,13 @@ import stickslip_jax as ss
 from stickslip_jax import plot
 
 FIGURES = [getattr(plot, name) for name in plot.__all__ if name != "save"]
-FIRST = {"result": "what was simulated", "results": "several", "parameter_values": "a curve", "x": "a map", "system": "known without it"}
+FIRST = {
+    "result": "what was simulated",
+    "results": "several",
+    "parameter_values": "a curve",
+    "x": "a map",
+    "system": "known without it",
+}
 
 
 @pytest.fixture(scope="module")

@@ -315,7 +315,11 @@ def test_axes_name_quantity_and_unit_and_legends_hide_nothing(one):
     motor = names_of(one) == "motor"
     last = {
         True: ["angle $\\alpha$ (rad)", "angular velocity\n$\\dot\\alpha$ (rad/s)", "current $c$ (A)", "voltage (V)"],
-        False: ["position $x$ (m)\nrelative to ground", "velocity (m/s)\nrelative to ground", "ground\nacceleration (m/s$^2$)"],
+        False: [
+            "position $x$ (m)\nrelative to ground",
+            "velocity (m/s)\nrelative to ground",
+            "ground\nacceleration (m/s$^2$)",
+        ],
     }
     assert [panel.get_ylabel() for panel in panels] == last[motor]
     assert [panel.get_xlabel() for panel in panels] == [""] * (len(panels) - 1) + ["time $t$ (s)"]
