@@ -20,8 +20,9 @@ class Sensitivity:
     - `value`, `value_error`: the statistic and its standard error, in `unit`.
     - `derivative`, `standard_error`: derivative of the expectation, in `unit` divided by the parameter's unit; a pure
       number if `is_elasticity`.
-    - `pathwise`: the part that automatic differentiation of each trajectory gives; `event`: the part of sticks that
-      appear and vanish. They add up to `derivative`; NaN for finite differences, which do not separate them.
+    - `pathwise`: the part that automatic differentiation of each trajectory gives; `event`: the rest, of sticks that
+      appear and vanish (of a switching rate also what the score function corrects). They add up to `derivative`; NaN
+      for finite differences, which do not separate them.
     - `parameter_value`, `estimator`, `samples` (that reached t1, of `asked`).
     - `sticks_in_window`: how many sticks and near misses the event part rests on (for finite differences: in how many
       trajectories the number of sticks differs). `relative_bandwidth`: width of the kernel as a relative change of the
