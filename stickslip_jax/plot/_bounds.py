@@ -13,6 +13,7 @@ from . import _parts, _style
 from ._types import Voltage
 
 _POINTS = 1441  # every quarter of a degree
+_LONG = 20  # letters: three columns of longer labels are wider than the axes
 
 
 def stick_bounds(
@@ -50,6 +51,8 @@ def stick_bounds(
     _style.angle_axis(ax, period)
     ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
     ax.set_ylabel(_parts.quantity_label("longest possible stick duration", "s"))
+    ax.autoscale(axis="y")  # to all curves that have been drawn, also in axes that share this one's scale
     ax.set_ylim(bottom=0)
-    _style.legend_above(ax, columns=3)
+    longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
+    _style.legend_above(ax, columns=2 if longest_label > _LONG else 3)
     return ax
