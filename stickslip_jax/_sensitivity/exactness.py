@@ -1,4 +1,4 @@
-"""Warnings where no derivative exists: a first arc that exactly grazes in every trajectory; base speeds w = 1, 2."""
+"""Warnings where no derivative exists: a first arc that exactly grazes in every trajectory; special base speeds."""
 
 import warnings
 from collections.abc import Callable
@@ -18,6 +18,7 @@ from .problem import Problem
 
 _LANES = 64  # enough to draw every first velocity that is not rare
 _EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
+_SPECIAL = (1.0, 2.0, 3.0, 8.0, 15.0)  # values of w (docs/sensitivity.md)
 
 
 def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
@@ -38,19 +39,20 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
 
 
 def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
-    """RuntimeWarning where a base speed is exactly ``a omega`` or twice that, and a parameter changes their ratio w.
+    """RuntimeWarning where the base speed over ``a omega``, w, is one of `_SPECIAL`, and a parameter changes it.
 
-    There the circle on which the mass leaves a stick passes through special points of the phase plane, and the mean
-    number of sticks has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
+    There the circle on which the mass leaves a stick passes through special points of the phase plane, or the mass,
+    where the base reverses as it is farthest out, comes back on the edge of the stick band. The mean number of sticks
+    has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
     """
     if not problem.by_intervals or _speed_differs(problem):
         return
     found, moved = _zeros(problem, _from_special_speeds)
     moved = [name for name in moved if name not in warned]
     if moved:
-        special = 1 if np.any(found[:, 0]) else 2
+        special = _SPECIAL[int(np.argmax(np.any(found, axis=0)))]
         warnings.warn(
-            f"The dimensionless base speed w = speed / (a omega) is exactly {special}, where the mean number of "
+            f"The dimensionless base speed w = speed / (a omega) is exactly {special:g}, where the mean number of "
             f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
             "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md.",
             RuntimeWarning,
@@ -66,10 +68,10 @@ def _excess(engine: Any, key_data: Any, dtype: Any) -> Array:
 
 
 def _from_special_speeds(engine: Any, key_data: Any, dtype: Any) -> Array:
-    """``w - 1`` and ``w - 2`` of the first base speed, (lanes, 2); 1 for a base at rest."""
+    """``w`` of the first base speed less each special one, (lanes, special speeds); 1 for a base at rest."""
     scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, key_data, dtype)[:, None]
     w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
-    return jnp.where(velocity == 0, 1.0, w - jnp.array([[1.0, 2.0]], dtype))
+    return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], dtype))
 
 
 def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
@@ -91,7 +93,7 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
     )
     engine, dtype = problem.engine(), problem.dtype
     if not problem.parameters:
-        return np.zeros((_LANES, 2), bool), []
+        return np.zeros((_LANES, len(_SPECIAL)), bool), []
     key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.

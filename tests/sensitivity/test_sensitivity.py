@@ -387,13 +387,3 @@ def test_differentiable_in_several_parameters():
         assert float(forward) == pytest.approx(float(gradient[0]), rel=1e-9)
         for index, result in enumerate(results.values()):
             assert abs(gradient[index] - result.derivative) < AGREE * result.standard_error
-
-
-@pytest.mark.parametrize("w", [pytest.param(1.0, marks=pytest.mark.slow), 2.0])
-def test_special_base_speeds_are_told(w):
-    """At w = 1 and 2 the slope of the mean count depends on the step; that by the rate exists."""
-    options = {"t1": 20.0, "samples": 2_048, "key": jax.random.key(0), "y0": anywhere(w)}
-    system, law = oscillator(w), ss.PoissonSwitching(1.0, 1.0)
-    with pytest.warns(RuntimeWarning, match=f"w = .* is exactly {w:g}, .* with respect to speed, mu: its slope"):
-        ss.sensitivity(ss.mean_stick_count, system, law, wrt=POISSON, **options)
-    ss.sensitivity(ss.mean_stick_count, system, law, wrt="rate", **options)
