@@ -10,16 +10,11 @@ import numpy as np
 from .. import _checks, _html
 from .._numerics.dyadic import CommonBins, DyadicCounts, joined_bins
 from .._numerics.power_sums import PowerSums
+from .atoms import repeated
 from .clusters import Clusters
 from .estimate import Estimate
 
 DEFAULT_BINS = 50
-# Values that repeat (`Distribution.repeated_share`) have more than _REPEATS others within round-off, and are either
-# _DENSER times as dense as an interval around them that is _WIDER times as wide (where the density is singular like the
-# inverse of a square root, the ratio is only 7), or _FAR_DENSER times as dense as values spread evenly over the range.
-_REPEATS = 10
-_WIDER, _DENSER = 32, 10
-_FAR_DENSER = 1000
 _MOST_SPACINGS = 100_000  # number of values for the entropy without bins: its error is small by then
 
 
@@ -200,22 +195,8 @@ class Distribution:
 
     @cached_property
     def _repeated(self) -> np.ndarray:
-        """Which of the retained values have more than `_REPEATS` others within round-off, (retained,).
-
-        They must also be far denser than their surroundings, because in float32 millions of values are close by chance;
-        or so dense that no smooth density explains it, because motion that becomes periodic leaves atoms side by side.
-        """
-        values = self.clusters.values
-        within, ranked = max(self.round_off, 1e-9 * (self.largest - self.smallest)), np.sort(values)
-
-        def number_within(distance: float) -> np.ndarray:
-            below = np.searchsorted(ranked, values - distance, side="left")
-            return np.searchsorted(ranked, values + distance, side="right") - below
-
-        near = number_within(within)
-        around = (number_within(_WIDER * within) - near) / (_WIDER - 1)
-        usual = len(values) * 2 * within / max(self.largest - self.smallest, within)  # if all were spread evenly
-        return (near > _REPEATS) & ((near > _DENSER * around) | (near > _FAR_DENSER * usual))
+        """Which of the retained values occur again and again, (retained,)."""
+        return repeated(self.clusters.values, self.round_off, self.largest - self.smallest)
 
     def _surprise(self, edges: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
         """Minus the logarithm of the share of each retained value's bin, (retained,), and its mean over all values."""

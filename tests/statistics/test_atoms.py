@@ -53,3 +53,14 @@ def test_atoms_of_the_switching_belt():
     drawn = joint.histogram(16)
     left = drawn.counts * (1 - joint.share_of_atoms(16))
     assert left.sum() == pytest.approx(np.sum(~atoms.of_pair))
+
+
+def test_values_that_are_close_by_chance_are_no_atom():
+    """In float32, with more values than rounding can tell apart, neighbours are all within round-off of each other."""
+    numbers = np.random.default_rng(2)
+    x, y = numbers.uniform(0, 1, (2, 200_000))
+    assert len(atoms_of(x, y, (1e-4, 1e-4)).share) == 0
+    x[:20_000], y[:20_000] = 0.25, 0.5
+    found = atoms_of(x, y, (1e-4, 1e-4))
+    assert found.share == pytest.approx([0.1], rel=1e-4)
+    assert (found.x[0], found.y[0]) == pytest.approx((0.25, 0.5), abs=2e-4)
