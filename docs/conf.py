@@ -15,9 +15,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
-nb_execution_mode = (
-    "off"  # documents are tested by tests/package/test_readme.py, notebooks executed by tools/notebooks.py
-)
+nb_execution_mode = "off"  # `make docs` has run all code before
 
 default_role = "py:obj"
 add_module_names = False
@@ -28,8 +26,6 @@ python_use_unqualified_type_names = True
 html_theme = "pydata_sphinx_theme"
 html_title = f"stickslip_jax {release}"
 html_theme_options = {"show_prev_next": False, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
-html_static_path: list[str] = []
-exclude_patterns = ["**.ipynb_checkpoints"]
 
 
 def _copy_notebooks() -> None:

@@ -98,7 +98,7 @@ def warn_of_soft_spring(system: System, solver: Any, t1: Scalar) -> None:
             "form loses digits: its round-off is that of force / stiffness. If there is to be no spring, integrate "
             "instead: method=Exact(solver=diffrax.Dopri8()).",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 

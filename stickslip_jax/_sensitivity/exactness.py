@@ -93,7 +93,7 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
     )
     engine, dtype = problem.engine(), problem.dtype
     if not problem.parameters:
-        return np.zeros((_LANES, len(_SPECIAL)), bool), []
+        return np.zeros(0, bool), []
     key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.

@@ -25,19 +25,19 @@ class Powers(NamedTuple):
 @singledispatch
 def friction_force(model: Any, y: State, grip: FloatArray) -> FloatArray:
     """The friction force under the signed friction coefficient `grip`, N: on the mass, of a motor on the cart."""
-    raise NotImplementedError
+    raise NotImplementedError  # `require_known` has refused what is not registered below
 
 
 @singledispatch
 def stored_energies(model: Any, y: State) -> Terms:
     """The energies stored in the state, J."""
-    raise NotImplementedError
+    raise NotImplementedError  # `require_known` has refused what is not registered below
 
 
 @singledispatch
 def powers(model: Any, inputs: Any, y: State, force: FloatArray) -> Powers:
     """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
-    raise NotImplementedError
+    raise NotImplementedError  # `require_known` has refused what is not registered below
 
 
 def require_known(system: System, model: Any, name: str) -> None:
