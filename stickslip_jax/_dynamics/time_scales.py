@@ -34,6 +34,9 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
             return jnp.min(jnp.stack([jnp.asarray(step, float) for step in steps]))
         return min(float(step) for step in steps)
     step = plain(method.step)
+    limits = [time / count.least for time, count in known.values() if _checks.is_traced(time)]
+    if limits:  # numbers that are not known before the call: steps that are too long cannot be refused, so shorten them
+        step = jnp.min(jnp.stack([jnp.asarray(limit, float) for limit in (step, *limits)]))
     for name, (time, count) in known.items():
         with suppress(NotKnown):
             shortest, given = smallest(time), largest(step)

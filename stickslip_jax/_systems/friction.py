@@ -38,6 +38,11 @@ class FrictionLaw(Checked):
         return math.inf if self.constant else None
 
     @property
+    def viscous_slope(self) -> Scalar:
+        """The slope of the coefficient at high speed, s/m: with a normal force n, a damper of ``n viscous_slope``."""
+        return 0.0
+
+    @property
     @abc.abstractmethod
     def static(self) -> Scalar:
         """Static friction coefficient."""
@@ -137,7 +142,14 @@ class Stribeck(FrictionLaw):
 
     @property
     def speed_scale(self) -> Scalar | None:
-        return self.stribeck_speed
+        # The steepest slope of exp(-s^p), at s^p = (p - 1) / p, over that of exp(-s): above 1 for p > 2.3.
+        p = self.exponent
+        steepest = p * ((p - 1) / p) ** ((p - 1) / p) * math.exp(-(p - 1) / p)
+        return self.stribeck_speed / max(1.0, steepest)
+
+    @property
+    def viscous_slope(self) -> Scalar:
+        return self.viscous
 
     def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         ratio = speed / self.stribeck_speed

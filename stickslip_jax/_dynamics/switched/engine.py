@@ -102,7 +102,9 @@ def start_lane(
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     inputs = model.inputs(zero, segment_laws.segments(segment_states))
-    y, sign = _resolve_mode(model, inputs, y, model.at_rest(inputs, y))
+    resting = model.at_rest(inputs, y)
+    y, sign = _resolve_mode(model, inputs, y, resting)
+    edge = jnp.where(resting, jnp.abs(_stick_guard(model, inputs, y)[0]), jnp.inf)
     return Lane(
         zero,
         y,
@@ -117,7 +119,7 @@ def start_lane(
         y[0],
         start_totals(dtype),
         sign == 0,
-        none,
+        _on_edge(edge).astype(jnp.int32),
         segment_states,
     )
 
@@ -154,7 +156,8 @@ def advance(
     hidden = look.falls & ~sticking & (s0 <= noise) & (jnp.abs(d0) * h <= _GRAZING * noise) & (look.where < _EARLY)
     early = (look.where < _AT_ONCE) & ~hidden
     at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
-    landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left))
+    # An event at the very end of a segment is decided there, where all is known.
+    landed = at_once | ((near | (stalled & (d1 < 0))) & ~look.early & (h + delta < left - clock))
     again = ~landed & (look.falls | look.turns) & ~stalled
     # The error counts only if the step is not tried again anyway: it may be large because the step passes the event.
     rough = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[dtype.itemsize])
@@ -174,8 +177,9 @@ def advance(
     moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
-    switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, live & taken & to_stop, t1)
-    near_grazing = touched | (race & abrupt) | (edge < 2 * _NEAR_GRAZING[dtype.itemsize])
+    brief = at_once | (t - lane.event <= _LANDED[dtype.itemsize] * step + clock)
+    switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, brief, live & taken & to_stop, t1)
+    near_grazing = touched | (race & abrupt) | _on_edge(edge)
     switched = switched._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
     longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
     pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
@@ -220,7 +224,7 @@ def _pace(pace: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, 
     return jnp.where(rough, h * jnp.minimum(change, 0.8), faster)
 
 
-def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
+def _switch(model, segment_laws, lane, landed, brief, at_stop, t1) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
     """Find the mode after an event or at the end of a segment; returns the lane and the record of the ended stick.
 
     Also returned: the size of the stick guard (0 at the edge of the band) where it was decided whether the mass sticks,
@@ -234,11 +238,18 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
     on_base = model.on_base(inputs, lane.y)
     holds = model.can_stick(inputs, on_base)
     resting = model.at_rest(inputs, lane.y)
-    # A mass that is not at rest at the event slips on, and friction reverses.
-    turned = jnp.where(was_stick | resting, model.release_sign(inputs, on_base), -lane.sign)
+    guard, guard_rate = _stick_guard(model, inputs, on_base)
+    # A mass that is not at rest at the event slips on, and friction reverses; so does one whose slip is over as it
+    # begins, because without friction no force told its direction.
+    direction_known = was_stick | (resting & ~brief)
+    turned = jnp.where(direction_known, model.release_sign(inputs, on_base), -lane.sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
-    resolved_y, resolved_sign = _resolve_mode(model, inputs, lane.y, resting | (was_stick & ~jumped))
+    # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
+    goes_on = was_stick & ~jumped
+    eps = jnp.finfo(lane.t.dtype).eps
+    at_limit = goes_on & (guard >= -(2 * NOISE_ULPS * eps + _CLOCK_ULPS * eps * lane.t * jnp.abs(guard_rate)))
+    resolved_y, resolved_sign = _resolve_mode(model, inputs, lane.y, resting | goes_on, at_limit)
     resolve = ended & ~slipping
     sign = jnp.where(resolve, resolved_sign, sign)
     y = _where(resolve, resolved_y, _where(landed & (sign == 0), on_base, lane.y))
@@ -251,9 +262,8 @@ def _switch(model, segment_laws, lane, landed, at_stop, t1) -> tuple[Lane, Stick
     record = StickRecord(lane.stick_start, lane.t, lane.stick_position, displacement, ending)
     begins = ~was_stick & (sign == 0)
     at_rest = landed & (resting | (sign == 0))
-    decided = (landed & ~was_stick) | (ended & jumped & resting)
-    edge = jnp.abs(model.guard(inputs, jnp.zeros_like(lane.t), on_base, jnp.zeros_like(lane.sign))[0])
-    edge = jnp.where(decided, edge, jnp.inf)
+    decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on))
+    edge = jnp.where(decided, jnp.abs(guard), jnp.inf)
     # A stick that starts exactly on the edge of the band ends at once: of no length, it does not count.
     no_stick = was_stick & (sign != 0) & ~over
     totals = Totals(
@@ -294,10 +304,25 @@ def following_segments(
     return tuple(following), jumped
 
 
-def _resolve_mode(model, inputs, y, resting):
-    """The state and the sign of the mode of a mass in the state `y`, given whether it is `resting` on the base."""
+def _stick_guard(model, inputs, on_base) -> tuple[FloatArray, FloatArray]:
+    """The guard of a stick, and its time derivative, now."""
+    none = jnp.zeros_like(on_base[0])
+    return model.guard(inputs, none, on_base, none)
+
+
+def _on_edge(edge: FloatArray) -> BoolArray:
+    """Whether the last digits decide if friction holds: `edge` is the size of the guard of a stick."""
+    return edge < 2 * _NEAR_GRAZING[edge.dtype.itemsize]
+
+
+def _resolve_mode(model, inputs, y, resting, at_limit=False):
+    """The state and the sign of the mode of a mass in the state `y`, given whether it is `resting` on the base.
+
+    `at_limit`: whether it sticks on although the force is at the limit, but for round-off.
+    """
     on_base = model.on_base(inputs, y)
-    held_or_released = jnp.where(model.can_stick(inputs, on_base), 0, model.release_sign(inputs, on_base))
+    held = model.can_stick(inputs, on_base) | at_limit
+    held_or_released = jnp.where(held, 0, model.release_sign(inputs, on_base))
     return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
 
 

@@ -1,0 +1,82 @@
+"""Contacts without friction: nothing sticks, and derivatives by the friction coefficient begin at the right side."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import stickslip_jax as ss
+
+TIMES = np.array([0.0, 1.0, 2.0, 3.0, 12.0])
+LAWS = {
+    "Coulomb": ss.Coulomb(0.0),
+    "weakening": ss.VelocityWeakening(0.0, 0.3),
+    "Stribeck": ss.Stribeck(0.0, 0.0, 0.3),
+}
+METHOD = ss.Exact(max_steps=1024)
+
+
+def system_of(law=LAWS["Coulomb"]):
+    return ss.MassSpring(1.0, 1.0, 1.0, law)
+
+
+@pytest.mark.parametrize("name", ["Coulomb", "weakening", pytest.param("Stribeck", marks=pytest.mark.slow)])
+def test_a_mass_that_starts_with_the_base_does_not_stick(name):
+    """Its free vibration is ``0.5 sin t``; at first no force is needed to stay on the base."""
+    one = ss.simulate(system_of(LAWS[name]), ss.Harmonic(0.5, 0.25), t1=20.0, y0=(0.0, 0.5), method=METHOD)
+    assert (one.status, int(one.sticks.count)) == (ss.Status.FINISHED, 0)
+    right = [0.5 * math.sin(20.0), 0.5 * math.cos(20.0)]
+    np.testing.assert_allclose(one.final_state, right, rtol=0, atol=1e-12 if name == "Coulomb" else 1e-9)
+
+
+@pytest.mark.parametrize("values", [(0, 1, 0, -1, 0), (0, 0, -1, 1, 0.5)])
+def test_a_ground_record_that_begins_at_zero(values):
+    values = np.array(values, float)
+    base = ss.GroundAcceleration(TIMES, values)
+    one = ss.simulate(system_of(), base, t1=12.0, method=METHOD)
+    assert (one.status, int(one.sticks.count)) == (ss.Status.FINISHED, 0)
+    y = np.zeros(2)
+    for begin, end in zip(TIMES, TIMES[1:], strict=False):
+        leg = solve_ivp(
+            lambda t, y: [y[1], -y[0] - np.interp(t, TIMES, values)], (begin, end), y, rtol=1e-12, atol=1e-13
+        )
+        y = leg.y[:, -1]
+    np.testing.assert_allclose(one.final_state, y, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("mean", [1.0, -1.0])
+def test_a_cart_without_friction_starts_either_way(mean):
+    cart, voltage = ss.MotorCart(mu=0.0), ss.SourceVoltage(mean, 0.5, 7.0)
+    one = ss.simulate(cart, voltage, t1=0.2, y0=(0.7, 0.0, 0.0))
+    assert (one.status, int(one.sticks.count)) == (ss.Status.FINISHED, 0)
+    inertia = cart.cart_mass * cart.eccentricity**2
+
+    def rates(t, y):
+        angle, speed, current = y
+        torque = cart.motor_constant * current - cart.motor_damping * speed
+        torque -= inertia * math.sin(angle) * math.cos(angle) * speed**2
+        drop = cart.resistance * current + cart.motor_constant * speed
+        rise = (mean + 0.5 * math.sin(7.0 * t) - drop) / cart.inductance
+        return [speed, torque / (cart.motor_inertia + inertia * math.sin(angle) ** 2), rise]
+
+    right = solve_ivp(rates, (0, 0.2), (0.7, 0.0, 0.0), "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(one.final_state, right, rtol=1e-7)
+
+
+def test_the_derivative_by_friction_at_none_is_that_from_above():
+    def position(mu):
+        system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(mu))
+        return ss.simulate(system, ss.Harmonic(0.5, 0.25), t1=20.0, y0=(0.0, 0.5), method=METHOD).final_state[0]
+
+    small = 1e-7
+    assert jax.grad(position)(0.0) == pytest.approx((position(small) - position(0.0)) / small, rel=1e-5)
+
+
+def test_ensembles_and_intervals_do_not_stick():
+    law, run = ss.PoissonSwitching(0.5, 1.0), {"t1": 20.0, "y0": (0.0, 0.5)}
+    for method in (ss.Exact(), ss.Exact(step=0.1)):
+        many = ss.simulate_ensemble(system_of(), law, samples=16, key=jax.random.key(0), method=method, **run)
+        assert (many.finished, int(jnp.sum(many.sticks.count))) == (16, 0)
