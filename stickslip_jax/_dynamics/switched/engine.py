@@ -28,7 +28,7 @@ from jax import lax
 
 from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._excitation.excitation import Excitation
-from ..._excitation.segments import SegmentLaw, SegmentState, following_segment
+from ..._excitation.segments import SegmentLaw, SegmentState, following_segment, is_invalid
 from ..._numerics.roots import look_ahead
 from ..._numerics.sharing import sharing
 from ..._status import Ending, Status
@@ -307,6 +307,8 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
     unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
+    for segment_state in lane.segment_states:
+        unfinished = jnp.where(is_invalid(segment_state), Status.BASE_INVALID, unfinished)
     code = jnp.where(lane.t < t1, unfinished, Status.FINISHED)
     return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
 
