@@ -169,6 +169,8 @@ def advance(
     tau = jnp.where(stays, 0, h + delta)
     rates = model.rates(inputs, h, y1, lane.sign)
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
+    # A guard that is NaN would never fall: the state becomes NaN (`NOT_FINITE`).
+    y = (jnp.where(jnp.isnan(s1) | jnp.isnan(noise), jnp.nan, y[0]), *y[1:])
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
     moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
@@ -290,7 +292,9 @@ def following_segments(
         over = ended & (segment_state.segment.end <= t)
         new = following_segment(law, segment_state, t.dtype)
         following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, segment_state))
-        jumped = jumped | (over & law.jumps)
+        if law.jumps:  # but not from a value to the same
+            before = segment_state.segment
+            jumped = jumped | (over & (new.segment.value != before.value + before.slope * (before.end - before.begin)))
     return tuple(following), jumped
 
 
