@@ -23,8 +23,8 @@ class VelocitySteps(eqx.Module):
     duration 0. A last duration of infinity means "for ever". The ``sample`` method of the laws makes them; for a base
     motion of your own use `PiecewiseConstant`.
 
-    Raises ValueError for arrays of different shapes, negative durations, a duration of 0 before the end, velocities that
-    are not finite or equal to their neighbour's.
+    Raises ValueError for arrays of different shapes, negative durations, a duration of 0 before the end, velocities
+    that are not finite or equal to their neighbour's.
     """
 
     durations: Float[Array, "*batch intervals"] = eqx.field(converter=_as_jax)

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .._fields import described, modules_in
+from .._fields import Quantity, described, modules_in
 from .numbers import check_numbers
 
 
@@ -19,7 +19,9 @@ def check_realizations(found: Any, first: int) -> None:
         try:
             check_numbers(one)
         except ValueError as error:
-            raise ValueError(f"Argument law must give realisations that fit, but sample {first + sample}: {error}") from error
+            raise ValueError(
+                f"Argument law must give realisations that fit, but sample {first + sample}: {error}"
+            ) from error
 
 
 def _suspicious(found: Any) -> np.ndarray:
@@ -29,7 +31,7 @@ def _suspicious(found: Any) -> np.ndarray:
         arrays = {field.name: getattr(module, field.name) for field in dataclasses.fields(module)}
         arrays = {name: np.asarray(array) for name, array in arrays.items() if np.ndim(array) > 0}
         for name, about in described(type(module)).items():
-            if name in arrays and hasattr(about, "outside"):
+            if name in arrays and isinstance(about, Quantity):
                 suspicious |= _any(about.outside(arrays[name]))
         if "times" in arrays:
             times = arrays["times"]
@@ -50,4 +52,4 @@ def _suspicious_intervals(durations: np.ndarray, **others: np.ndarray) -> np.nda
 
 
 def _any(wrong: np.ndarray) -> np.ndarray:
-    return wrong.reshape(len(wrong), -1).any(axis=1)
+    return np.any(wrong.reshape(len(wrong), -1), axis=1)

@@ -154,14 +154,16 @@ def test_realizations_that_cannot_be_are_refused(fault, kind):
         assert 0 < ends < len(durations)
         assert not np.any(durations[ends:])
         return
-    with pytest.raises(ValueError, match=rf"Method {kind} of {type(law).__name__} must give durations above 0 .* number"):
+    with pytest.raises(
+        ValueError, match=rf"Method {kind} of {type(law).__name__} must give durations above 0 .* number"
+    ):
         law.sample(KEY, 50.0)
     reported = jax.vmap(lambda key: ss.simulate(SYSTEM, law.sample(key, 50.0), t1=50.0).status)(KEY[None])
     assert ss.Status(int(reported[0])) is ss.Status.BASE_INVALID
 
 
 def test_derivatives_by_numbers_of_the_law():
-    """The coin's tosses at rate 2 r switch as a Poisson process of rate r; by differences of the same random numbers."""
+    """By differences, with the same random numbers."""
     for method in (CLOSED, STEPS):
         found = ss.sensitivity(
             ss.stick_fraction, SYSTEM, Coins(1.0), wrt="rate", t1=T1, samples=SAMPLES, key=KEY, method=method
