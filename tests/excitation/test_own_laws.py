@@ -1,7 +1,6 @@
 """Laws of a user's own: equal neighbours are one interval, and what cannot be is reported, in ensembles as alone."""
 
 import math
-import operator
 from functools import cache
 
 import equinox as eqx
@@ -75,14 +74,17 @@ class CoinSegments(ss.SegmentLaw):
         return self.coins.next_segment(memory, drawn, dtype)
 
 
-def intervals(law: Coins, sample: int, number: int = 64) -> tuple[np.ndarray, np.ndarray]:
-    """Gaps and velocities as the law gives them, before anything is joined."""
-    words = jax.random.key_data(jax.random.fold_in(KEY, sample))
-    key_data = words[0], words[1]
-    drawn = jax.vmap(lambda i: law.next_interval((), law.draw(key_data, i, float), float)[:2])(
-        jnp.arange(number, dtype=jnp.uint32)
-    )
-    return tuple(np.asarray(column) for column in drawn)
+@cache
+def intervals(law: Coins, number: int = 64) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps and velocities (samples, intervals) as the law gives them, before anything is joined."""
+
+    def interval(key, i):
+        words = jax.random.key_data(key)
+        return law.next_interval((), law.draw((words[0], words[1]), i, float), float)[:2]
+
+    keys = jax.vmap(lambda i: jax.random.fold_in(KEY, i))(jnp.arange(SAMPLES))
+    every = jax.jit(jax.vmap(jax.vmap(interval, (None, 0)), (0, None)))
+    return tuple(np.asarray(column) for column in every(keys, jnp.arange(number, dtype=jnp.uint32)))
 
 
 @cache
@@ -92,14 +94,17 @@ def ensemble(law, method=CLOSED):
 
 @pytest.mark.parametrize(
     ("law", "method"),
-    [(Coins(1.0), CLOSED), (Coins(1.0), STEPS), (CoinSegments(Coins(1.0)), STEPS)],
-    ids=["closed", "steps", "segments"],
+    [
+        pytest.param(Coins(1.0), CLOSED, id="closed"),
+        pytest.param(Coins(1.0), STEPS, id="steps", marks=pytest.mark.slow),
+        pytest.param(CoinSegments(Coins(1.0)), STEPS, id="segments", marks=pytest.mark.slow),
+    ],
 )
 def test_neighbours_of_equal_velocity_are_one_interval(law, method):
     many = ensemble(law, method)
     joined = 0
     for sample in range(12):
-        gaps, velocities = intervals(Coins(1.0), sample)
+        gaps, velocities = (column[sample] for column in intervals(Coins(1.0)))
         joined += int(np.sum(velocities[1:] == velocities[:-1]))
         expected = simulate_reference(**OSCILLATOR, durations=gaps, velocities=velocities).sticks
         mask = np.asarray(many.sticks.mask[sample])
@@ -124,19 +129,20 @@ def test_a_sample_is_the_simulation_of_its_realization():
     assert int(np.max(np.sum(lasting, axis=1))) < law.capacity(T1)
 
 
+CASES = [(fault, method) for fault in FAULTS for method in ("closed", "steps")]
+CASES += [("negative gap", "fixed"), ("gap of 0", "adaptive"), ("velocity of NaN", "adaptive")]
+
+
 @pytest.mark.parametrize(
     ("fault", "method"),
-    [(fault, method) for fault in FAULTS for method in ("closed", "steps")]
-    + [("negative gap", "fixed"), ("gap of 0", "adaptive"), ("velocity of NaN", "adaptive")],
+    [pytest.param(*case, marks=() if case == ("negative gap", "closed") else pytest.mark.slow) for case in CASES],
 )
 def test_what_cannot_be_is_reported_sample_by_sample(fault, method):
     law, status = Coins(1.0, fault), FAULTS[fault][-1]
     many = ensemble(law, METHODS[method])
-    wrong = 0
-    for sample in range(SAMPLES):
-        gaps, velocities = intervals(law, sample)
-        first = int(np.argmin((gaps > 0) & np.isfinite(velocities)))
-        wrong += bool(np.sum(gaps[:first]) < T1)
+    gaps, velocities = intervals(law)
+    sound = np.cumprod((gaps > 0) & np.isfinite(velocities), axis=1).astype(bool)
+    wrong = int(np.sum(np.sum(gaps, axis=1, where=sound) < T1))
     assert SAMPLES / 4 < wrong < SAMPLES
     assert many.status_counts[status] == wrong
     assert many.finished == SAMPLES - wrong
@@ -158,10 +164,16 @@ def test_realizations_that_cannot_be_are_refused(fault, kind):
         ValueError, match=rf"Method {kind} of {type(law).__name__} must give durations above 0 .* number"
     ):
         law.sample(KEY, 50.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [Coins(1.0, "negative gap"), CoinSegments(Coins(1.0, "negative gap"))])
+def test_realizations_drawn_under_jax_show_in_the_status(law):
     reported = jax.vmap(lambda key: ss.simulate(SYSTEM, law.sample(key, 50.0), t1=50.0).status)(KEY[None])
     assert ss.Status(int(reported[0])) is ss.Status.BASE_INVALID
 
 
+@pytest.mark.slow
 def test_derivatives_by_numbers_of_the_law():
     """By differences, with the same random numbers."""
     for method in (CLOSED, STEPS):
@@ -190,7 +202,9 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize(
+    "name", [name if name == "VelocitySteps" else pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS]
+)
 def test_given_motions_under_jax(name):
     """Constructors check no numbers that JAX traces: the status of a simulation, and ensembles, tell."""
     make, bad = MOTIONS[name], np.array([False, True])
@@ -228,6 +242,7 @@ class Hidden(Runaway):
         return jnp.where(t > 5, jnp.nan, jnp.cos(t))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [Runaway(), Hidden()], ids=lambda base: type(base).__name__)
 @pytest.mark.parametrize("method", [STEPS, FIXED], ids=["steps", "fixed"])
 def test_a_base_without_a_value_is_reported(base, method):
@@ -250,6 +265,7 @@ class Atoms(ss.RandomNumber):
         return jnp.where(x < self.low, 0.0, jnp.where(x < self.high, 0.5, 1.0)) * (x > 0)
 
 
+@pytest.mark.slow
 def test_distributions_of_ones_own_in_semi_markov_switching():
     speeds = ss.SemiMarkovSwitching(gap=ss.Exponential(1.0), speed=Atoms(-0.5, 0.5), alternating=False)
     base = speeds.sample(KEY, T1)
@@ -263,5 +279,5 @@ def test_distributions_of_ones_own_in_semi_markov_switching():
         ss.SemiMarkovSwitching(gap=Atoms(-1.0, 1.0), speed=0.5),
         ss.SemiMarkovSwitching(gap=ss.Exponential(1.0), speed=Atoms(-0.5, 0.5)),
     ):
-        assert ensemble(law).status_counts[ss.Status.BASE_INVALID] == operator.sub(SAMPLES, ensemble(law).finished)
+        assert ensemble(law).status_counts[ss.Status.BASE_INVALID] == SAMPLES - ensemble(law).finished
         assert ensemble(law).finished < SAMPLES / 4
