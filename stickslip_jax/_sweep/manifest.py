@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
-import jaxlib.version
+import jax.lib
 import numpy as np
 
 from .._ensemble.encoding import Decoder, Encoder
@@ -132,7 +132,7 @@ def versions() -> dict[str, str]:
     """The versions of what decides the numbers."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
-    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib.version.__version__}
+    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jax.lib.__version__}
 
 
 def sum_of(body: dict[str, Any]) -> str:

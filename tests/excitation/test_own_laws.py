@@ -202,9 +202,8 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "VelocitySteps" else pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MOTIONS)
 def test_given_motions_under_jax(name):
     """Constructors check no numbers that JAX traces: the status of a simulation, and ensembles, tell."""
     make, bad = MOTIONS[name], np.array([False, True])

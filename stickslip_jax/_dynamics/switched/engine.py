@@ -169,11 +169,11 @@ def advance(
     tau = jnp.where(stays, 0, h + delta)
     rates = model.rates(inputs, h, y1, lane.sign)
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
-    # A guard that is NaN would never fall: the state becomes NaN (`NOT_FINITE`).
-    y = (jnp.where(jnp.isnan(s1) | jnp.isnan(noise), jnp.nan, y[0]), *y[1:])
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
-    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
+    moved = lane._replace(
+        t=t, y=_known(y, s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
+    )
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, live & taken & to_stop, t1)
@@ -185,6 +185,11 @@ def advance(
     switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
+    """The state `y`, NaN (`NOT_FINITE`) after a step whose `guard` is NaN: it would never fall, whatever happens."""
+    return jnp.where(jnp.isnan(guard) & ~again, jnp.nan, y[0]), *y[1:]
 
 
 class _Stretch(NamedTuple):
