@@ -132,7 +132,8 @@ def versions() -> dict[str, str]:
     """The versions of what decides the numbers."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
-    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jax.lib.__version__}
+    jaxlib = jax.lib.__version__  # pyright: ignore[reportPrivateImportUsage] - JAX documents it
+    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib}
 
 
 def sum_of(body: dict[str, Any]) -> str:
