@@ -4,13 +4,17 @@ The constructors check their arguments by them, and a study's file takes its key
 """
 
 import dataclasses
+from collections.abc import Iterator
 from functools import cache
 from typing import Any, ClassVar, get_type_hints
 
+import equinox as eqx
 import numpy as np
 
 from . import _checks
 from ._methods import WithMethods
+
+PACKAGE = __name__.partition(".")[0]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,6 +142,22 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
     """Name, `Quantity` or `Choice` of each described field, and whether it may be None."""
     defaults = {field.name: field.default for field in dataclasses.fields(kind)}
     return tuple((name, about, defaults[name] is None) for name, about in described(kind).items())
+
+
+def modules_in(tree: Any) -> Iterator[eqx.Module]:
+    """All modules in `tree`: it, those in its fields, and so on."""
+    if isinstance(tree, eqx.Module):
+        yield tree
+        for field in dataclasses.fields(tree):
+            yield from modules_in(getattr(tree, field.name, None))
+    elif isinstance(tree, (tuple, list)):
+        for entry in tree:
+            yield from modules_in(entry)
+
+
+def is_of_package(tree: Any) -> bool:
+    """Whether the class of every module in `tree` is the package's own, and not a user's."""
+    return all(type(module).__module__.startswith(f"{PACKAGE}.") for module in modules_in(tree))
 
 
 class Checked(WithMethods):

@@ -27,6 +27,9 @@ class Status(IntEnum):
     """All time steps allowed were used before ``t1``: nothing after that instant was simulated."""
     SOLVER_FAILED = 4
     """The adaptive solver of regularised dynamics gave up before ``t1``: nothing after that instant was simulated."""
+    BASE_INVALID = 5
+    """An interval of the base motion (or of a ground motion or force) had a negative duration or a number that is not
+    finite: nothing after it was simulated."""
 
     @property
     def meaning(self) -> str:
@@ -36,8 +39,12 @@ class Status(IntEnum):
 
 _MEANINGS = {
     Status.FINISHED: "reached t1",
-    Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1",
+    Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1 (one of duration 0 is the last)",
     Status.NOT_FINITE: "the state became NaN or infinite, or a base interval spans more than 2^30 rad",
     Status.OUT_OF_STEPS: "all time steps allowed were used before t1 (see max_steps)",
     Status.SOLVER_FAILED: "the adaptive solver gave up (try another solver, or other tolerances)",
+    Status.BASE_INVALID: (
+        "an interval of the base motion had a negative duration or a number that is not finite (the law must give "
+        "durations above 0, 0 after the last interval only, and finite velocities; times must increase from 0)"
+    ),
 }

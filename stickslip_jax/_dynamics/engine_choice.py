@@ -6,6 +6,7 @@ import numpy as np
 
 from .._excitation.excitation import GivenSteps, excitation_of
 from .._excitation.laws import BangBangLaw
+from .._excitation.merged import merged
 from .._excitation.piecewise import VelocitySteps
 from .._inputs.inputs import Inputs
 from .._numerics.known import largest
@@ -107,6 +108,7 @@ def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scala
 
     The choice depends on the types and options of the arguments, not on their numbers.
     """
+    base = merged(base, t1)
     if isinstance(method, Regularized):
         return Smoothed(system, base, method, t1)
     warn_of_soft_spring(system, method.solver, t1)

@@ -101,7 +101,7 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
         raise ValueError(f"it sums {state['totals']}")
     numbering = Numbering(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
     key_data = attributes.get("key_data")
-    counts = {one: int(attributes[f"samples_{one.name.lower()}"]) for one in Status}
+    counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
     keep = str(attributes["keep"])
     kept: dict[str, Any] = {"retained": None, "totals": None, "flat_sticks": None}
     if keep == "sticks":

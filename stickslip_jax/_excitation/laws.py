@@ -18,12 +18,13 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
-from .._fields import Choice, Quantity
+from .._fields import Choice, Quantity, is_of_package
 from .._numerics.known import NotKnown, largest, smallest
 from .._numerics.random_bits import exponential, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
 from .piecewise import VelocitySteps
 from .segments import BEGINNING, LARGEST_CAPACITY, SegmentLaw, checked_capacity
+from .sound import check_drawn, joined, marked
 
 Interval = tuple[FloatArray, FloatArray, Any]
 
@@ -45,7 +46,8 @@ class BangBangLaw(SegmentLaw):
     def next_interval(self, memory: Any, drawn: Any, dtype) -> Interval:
         """Duration (s) and velocity (m/s) of an interval, and the memory for the next.
 
-        Neighbouring velocities must differ. A duration of 0 marks an unused interval, after the last one.
+        Neighbours of equal velocity count as one interval. A duration of 0 means that there is no further interval. A
+        negative duration, or a velocity that is not finite, ends the sample with ``Status.BASE_INVALID``.
         """
 
     def all_intervals(self, memory: Any, drawn: Any, number: int, dtype) -> tuple[FloatArray, FloatArray]:
@@ -81,14 +83,18 @@ class BangBangLaw(SegmentLaw):
           realisation in 10^9 needs more; `simulate` then reports ``Status.BASE_TOO_SHORT``). It must be given under
           ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
 
-        Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a capacity below 1.
+        Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a capacity below 1, and
+        intervals of a law of your own that cannot be.
         """
         _checks.positive("t1", t1, "s")
         if capacity is None:
             capacity = self._capacity_or_explain(t1)
         checked_capacity(capacity)
-        key_data = self.key_data(key)
-        return VelocitySteps(*_sample(self, key_data, capacity, jnp.result_type(float)))
+        durations, velocities = _sample(self, self.key_data(key), capacity, jnp.result_type(float))
+        if not is_of_package(self):
+            check_drawn(self, "next_interval", "m/s", durations, velocities)
+            durations, velocities = joined(durations, velocities)
+        return VelocitySteps(durations, velocities)
 
     def checked_capacity(self, t1: Scalar) -> int:
         """The `capacity`. Raises ValueError for more intervals than 32 bits can number."""
@@ -292,7 +298,10 @@ class PiecewiseConstant(BangBangLaw):
         last = len(times) - 1
         until = jnp.where(end > last, jnp.inf, times[jnp.minimum(end, last)])
         begin = jnp.minimum(begin, last)
-        return jnp.where(number.astype(found.dtype) < found[-1], until - times[begin], 0), velocities[begin]
+        # Numbers that JAX traced when they were given were not checked.
+        duration = until - times[begin]
+        duration = jnp.where((duration > 0) & (times[0] == 0), marked(duration, velocities[begin]), jnp.nan)
+        return jnp.where(number.astype(found.dtype) < found[-1], duration, 0), velocities[begin]
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         return *drawn, ()

@@ -23,8 +23,8 @@ class VelocitySteps(eqx.Module):
     duration 0. A last duration of infinity means "for ever". The ``sample`` method of the laws makes them; for a base
     motion of your own use `PiecewiseConstant`.
 
-    Raises ValueError for arrays of different shapes, negative durations, velocities that are not finite or equal to
-    their neighbour's.
+    Raises ValueError for arrays of different shapes, negative durations, a duration of 0 before the end, velocities
+    that are not finite or equal to their neighbour's.
     """
 
     durations: Float[Array, "*batch intervals"] = eqx.field(converter=_as_jax)
@@ -45,6 +45,11 @@ class VelocitySteps(eqx.Module):
         durations = np.asarray(self.durations)
         if not np.all(durations >= 0):
             raise ValueError(f"Argument durations must be zero or positive, but {_checks.show(durations)} was given.")
+        if np.any((durations[1:] > 0) & (durations[:-1] == 0)):
+            raise ValueError(
+                "Argument durations must be 0 in unused intervals at the end only, but an interval of duration 0 has "
+                f"one after it that lasts: {_checks.show(durations)}; leave it out."
+            )
         lasting = np.asarray(self.velocities)[durations > 0]
         _checks.numeric("velocities", lasting, ndim=1)
         if np.any(lasting[1:] == lasting[:-1]):

@@ -20,6 +20,7 @@ from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
+from .sound import check_drawn
 
 LARGEST_CAPACITY = 2**31
 """Segments of one realisation are numbered in 32 bits."""
@@ -103,7 +104,8 @@ class SegmentLaw(Checked):
     def next_segment(self, memory: Any, drawn: Any, dtype) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
         """Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next.
 
-        A duration of 0 means that there is no further segment.
+        A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
+        finite, ends the sample with ``Status.BASE_INVALID``.
         """
 
     @staticmethod
@@ -125,7 +127,7 @@ class SegmentLaw(Checked):
           ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
 
         Returns `VelocitySegments`. Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a
-        capacity below 1.
+        capacity below 1, and segments of a law of your own that cannot be.
         """
         _checks.positive("t1", t1, "s")
         if not self.is_random:
@@ -138,6 +140,7 @@ class SegmentLaw(Checked):
                 break
             size *= 2
             drawn = _sample(self, key_data, checked_capacity(size), dtype)
+        check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
     def realization(self, durations: Array, values: Array, slopes: Array) -> "SegmentLaw":
@@ -255,7 +258,13 @@ def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> Se
     duration, value, slope, memory = law.next_segment(segment_state.memory, drawn, dtype)
     value, slope = (jnp.asarray(number, dtype) for number in (value, slope))
     segment = Segment(segment_state.segment.end, segment_state.segment.end + duration, value, slope)
-    return SegmentState(segment_state.key_data, segment_state.number + np.uint32(1), memory, segment, ~(duration > 0))
+    spent = ~((duration > 0) & jnp.isfinite(value) & jnp.isfinite(slope))
+    return SegmentState(segment_state.key_data, segment_state.number + np.uint32(1), memory, segment, spent)
+
+
+def is_invalid(segment_state: SegmentState) -> Array:
+    """Whether the present segment ended the realisation because it cannot be, and not because it has no duration."""
+    return segment_state.spent & (segment_state.segment.end != segment_state.segment.begin)
 
 
 def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, FloatArray]:
@@ -289,7 +298,7 @@ def _lasts(durations: Array, t1: Scalar) -> bool:
     if _checks.is_traced(durations) or _checks.is_traced(t1):
         return True
     # `cumsum` adds them in the order in which a simulation does.
-    return bool(durations[-1] == 0) or float(np.cumsum(np.asarray(durations))[-1]) >= float(t1)
+    return not durations[-1] > 0 or float(np.cumsum(np.asarray(durations))[-1]) >= float(t1)
 
 
 @partial(jax.jit, static_argnames=("size", "dtype"))
@@ -300,7 +309,7 @@ def _sample(law: SegmentLaw, key_data: Array, size: int, dtype) -> tuple[Array, 
     def step(carry, number):
         memory, spent = carry
         duration, value, slope, memory = law.next_segment(memory, law.draw(own, number, dtype), dtype)
-        spent = spent | ~(duration > 0)
+        spent = spent | (duration == 0)
         duration, value, slope = (jnp.where(spent, 0, jnp.asarray(x, dtype)) for x in (duration, value, slope))
         return (memory, spent), (duration, value, slope)
 

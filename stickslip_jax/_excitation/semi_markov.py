@@ -11,7 +11,7 @@ import numpy as np
 from .. import _checks
 from .._distributions.families import Discrete
 from .._distributions.random_number import RandomNumber, Truncated
-from .._fields import Choice
+from .._fields import Choice, is_of_package
 from .._numerics.random_bits import fine_uniform, random_words
 from .._types import Array, FloatArray, Scalar
 from .laws import BangBangLaw, Interval
@@ -30,7 +30,8 @@ class SemiMarkovSwitching(BangBangLaw):
     - `alternating`: True (the default) for velocities ``+speed`` and ``-speed`` in turn; `speed` is then positive.
       False for velocities drawn from the distribution `speed` with their signs. Each is then drawn on condition that it
       differs from the one before, which only matters for `Discrete` speeds: a value of probability p is then in the
-      long run that of a share of all intervals in proportion to ``p (1 - p)``.
+      long run that of a share of all intervals in proportion to ``p (1 - p)``. (A distribution of your own may draw a
+      velocity twice in a row: then both gaps are one interval.)
     - `first_sign`: "random" (a fair coin, the default), "positive" or "negative", where the signs alternate.
 
     A switch takes place at t = 0: the first gap has the distribution of all others, and not that of the rest of a gap
@@ -93,7 +94,10 @@ class SemiMarkovSwitching(BangBangLaw):
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         (time, before), (gap, speed) = memory, drawn
-        info = jnp.finfo(dtype)
+        info, is_known = jnp.finfo(dtype), is_of_package((self.gap, self.speed))
+        if not is_known:  # what a user's distribution draws need not fit its cdf
+            impossible = (gap < 0) | ~(speed > 0) if self.alternating else gap < 0
+            gap = jnp.where(impossible, jnp.nan, gap)
         # A time to which the gap adds nothing would end the realisation.
         gap = jnp.maximum(gap, jax.lax.stop_gradient(4 * float(info.eps) * time + float(info.tiny)))
         if self.alternating:
@@ -103,6 +107,8 @@ class SemiMarkovSwitching(BangBangLaw):
             others = jnp.where(jnp.arange(len(shares)) == before, 0, shares)
             velocity = jnp.asarray(self.speed.values, dtype)[before]
             return gap, velocity, (time + gap, _chosen(speed, others / jnp.sum(others), before))
+        if not is_known:  # it may draw a velocity again; such neighbours are joined
+            return gap, speed, (time + gap, speed)
         # Two equal draws have no probability, but for rounding: then the last digit changes.
         drawn_speed = jax.lax.stop_gradient(speed)
         higher = jnp.nextafter(drawn_speed, jnp.full((), jnp.inf, dtype))

@@ -1,22 +1,26 @@
 """The segments of one realisation in arrays, for look-up by time."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from .._types import Array, BoolArray, FloatArray, KeyData
-from .segments import Segment, SegmentLaw, first_segment, following_segment
+from .segments import Segment, SegmentLaw, first_segment, following_segment, is_invalid
 
 
 class SegmentTable(eqx.Module):
     """Segments in order of time, arrays (segments,); unused ones begin at infinity.
 
-    `end`: where the last one ends, s. `jumps`: whether the value jumps between segments.
+    `end`: where the last one ends, s. `is_invalid`: whether one that cannot be follows there. `jumps`: whether the
+    value jumps between segments.
     """
 
     segments: Segment
     end: Array
+    is_invalid: Array
     jumps: bool = eqx.field(static=True)
 
     @classmethod
@@ -27,10 +31,13 @@ class SegmentTable(eqx.Module):
             segment = segment_state.segment._replace(
                 begin=jnp.where(segment_state.spent, jnp.inf, segment_state.segment.begin)
             )
-            return following_segment(law, segment_state, dtype), segment
+            following = following_segment(law, segment_state, dtype)
+            # After the last segment, whatever the law may give.
+            following = jax.tree.map(partial(jnp.where, segment_state.spent), segment_state, following)
+            return following, segment
 
-        segment_state, segments = lax.scan(step, first_segment(law, key_data, dtype), None, length=number)
-        return cls(segments, segment_state.segment.begin, law.jumps)
+        after, segments = lax.scan(step, first_segment(law, key_data, dtype), None, length=number)
+        return cls(segments, after.segment.begin, is_invalid(after), law.jumps)
 
     def at(self, t: FloatArray) -> Segment:
         """The segment at time `t` (s); at the instant between two, the second."""

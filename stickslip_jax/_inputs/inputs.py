@@ -20,6 +20,7 @@ from .._fields import Checked, Quantity, described, is_distribution, varies
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array
 from .numbers import Path, matching, number_at, places_in, shown, with_numbers
+from .realizations import check_realizations
 
 _FIRST_STATE, _FIRST_NAMED = 0xFFFFFE00, 1 << 31
 """Numbers of the random words that initial values and other inputs are drawn from; laws draw from those below."""
@@ -195,6 +196,7 @@ class Inputs:
             return jax.random.wrap_key_data(jnp.stack(words, axis=-1))
 
         found = self.model.law.realizations(keys, t1, used)
+        check_realizations(found, first)
         return jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(number), used - 1)], found)
 
     def head(self, samples: int) -> Model:

@@ -8,6 +8,7 @@ from .._dynamics.method import EXACT
 from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
 from .._excitation.excitation import place_in_excitation
+from .._excitation.merged import merged, place_in_merged
 from .._inputs.inputs import Inputs
 from .._inputs.numbers import Parameter, Path
 from .._types import AnyArray, Array
@@ -128,9 +129,12 @@ class Problem(NamedTuple):
         return tuple(random.path(path, self._path(path)) for path in paths)
 
     def _path(self, path: Path) -> Path:
-        if path[0] != "law" or self.by_intervals:
+        if path[0] != "law":
             return path
-        return ("excitation", *place_in_excitation(self.law, path[1:]))
+        inner = place_in_merged(self.law, path[1:])
+        if self.by_intervals:
+            return ("law", *inner)
+        return ("excitation", *place_in_excitation(merged(self.law, self.t1), inner))
 
 
 def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:

@@ -4,10 +4,10 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator
-from importlib.metadata import version
 from typing import Any
 
 import jax
+import jax.lib
 import numpy as np
 
 from .._ensemble.encoding import Decoder, Encoder
@@ -132,7 +132,8 @@ def versions() -> dict[str, str]:
     """The versions of what decides the numbers."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
-    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
+    jaxlib = jax.lib.__version__  # pyright: ignore[reportPrivateImportUsage] - JAX documents it
+    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib}
 
 
 def sum_of(body: dict[str, Any]) -> str:

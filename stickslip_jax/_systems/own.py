@@ -1,31 +1,17 @@
 """Whether a pytree holds only the package's own modules, or user-defined functions too."""
 
-import dataclasses
-from collections.abc import Iterator
 from typing import Any
 
-import equinox as eqx
-
 from .._excitation.smooth import UserMotion
+from .._fields import PACKAGE, modules_in
 from .friction import FrictionCurve
 
-_PACKAGE = __name__.partition(".")[0]
 _THEIRS = (FrictionCurve, UserMotion)  # these hold a user-defined function
 
 
 def is_own(tree: Any) -> bool:
     """Whether every module in `tree` is the package's own, or a solver of diffrax."""
     return all(
-        type(module).__module__.startswith((f"{_PACKAGE}.", "diffrax.")) and not isinstance(module, _THEIRS)
-        for module in _modules(tree)
+        type(module).__module__.startswith((f"{PACKAGE}.", "diffrax.")) and not isinstance(module, _THEIRS)
+        for module in modules_in(tree)
     )
-
-
-def _modules(tree: Any) -> Iterator[eqx.Module]:
-    if isinstance(tree, eqx.Module):
-        yield tree
-        for field in dataclasses.fields(tree):
-            yield from _modules(getattr(tree, field.name, None))
-    elif isinstance(tree, (tuple, list)):
-        for entry in tree:
-            yield from _modules(entry)

@@ -120,4 +120,6 @@ def status_of(motion: Motion, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that ended in the state `motion`."""
     finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
     code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
-    return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
+    # Only a duration that is NaN makes the time NaN: that of an interval that cannot be.
+    failed = jnp.where(jnp.isnan(motion.t) & jnp.isfinite(t1), Status.BASE_INVALID, Status.NOT_FINITE)
+    return jnp.where(finite, code, failed).astype(jnp.int8)

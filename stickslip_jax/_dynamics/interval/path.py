@@ -10,6 +10,7 @@ from jaxtyping import Array
 from ..._events.sticks import Sticks, start_totals
 from ..._excitation.piecewise import VelocitySteps
 from ..._excitation.segments import Segment
+from ..._excitation.sound import marked
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar
@@ -58,7 +59,7 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     """One trajectory in closed form, interval by interval."""
     scales = scales_of(system, t1, dtype)
     # Nothing after t1 matters; cutting durations here keeps infinities out of the arithmetic.
-    durations = jnp.where(base.durations >= t1, t1, base.durations).astype(dtype)
+    durations = marked(jnp.where(base.durations >= t1, t1, base.durations), base.velocities).astype(dtype)
     start = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
     given = Given(scales, start, durations, base.velocities.astype(dtype))
     final, totals = final_motion(given)

@@ -121,6 +121,8 @@ def advance_fixed(
     h = jnp.where(to_stop, left, step)
     y = implicit_step(field.model, field.switch, inputs, lane.y, h)
     seen, rates, end_rates = field.seen(inputs, lane.t, h, lane.y, y)
+    # A base acceleration that is NaN would hide sticks, although the motion does not need it: `NOT_FINITE`.
+    y = (jnp.where(jnp.isnan(seen.slope1), jnp.nan, y[0]), *y[1:])
 
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)

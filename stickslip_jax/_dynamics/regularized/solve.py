@@ -12,7 +12,7 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.table import SegmentTable
 from ..._status import Status
 from ..._systems.switched_model import Segments
-from ..._types import Array, FloatArray, IntArray
+from ..._types import Array, BoolArray, FloatArray, IntArray
 from ..method import Regularized
 from ..switched.engine import SegmentLaws
 from .engine import Field, Passage
@@ -50,6 +50,14 @@ class Tables(eqx.Module):
         for table in self.all:
             earliest = jnp.minimum(earliest, table.end)
         return earliest
+
+    @property
+    def are_invalid(self) -> BoolArray:
+        """Whether the part that ends first ends with a segment that cannot be."""
+        found = jnp.zeros((), bool)
+        for table in self.all:
+            found = found | (table.is_invalid & (table.end <= self.end))
+        return found
 
     @property
     def times(self) -> Array | None:
@@ -119,7 +127,8 @@ def solve_adaptive(
     full = solution.result == diffrax.RESULTS.max_steps_reached
     code = jnp.where(solution.result == diffrax.RESULTS.successful, Status.FINISHED, Status.SOLVER_FAILED)
     code = jnp.where(full, Status.OUT_OF_STEPS, code)
-    code = jnp.where((code == Status.FINISHED) & (end < t1), Status.BASE_TOO_SHORT, code)
+    ended = jnp.where(tables.are_invalid, Status.BASE_INVALID, Status.BASE_TOO_SHORT)
+    code = jnp.where((code == Status.FINISHED) & (end < t1), ended, code)
     finite = jnp.all(jnp.isfinite(y[steps])) & jnp.isfinite(t1)
     return Solution(t, y, steps, jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8))
 

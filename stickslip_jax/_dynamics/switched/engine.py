@@ -28,7 +28,7 @@ from jax import lax
 
 from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._excitation.excitation import Excitation
-from ..._excitation.segments import SegmentLaw, SegmentState, following_segment
+from ..._excitation.segments import SegmentLaw, SegmentState, following_segment, is_invalid
 from ..._numerics.roots import look_ahead
 from ..._numerics.sharing import sharing
 from ..._status import Ending, Status
@@ -174,7 +174,9 @@ def advance(
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
-    moved = lane._replace(t=t, y=y, tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
+    moved = lane._replace(
+        t=t, y=_known(y, s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
+    )
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     brief = at_once | (t - lane.event <= _LANDED[dtype.itemsize] * step + clock)
@@ -187,6 +189,11 @@ def advance(
     switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
+    """The state `y`, NaN (`NOT_FINITE`) after a step whose `guard` is NaN: it would never fall, whatever happens."""
+    return jnp.where(jnp.isnan(guard) & ~again, jnp.nan, y[0]), *y[1:]
 
 
 class _Stretch(NamedTuple):
@@ -300,7 +307,9 @@ def following_segments(
         over = ended & (segment_state.segment.end <= t)
         new = following_segment(law, segment_state, t.dtype)
         following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, segment_state))
-        jumped = jumped | (over & law.jumps)
+        if law.jumps:  # but not from a value to the same
+            before = segment_state.segment
+            jumped = jumped | (over & (new.segment.value != before.value + before.slope * (before.end - before.begin)))
     return tuple(following), jumped
 
 
@@ -332,6 +341,8 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
     unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
+    for segment_state in lane.segment_states:
+        unfinished = jnp.where(is_invalid(segment_state), Status.BASE_INVALID, unfinished)
     code = jnp.where(lane.t < t1, unfinished, Status.FINISHED)
     return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
 

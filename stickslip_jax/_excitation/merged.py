@@ -1,0 +1,83 @@
+"""A user's law of piecewise-constant base velocity as the engines need it: neighbouring velocities differ."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._fields import is_of_package
+from .._types import Scalar
+from .excitation import WithJumps
+from .laws import BangBangLaw, Interval
+from .sound import marked
+
+
+class Merged(BangBangLaw):
+    """The same realisations as those of `law`, until `t1` (s); neighbours of equal velocity are one interval.
+
+    An impossible interval has the duration NaN; after it, and after one of duration 0, there are no more. Only laws of
+    users need it: those of the package never repeat a velocity.
+    """
+
+    law: BangBangLaw
+    t1: Scalar
+
+    @property
+    def is_random(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its law
+        """Whether realisations differ."""
+        return self.law.is_random
+
+    def capacity(self, t1: Scalar) -> int:
+        return self.law.capacity(t1)
+
+    def begin(self, key_data, dtype):
+        """Memory: the law's, the number of its next interval, and when the present one begins, its length and
+        velocity: it is looked at before it is given.
+        """
+        nothing = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)
+        first = self._following(key_data, (self.law.begin(key_data, dtype), jnp.zeros((), jnp.uint32), *nothing), dtype)
+        return first, jnp.zeros((), dtype)
+
+    def draw(self, key_data, number, dtype):
+        return jnp.asarray(key_data[0]), jnp.asarray(key_data[1])  # the number does not say which intervals were joined
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        present, began = memory
+        _, _, duration, velocity = present
+
+        def repeats(state):
+            (_, _, more, after), total = state
+            return (more > 0) & (after == velocity) & (began + total < self.t1)
+
+        def join(state):
+            following, total = state
+            return self._following(drawn, following, dtype), total + following[2]
+
+        following, total = lax.while_loop(repeats, join, (self._following(drawn, present, dtype), duration))
+        # What comes after the horizon is not looked at.
+        return jnp.where(began < self.t1, total, jnp.inf), velocity, (following, began + total)
+
+    def _following(self, key_data: Any, present: Any, dtype) -> Any:
+        """The law's memory, number, duration and velocity after the interval with the `present` ones."""
+        memory, number, duration, _ = present
+        more, velocity, memory = self.law.next_interval(memory, self.law.draw(key_data, number, dtype), dtype)
+        more, velocity = jnp.asarray(more, dtype), jnp.asarray(velocity, dtype)
+        return memory, number + np.uint32(1), jnp.where(duration > 0, marked(more, velocity), 0), velocity
+
+
+def merged(base: Any, t1: Scalar) -> Any:
+    """`base`, in which a law of the user's that jumps is `Merged`."""
+    if isinstance(base, WithJumps):
+        jumps = merged(base.jumps, t1)
+        return base if jumps is base.jumps else eqx.tree_at(lambda whole: whole.jumps, base, jumps)
+    is_theirs = isinstance(base, BangBangLaw) and not is_of_package(base)
+    return Merged(base, t1) if is_theirs else base
+
+
+def place_in_merged(base: Any, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Where in ``merged(base, t1)`` the number is that `base` has at `path`."""
+    if isinstance(base, WithJumps) and path[:1] == ("jumps",):
+        return "jumps", *place_in_merged(base.jumps, path[1:])
+    return ("law", *path) if merged(base, 0.0) is not base else path
