@@ -10,6 +10,7 @@ from typing import Any, ClassVar, get_type_hints
 import numpy as np
 
 from . import _checks
+from ._claims import WithClaims
 from ._methods import WithMethods
 
 
@@ -140,7 +141,7 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
     return tuple((name, about, defaults[name] is None) for name, about in described(kind).items())
 
 
-class Checked(WithMethods):
+class Checked(WithClaims, WithMethods):
     """A module whose constructor checks every field against its `Quantity` or `Choice`.
 
     - `may_be_random`: whether its single numbers may differ from sample to sample.

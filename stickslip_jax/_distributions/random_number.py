@@ -24,6 +24,8 @@ class RandomNumber(Checked):
     """
 
     may_be_random: ClassVar[bool] = False
+    rests_on = {"support": ("icdf",)}
+    only_with = {"icdf": ("cdf",)}
 
     @abc.abstractmethod
     def icdf(self, u: FloatArray) -> FloatArray:

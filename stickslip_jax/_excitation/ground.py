@@ -51,6 +51,7 @@ class GroundAcceleration(GroundMotion):
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
+    only_with = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)

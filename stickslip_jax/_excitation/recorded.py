@@ -33,6 +33,7 @@ class Recorded(SegmentLaw):
         converter=partial(_checks.real_array, "values")
     )
     is_random = False
+    only_with = {"value": ("draw", "next_segment")}
     jumps = False
 
     def check_relations(self) -> None:

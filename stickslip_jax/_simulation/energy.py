@@ -76,7 +76,8 @@ def _grip(model: Any, inputs: Any, y: Any, sticks: AnyArray) -> FloatArray:
     speed = model.relative_velocity(inputs, none, y)
     # At isolated instants of no relative velocity the friction of the slip that follows.
     sign = jnp.where(model.at_rest(inputs, y), model.release_sign(inputs, y), model.slip_sign(inputs, y))
-    return jnp.where(sticks, model.holding(inputs, none, y), sign * model.friction.kinetic(jnp.abs(speed)))
+    slip = model.grip_of(y, sign) * model.friction.kinetic(jnp.abs(speed))
+    return jnp.where(sticks, model.holding(inputs, none, y), slip)
 
 
 def energies_of(one: Any, times: Float[Array, "*times"]) -> Energies:
@@ -107,7 +108,8 @@ def _energies(model: Any, beginnings: Beginnings, last: FloatArray, times: Float
             now = begun.t + node * h
             y, inputs = state_in_step(model, begun, node * h), model.inputs(now, begun.segments)
             none = jnp.zeros_like(now)
-            slip = begun.sign * model.friction.kinetic(jnp.abs(model.relative_velocity(inputs, none, y)))
+            coefficient = model.friction.kinetic(jnp.abs(model.relative_velocity(inputs, none, y)))
+            slip = model.grip_of(y, begun.sign) * coefficient
             grip = jnp.where(begun.sign == 0, model.holding(inputs, none, y), slip)
             return energy.powers(model, inputs, y, energy.friction_force(model, y, grip))
 

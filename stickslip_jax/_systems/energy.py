@@ -83,7 +83,7 @@ def _(model: OscillatorModel, inputs: OscillatorInputs, y: State, force: FloatAr
 @friction_force.register
 def _(model: CartModel, y: State, grip: FloatArray) -> FloatArray:
     # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
-    return grip * model.system.cart_mass * model.system.gravity * jnp.sign(jnp.sin(y[0]))
+    return grip * model.system.cart_mass * model.system.gravity * model.heading(y)
 
 
 @stored_energies.register

@@ -276,6 +276,14 @@ class CartModel(SwitchedModel):
         rise = (voltage.mean + voltage.amplitude * phase - drop) / system.inductance
         return speed, torque / (system.motor_inertia + inertia * sine * sine), rise
 
+    def grip_of(self, y: State, sign: FloatArray) -> FloatArray:
+        # Slips go by the sign of the cart's velocity, `rates_under` and `relative_velocity` by that of the motor's.
+        return sign * self.heading(y)
+
+    def heading(self, y: State) -> FloatArray:
+        """+1 on the half with sin(alpha) > 0, where the cart moves against its axis as the angle grows; else -1."""
+        return jnp.where(jnp.sin(y[0]) < 0, -1.0, 1.0).astype(y[0].dtype)
+
     def relative_velocity(self, inputs: CartInputs, tau: FloatArray, y: State) -> FloatArray:
         # Velocity of the pin that moves the cart, ``eccentricity alpha'``: zero in sticks only.
         return self.system.eccentricity * y[1]

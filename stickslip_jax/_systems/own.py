@@ -6,17 +6,14 @@ from typing import Any
 
 import equinox as eqx
 
-from .._excitation.smooth import UserMotion
-from .friction import FrictionCurve
-
 _PACKAGE = __name__.partition(".")[0]
-_THEIRS = (FrictionCurve, UserMotion)  # these hold a user-defined function
 
 
 def is_own(tree: Any) -> bool:
     """Whether every module in `tree` is the package's own, or a solver of diffrax."""
     return all(
-        type(module).__module__.startswith((f"{_PACKAGE}.", "diffrax.")) and not isinstance(module, _THEIRS)
+        type(module).__module__.startswith((f"{_PACKAGE}.", "diffrax."))
+        and not getattr(module, "holds_users_code", False)
         for module in _modules(tree)
     )
 
