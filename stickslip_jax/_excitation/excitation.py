@@ -229,7 +229,8 @@ def longest_time(base: BaseMotion) -> float:
     """Duration of a recorded motion, s; infinity for one that is not recorded, or whose times are traced."""
     if isinstance(base, WithJumps):
         return min(longest_time(base.motion), longest_time(base.jumps))
-    times = next((base.times for kind in (Recorded, GroundAcceleration) if keeps(base, kind, *_SEGMENTS)), None)
+    record: Any = base
+    times = record.times if any(keeps(base, kind, *_SEGMENTS) for kind in (Recorded, GroundAcceleration)) else None
     return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
 
 

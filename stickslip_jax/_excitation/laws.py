@@ -33,8 +33,8 @@ class BangBangLaw(SegmentLaw):
 
     jumps = True
     has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
-    rests_on = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
-    only_with = {"next_segment": ("next_interval",)}
+    rests_on: ClassVar = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
+    only_with: ClassVar = {"next_segment": ("next_interval",)}
 
     @abc.abstractmethod
     def begin(self, key_data: KeyData, dtype) -> Any:

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ _FIRST_PHASE = 0xFFFFFF00  # number of the random word that the first phase is d
 class RandomSignal(Checked):
     """Base class of smooth random functions of time: each realisation is a `Signal`."""
 
-    rests_on = {"shortest_period": ("realized",)}
+    rests_on: ClassVar = {"shortest_period": ("realized",)}
 
     @abc.abstractmethod
     def realized(self, key_data: KeyData, dtype) -> Signal:

@@ -35,7 +35,7 @@ class Signal(Checked):
     """
 
     is_harmonic: ClassVar[bool] = False  # a sum of `tones` and a `mean`, as `_Tones` has them
-    rests_on = {
+    rests_on: ClassVar = {
         "rate": ("value",),
         "curvature": ("value", "rate"),
         "integral": ("value",),

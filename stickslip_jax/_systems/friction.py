@@ -28,7 +28,7 @@ class FrictionLaw(Checked):
     """
 
     constant: ClassVar[bool] = False
-    rests_on = {"constant": ("kinetic",), "speed_scale": ("kinetic",), "holds_more": ("static", "kinetic")}
+    rests_on: ClassVar = {"constant": ("kinetic",), "speed_scale": ("kinetic",), "holds_more": ("static", "kinetic")}
 
     @property
     def holds_more(self) -> bool:

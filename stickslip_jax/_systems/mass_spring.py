@@ -58,8 +58,7 @@ class MassSpring(System):
         default=None, converter=lambda v: None if _is_zero(v) else v
     )
     force: Signal | Recorded | None = None
-    # The closed forms are those of this motion, not of another that a subclass may describe.
-    rests_on = {"has_interval_form": ("switched_model", "stick_half_width"), "has_closed_form": ("switched_model",)}
+    rests_on: ClassVar = dict.fromkeys(("has_interval_form", "has_closed_form"), ("switched_model", "stick_half_width"))
 
     def check_relations(self) -> None:
         if not isinstance(self.friction, FrictionLaw):
@@ -111,14 +110,12 @@ class MassSpring(System):
 
     @property
     def has_interval_form(self) -> bool:
-        plain = self.friction.constant and not self.friction.holds_more
-        return plain and self.damping is None and self.force is None
+        friction = self.friction
+        return friction.constant and not friction.holds_more and self.damping is None and self.force is None
 
     @property
     def has_closed_form(self) -> bool:
-        """Whether its slips have a closed form: constant kinetic friction, and a force that is constant, piecewise
-        linear in time, or harmonic.
-        """
+        """That of constant kinetic friction under a force that is constant, piecewise linear in time, or harmonic."""
         return self.friction.constant and (not isinstance(self.force, Signal) or self.force.is_harmonic)
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
@@ -340,8 +337,8 @@ class OscillatorModel(SwitchedModel):
         c = 0 if c is None else c
         x = (inputs.load + tau * inputs.load_slope - rub - c / k * inputs.load_slope) / k
         p = inputs.load_slope / k
-        force: Any = self.system.force
-        if isinstance(force, Signal):  # a sum of harmonics, or there were no closed form
+        force: Any = self.system.force if isinstance(self.system.force, Signal) else None
+        if force is not None:  # a sum of harmonics: there were no closed form otherwise
 
             def answer(amplitude, w, phase):
                 elastic, viscous = k - m * w * w, c * w

@@ -20,6 +20,7 @@ import numpy as np
 
 from .. import _checks
 from .. import _diffrax as diffrax
+from .._claims import keeps
 from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
@@ -95,6 +96,7 @@ class MotorCart(System):
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "CartModel":
         assert isinstance(smooth, SourceVoltage)
+        _require_sine(smooth)  # a realisation of a random law, say
         return CartModel(self, smooth)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
@@ -116,11 +118,13 @@ class MotorCart(System):
         return 1.0, most / self.motor_constant, most / self.resistance
 
     def check_excitation(self, excitation: Excitation) -> None:
-        if not isinstance(voltage_of(excitation), SourceVoltage) or excitation.base or excitation.ground:
+        voltage = voltage_of(excitation)
+        if not isinstance(voltage, SourceVoltage) or excitation.base or excitation.ground:
             raise ValueError(
                 "Argument base of a MotorCart must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), but another "
                 "motion was given."
             )
+        _require_sine(voltage)
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is not None:
@@ -143,6 +147,15 @@ class MotorCart(System):
         """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A."""
         most = self.largest_friction_torque / self.motor_constant * jnp.abs(jnp.sin(state[0]))
         return -most, most
+
+
+def _require_sine(voltage: Signal) -> None:
+    """Raise ValueError for a subclass of `SourceVoltage` with another `value`, which the motor would not follow."""
+    if not keeps(voltage, SourceVoltage, "value"):
+        raise ValueError(
+            f"Argument base of a MotorCart must be a sine about its mean, but {_checks.show(voltage)} was given, whose "
+            "class overrides SourceVoltage.value; write motor and voltage as a SwitchedSystem of your own."
+        )
 
 
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
