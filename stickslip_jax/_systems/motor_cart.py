@@ -161,20 +161,23 @@ def _require_sine(voltage: Signal) -> None:
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
     """Upper bound of the stick duration at motor angles `angle` (rad, any shape), s; infinity where sticks never end.
 
-    It is the time in one period of the voltage during which friction can hold the torque of the steady current,
-    ``(pi + 2 asin s) / angular_frequency`` with ``s = (mu m g d |sin angle| / motor_constant - mean / resistance) / A``
-    and ``A`` the amplitude of the steady current; 0 where ``s <= -1`` (Lima and Sampaio 2022, section 4, whose eqs 7
-    and 8 lack the angular frequency in some places). The current that a stick begins with decays in the time
+    It is the longest time without a break during which friction can hold the torque of the steady current
+    ``mean / resistance + A sin(...)``, that is, during which the sine lies between ``low`` and ``high``,
+    ``(-+ mu m g d |sin angle| / motor_constant - mean / resistance) / A``. Where one of its extrema lies between them,
+    that is ``(pi + 2 asin high) / angular_frequency`` or ``(pi - 2 asin low) / angular_frequency`` (Lima and Sampaio
+    2022, section 4, whose mean is positive, and whose eqs 7 and 8 lack the angular frequency in some places); where
+    none does, the current swings from one limit to the other in ``(asin high - asin low) / angular_frequency``, twice
+    in a period; where both do, sticks may never end. The current that a stick begins with decays in the time
     ``inductance / resistance``; it can prolong a stick by about that much.
 
-    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind, and for
-    angles that are not finite.
+    A constant voltage (amplitude 0) gives 0 or infinity. At dead centre, and without friction, nothing sticks: 0.
+    Raises ValueError for arguments of another kind, and for angles that are not finite.
 
     >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
     >>> print(f"{bound:.5f} s")
     0.50828 s
     """
-    if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
+    if not isinstance(system, MotorCart) or not keeps(voltage, SourceVoltage, "value"):
         raise ValueError(
             "Arguments system and voltage must be a MotorCart and a SourceVoltage, but "
             f"{_checks.show(system)} and {_checks.show(voltage)} were given."
@@ -183,11 +186,21 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     held = system.largest_friction_torque * jnp.abs(jnp.sin(jnp.asarray(angle, float))) / system.motor_constant
     reactance = system.inductance * voltage.angular_frequency
     amplitude = jnp.abs(voltage.amplitude) / jnp.sqrt(system.resistance**2 + reactance**2)
-    spare = held - voltage.mean / system.resistance
-    some = (amplitude > 0) & (jnp.abs(spare) < amplitude)
-    s = jnp.where(some, spare, 0) / jnp.where(some, amplitude, 1)
-    bound = (math.pi + 2 * jnp.arcsin(s)) / voltage.angular_frequency
-    return jnp.where(some, bound, jnp.where(spare >= amplitude, jnp.inf, 0.0))
+    mean = voltage.mean / system.resistance
+    per_amplitude = 1 / jnp.where(amplitude > 0, amplitude, 1)
+    spare = [limit - mean for limit in (-held, held)]
+    low, high = (_asin_within(some * per_amplitude) for some in spare)
+    over_lowest, over_highest = spare[0] <= -amplitude, spare[1] >= amplitude
+    # Over an extremum the current turns: it takes the way back, too.
+    bound = (high - low) * jnp.where(over_lowest | over_highest, 2, 1) / voltage.angular_frequency
+    bound = jnp.where(amplitude > 0, bound, 0)
+    return jnp.where(held > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
+
+
+def _asin_within(sine: FloatArray) -> FloatArray:
+    """The angle whose sine this is, from -pi / 2 to pi / 2, and the nearer one of these beyond."""
+    within = jnp.abs(sine) < 1
+    return jnp.where(within, jnp.arcsin(jnp.where(within, sine, 0)), jnp.sign(sine) * (math.pi / 2))
 
 
 class CartInputs(NamedTuple):
@@ -272,7 +285,7 @@ class CartModel(SwitchedModel):
 
     @property
     def friction(self) -> FrictionLaw:
-        return Coulomb(self.system.mu)
+        return Coulomb(1.0)  # a share of the largest friction torque
 
     def rates_under(self, inputs: CartInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
         system, voltage = self.system, self.smooth
@@ -280,7 +293,7 @@ class CartModel(SwitchedModel):
         sine, cosine = sincos(angle)
         inertia = system.cart_mass * system.eccentricity**2
         carried = speed * speed if system.equation == "physical" else speed
-        rub = grip * system.cart_mass * system.gravity * system.eccentricity * jnp.abs(sine)
+        rub = grip * system.largest_friction_torque * jnp.abs(sine)
         torque = (
             system.motor_constant * current - system.motor_damping * speed - rub - inertia * sine * cosine * carried
         )
