@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._claims import keeps
-from .._types import FloatArray, State
+from .._types import FloatArray, Scalar, State
 from .mass_spring import OscillatorInputs, OscillatorModel
 from .motor_cart import CartInputs, CartModel, MotorCart
 from .system import System
@@ -57,6 +57,13 @@ def require_energy(system: System) -> None:
             f'energies needs a MotorCart with equation="physical", but one with equation="{system.equation}" was '
             "given: the units of that equation do not match, so that it has no energy."
         )
+
+
+def fastest_decay(model: Any) -> Scalar:
+    """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
+    if not isinstance(model, OscillatorModel) or model.system.damping is None:
+        return 0.0
+    return model.system.damping / model.system.mass
 
 
 @friction_force.register
