@@ -148,7 +148,7 @@ def test_derivative_by_the_rate_of_a_law():
             samples=8000,
             key=jax.random.key(0),
             estimator=estimator,
-        )  # fmt: skip
+        )
         for estimator in ("corrected", "finite-difference")
     )
     for name in ("rate", "speed"):
@@ -230,9 +230,8 @@ def test_records_that_go_on():
 
     times, values = np.array([0.0, 0.5, 1.5, 2.0]), np.array([0.0, 1.0, -1.0, 0.0])
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3))
-    longer = ss.Recorded(
-        np.append((times[:-1] + 2 * np.arange(5)[:, None]).reshape(-1), 10.0), np.append(np.tile(values[:-1], 5), 0.0)
-    )
+    again = (times[:-1] + 2 * np.arange(5)[:, None]).reshape(-1)
+    longer = ss.Recorded(np.append(again, 10.0), np.append(np.tile(values[:-1], 5), 0.0))
     one, other = (ss.simulate(system, base, t1=10.0) for base in (Periodic(times, values), longer))
     np.testing.assert_allclose(one.final_state, other.final_state, rtol=0, atol=1e-12)
     assert one.sticks.count == other.sticks.count > 2
