@@ -59,21 +59,29 @@ def motion(friction, base=None, **options):
 
 
 def test_friction():
-    """Against the laws of the package that are the same functions of speed."""
+    """A closed form only where the methods are those that it is of."""
     for own in (Weakening(0.6), Mixed(0.6), Later(0.6)):
         assert not own.constant
         assert own.holds_more
         assert own.speed_scale is None
         assert not ss.MassSpring(1.0, 4.0, 1.0, own).has_closed_form
-    np.testing.assert_allclose(motion(Weakening(0.6)), motion(ss.VelocityWeakening(0.6, 0.5)), rtol=0, atol=1e-9)
     sticky = ss.MassSpring(1.0, 4.0, 1.0, Sticky(0.4))
     assert (sticky.has_closed_form, sticky.has_interval_form, sticky.holds_more) == (True, False, True)
+    halved = ss.MassSpring(1.0, 4.0, 1.0, Halved(0.8))
+    assert halved.has_interval_form
+    assert halved.stick_half_width == ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4)).stick_half_width
+
+
+@pytest.mark.slow
+def test_motions_under_friction():
+    """Against the laws of the package that are the same functions of speed."""
+    np.testing.assert_allclose(motion(Weakening(0.6)), motion(ss.VelocityWeakening(0.6, 0.5)), rtol=0, atol=1e-9)
     np.testing.assert_allclose(motion(Sticky(0.4)), motion(ss.Coulomb(0.4, 0.6)), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_statements_made_anew_hold():
     halved, plain = (ss.MassSpring(1.0, 4.0, 1.0, friction) for friction in (Halved(0.8), ss.Coulomb(0.4)))
-    assert halved.has_interval_form
     base = POISSON.sample(jax.random.key(0), 20.0)
     one, other = (ss.simulate(system, base, t1=20.0, y0=(0.1, 1.0)) for system in (halved, plain))
     np.testing.assert_allclose(one.final_state, other.final_state, rtol=0, atol=1e-13)
@@ -93,18 +101,25 @@ class Written(ss.Signal):
 
 
 def test_signals():
-    """A base and a force; rates and integrals are those of the value, and the shortest period is not known."""
+    """Rates and integrals are those of the value, and the shortest period is not known."""
     fading, written = Fading(1.4, 1.3, 0.4), Written()
     t, h = jnp.asarray(0.7), jnp.asarray(0.2)
     for name, arguments in {"rate": (t,), "curvature": (t,), "integral": (t, h)}.items():
         assert float(getattr(fading, name)(*arguments)) == pytest.approx(float(getattr(written, name)(*arguments)))
-    friction = ss.Coulomb(0.4)
+    assert not fading.is_harmonic
+    assert not ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4), force=fading).has_closed_form
+    with pytest.raises(ValueError, match="step"):
+        ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4)), fading, t1=1.0)
+
+
+@pytest.mark.slow
+def test_motions_under_signals():
+    """A base and a force."""
+    fading, written = Fading(1.4, 1.3, 0.4), Written()
+    friction, still = ss.Coulomb(0.4), ss.Constant(0.0)
     np.testing.assert_allclose(motion(friction, fading), motion(friction, written), rtol=0, atol=1e-10)
-    still = ss.Constant(0.0)
     forced = [motion(friction, still, force=force, damping=0.1) for force in (fading, written)]
     np.testing.assert_allclose(*forced, rtol=0, atol=1e-10)
-    with pytest.raises(ValueError, match="step"):
-        ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, friction), fading, t1=1.0)
 
 
 def test_voltages():
@@ -218,6 +233,7 @@ def test_random_phases():
     assert Louder(ss.Harmonic(1.0, 1.0)).shortest_period is None
 
 
+@pytest.mark.slow
 def test_records_that_go_on():
     """A record that repeats itself has no end, and is simulated beyond that of the plain one."""
 
@@ -229,7 +245,7 @@ def test_records_that_go_on():
             return int(t1 / float(self.times[-1]) + 1) * len(self.times)
 
     times, values = np.array([0.0, 0.5, 1.5, 2.0]), np.array([0.0, 1.0, -1.0, 0.0])
-    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3))
+    system = ss.MassSpring(1.0, 4.0, 3.0, ss.Coulomb(0.9))
     again = (times[:-1] + 2 * np.arange(5)[:, None]).reshape(-1)
     longer = ss.Recorded(np.append(again, 10.0), np.append(np.tile(values[:-1], 5), 0.0))
     one, other = (ss.simulate(system, base, t1=10.0) for base in (Periodic(times, values), longer))
