@@ -74,4 +74,4 @@ def test_sticks_keep_to_it():
     transient = system.inductance / system.resistance
     assert len(excess) > 100
     assert excess.max() < 10 * transient
-    assert np.abs(excess).min() < transient  # and some come near it
+    assert (duration[complete] > transient).any()
