@@ -306,7 +306,7 @@ def test_beta_with_most_of_its_weight_at_an_end():
     x = np.array([-0.5, 0.5, 0.9, 0.999, 1 - 2.0**-20, 1 - 2.0**-24, 1.0], np.float32)
     np.testing.assert_allclose(beta.cdf(x), scipys.cdf(x.astype(float)), rtol=2e-5)
     u = np.array([1e-3, 0.3, 0.6, 0.9, 0.93, 0.9375], np.float32)
-    np.testing.assert_allclose(beta.icdf(u), scipys.ppf(u.astype(float)), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(beta.icdf(jnp.asarray(u)), scipys.ppf(u.astype(float)), rtol=0, atol=1e-7)
     other = ss.Beta(0.2, 30.0, -1.0, 1.0)  # in a mirror
     np.testing.assert_allclose(other.cdf(-x), stats.beta(0.2, 30.0, -1.0, 2.0).cdf(-x.astype(float)), rtol=2e-5)
     for function, at in (
