@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from . import _checks
+from ._claims import WithClaims
 from ._methods import WithMethods
 
 PACKAGE = __name__.partition(".")[0]
@@ -160,7 +161,7 @@ def is_of_package(tree: Any) -> bool:
     return all(type(module).__module__.startswith(f"{PACKAGE}.") for module in modules_in(tree))
 
 
-class Checked(WithMethods):
+class Checked(WithClaims, WithMethods):
     """A module whose constructor checks every field against its `Quantity` or `Choice`.
 
     - `may_be_random`: whether its single numbers may differ from sample to sample.

@@ -110,11 +110,18 @@ class Beta(RandomNumber):
         _check_order(low=self.low, high=self.high)
 
     def icdf(self, u: FloatArray) -> FloatArray:
-        return self.low + (self.high - self.low) * _beta_quantile(*_alike(self.a, self.b, u))
+        # The upper half from the upper end: where the density is infinite there, much lies closer than rounding to 1.
+        a, b, u = _alike(self.a, self.b, u)
+        above, below = _beta_quantile(a, b, u), _beta_quantile(b, a, 1 - u)
+        width = self.high - self.low
+        return jnp.where(u > 0.5, self.high - width * below, self.low + width * above)
 
     def cdf(self, x: Any) -> FloatArray:
-        share = jnp.clip((floating(x) - self.low) / (self.high - self.low), 0, 1)
-        return _beta_share(*_alike(self.a, self.b, share))
+        x, width = floating(x), self.high - self.low
+        a, b, above = _alike(self.a, self.b, jnp.clip((x - self.low) / width, 0, 1))
+        below = jnp.clip((self.high - x) / width, 0, 1).astype(above.dtype)
+        share = _beta_share(a, b, above)
+        return jnp.where((share > 0.5) | (below < 1e-4), 1 - _beta_share(b, a, below), share)
 
     @property
     def support(self) -> tuple[Scalar, Scalar]:

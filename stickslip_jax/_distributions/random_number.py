@@ -24,6 +24,8 @@ class RandomNumber(Checked):
     """
 
     may_be_random: ClassVar[bool] = False
+    rests_on: ClassVar = {"support": ("icdf",)}
+    only_with: ClassVar = {"icdf": ("cdf",)}
 
     @abc.abstractmethod
     def icdf(self, u: FloatArray) -> FloatArray:

@@ -72,7 +72,9 @@ def fields_of_sticks(
     ends_stuck[count > 0] = sticks.ending[(sticks.first + count - 1)[count > 0]] == Ending.HORIZON
     time = np.bincount(sticks.sample, weights=sticks.duration, minlength=len(count))
     none = np.zeros(len(count), np.int32)
-    results = LaneResults(count.astype(np.int32), count + 1 - starts_stuck - ends_stuck, time, none, none)
+    touching = np.bincount(sticks.sample[sticks.touches], minlength=len(count))
+    slips = count + 1 - starts_stuck - ends_stuck - touching
+    results = LaneResults(count.astype(np.int32), slips, time, none, none)
     about = "measured sticks"
     return {
         **_summed(results, sticks, float(t1), numbering, position.period),

@@ -132,12 +132,19 @@ def known_inputs(ensemble: Any) -> dict[str, tuple[np.ndarray, str]]:
     try:
         for part in parts:
             require_whole(part)
+            _ = part.inputs  # a design may name numbers of a system that is not known
     except ValueError:
         return {}
     if any(isinstance(part.law, GivenMotions) for part in parts) or len({part.inputs.names for part in parts}) > 1:
         return {}
     units = [entry.about.unit if entry.about else "" for entry in parts[0].inputs.entries]
-    return {name: (ensemble.input_values[name], unit) for name, unit in zip(parts[0].inputs.names, units, strict=True)}
+    return {name: (values, unit) for (name, values), unit in zip(values_of(parts).items(), units, strict=True)}
+
+
+def values_of(parts: list[Any]) -> dict[str, np.ndarray]:
+    """The values of the numbers that differ from sample to sample in `parts`, the same ones in each, by name."""
+    found = [part.inputs.values(jnp.dtype(part.dtype), part.first_sample) for part in parts]
+    return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
 
 
 def require_whole(ensemble: Any) -> None:

@@ -29,11 +29,11 @@ from .._status import Status
 from .._systems.system import Coordinate, System
 from .given import fields_of_simulations, fields_of_sticks, numbering_of
 from .kept import Retained, SampleTotals
-from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole
+from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
 from .parts import Keep
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
-from .unknown import Unknown, UnknownSystem
+from .unknown import Unknown, UnknownSystem, require_known
 
 if TYPE_CHECKING:
     import xarray
@@ -180,13 +180,13 @@ class Ensemble:
         parts = parts_of(self)
         for part in parts:
             require_whole(part)
-        found = [part.inputs.values(jnp.dtype(self.dtype), part.first_sample) for part in parts]
-        if len({tuple(values) for values in found}) > 1:
+            require_known("system", part.system)
+        if len({part.inputs.names for part in parts}) > 1:
             raise ValueError(
                 f"This ensemble was joined from {len(parts)} parts in which different numbers differ from sample to "
                 "sample; ask each part."
             )
-        return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
+        return values_of(parts)
 
     @cached_property
     def statistics(self) -> EnsembleStatistics:

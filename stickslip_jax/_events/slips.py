@@ -34,8 +34,8 @@ class FlatSlips(NamedTuple):
 def slips_among(sticks: FlatSticks, t1: float, finished: np.ndarray | None = None) -> FlatSlips:
     """The slips on ``[0, t1]`` (s) of all samples that have `finished`, (samples,); None: of all samples.
 
-    One before the first stick of a sample unless this begins at t = 0, one between two sticks, one after the last
-    unless the horizon cuts that. `sticks` holds none of samples that have not finished.
+    One before the first stick of a sample unless this begins at t = 0, one between two sticks unless they touch, one
+    after the last unless the horizon cuts that. `sticks` holds none of samples that have not finished.
     """
     at, has = np.arange(len(sticks.start)), sticks.count > 0
     is_last = np.zeros(len(at), bool)
@@ -44,7 +44,7 @@ def slips_among(sticks: FlatSticks, t1: float, finished: np.ndarray | None = Non
     is_first[sticks.first[has]] = True
     horizon = sticks.start.dtype.type(t1)
     before = np.where(is_first, 0, np.roll(sticks.end, 1))
-    leads = ~(is_first & (sticks.start == 0))
+    leads = ~(is_first & (sticks.start == 0)) & ~sticks.touches
     trails = is_last & (sticks.ending != Ending.HORIZON)
     empty = np.flatnonzero(~has if finished is None else finished & ~has)
     none = np.zeros(len(empty))

@@ -214,6 +214,12 @@ class FlatSticks(NamedTuple):
         begins[begins] = self.start[self.first[begins]] == 0
         return begins
 
+    @property
+    def touches(self) -> np.ndarray:
+        """Whether each stick begins at the very end of the one before it in its sample, without a slip, (sticks,)."""
+        same = np.diff(self.sample, prepend=-1) == 0
+        return same & (self.start == np.roll(self.end, 1))
+
     def without_initial_rest(self) -> "FlatSticks":
         """A copy without the sticks that begin at t = 0."""
         begins = self.begins_at_zero

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._claims import keeps
 from .._numerics.random_bits import key_data_of, random_words
 from .._types import Array, KeyData, Scalar
 from .ground import GroundAcceleration, GroundMotion
@@ -21,6 +22,7 @@ from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
 from .voltage import SourceVoltage
 
+_SEGMENTS = "draw", "next_segment"  # a record that is continued by another rule has another length
 _MOTION = 1  # number of the key data of a random motion in segments, among those of the jumps
 
 
@@ -227,7 +229,8 @@ def longest_time(base: BaseMotion) -> float:
     """Duration of a recorded motion, s; infinity for one that is not recorded, or whose times are traced."""
     if isinstance(base, WithJumps):
         return min(longest_time(base.motion), longest_time(base.jumps))
-    times = base.times if isinstance(base, (Recorded, GroundAcceleration)) else None
+    record: Any = base
+    times = record.times if any(keeps(base, kind, *_SEGMENTS) for kind in (Recorded, GroundAcceleration)) else None
     return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
 
 

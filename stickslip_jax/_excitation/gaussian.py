@@ -1,7 +1,7 @@
 """Stationary Gaussian motions with a given power spectrum, as sums of harmonics."""
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -84,6 +84,7 @@ class GaussianProcess(RandomSignal):
     harmonics: int = eqx.field(
         static=True, default=128, converter=lambda v: _checks.whole_number("harmonics", v, maximum=2**20)
     )
+    only_with: ClassVar = {"variance": ("realized",), "spectral_density": ("realized",), "covariance": ("realized",)}
 
     def check_relations(self) -> None:
         if self.spectrum.varies or any(map(_checks.is_traced, jax.tree.leaves((self.spectrum, self.cutoff)))):

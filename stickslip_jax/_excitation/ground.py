@@ -1,7 +1,7 @@
 """Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -51,6 +51,7 @@ class GroundAcceleration(GroundMotion):
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
+    only_with: ClassVar = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)

@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +61,8 @@ class KanaiTajimi(GroundMotion):
     decay: Annotated[Number, Quantity("1/s", "of the envelope", at_least=0)] = 0.1
     interval: Annotated[Number, Quantity("s", "between samples", above=0)] = 0.01
     is_random = True
+    rests_on: ClassVar = {"sample": ("draw", "next_segment")}
+    only_with: ClassVar = {"spectrum": ("draw", "next_segment"), "spectral_density": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
         if _checks.is_traced(self.interval) or _checks.is_traced(self.ground_frequency):

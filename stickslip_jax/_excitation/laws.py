@@ -8,7 +8,7 @@ a larger capacity only continues it, and an ensemble can draw intervals while it
 import abc
 import math
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -33,6 +33,9 @@ class BangBangLaw(SegmentLaw):
     """Base class of the laws of piecewise-constant base velocity. Subclass it to add one."""
 
     jumps = True
+    has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
+    rests_on: ClassVar = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
+    only_with: ClassVar = {"next_segment": ("next_interval",)}
 
     @abc.abstractmethod
     def begin(self, key_data: KeyData, dtype) -> Any:
@@ -182,6 +185,7 @@ class PoissonSwitching(BangBangLaw):
         str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
     ] = eqx.field(static=True, default="random")
     is_random = True
+    has_exponential_gaps = True
 
     def begin(self, key_data, dtype):
         if self.first_sign != "random":

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,14 +21,16 @@ _FIRST_PHASE = 0xFFFFFF00  # number of the random word that the first phase is d
 class RandomSignal(Checked):
     """Base class of smooth random functions of time: each realisation is a `Signal`."""
 
+    rests_on: ClassVar = {"shortest_period": ("realized",)}
+
     @abc.abstractmethod
     def realized(self, key_data: KeyData, dtype) -> Signal:
         """The realisation drawn by `key_data`."""
 
     @property
-    @abc.abstractmethod
     def shortest_period(self) -> Scalar | None:
         """The period (s) of the fastest oscillation of any realisation, as that of a `Signal`."""
+        return None
 
     def sample(self, key: Array, t1: Scalar | None = None) -> Signal:
         """The realisation drawn by `key`, from ``jax.random.key(seed)``; it has no end, and `t1` is not used."""
@@ -61,7 +63,7 @@ class RandomPhase(RandomSignal):
             first = jnp.asarray(_FIRST_PHASE, jnp.uint32)
             numbers = first + jnp.arange(len(self.signal.amplitudes), dtype=jnp.uint32)
             phases = _angle(random_words(key_data, numbers)[0], dtype)
-            return SumOfHarmonics(self.signal.amplitudes, self.signal.angular_frequencies, phases, self.signal.offset)
+            return eqx.tree_at(lambda signal: signal.phases, self.signal, phases, is_leaf=lambda leaf: leaf is None)
         phase = _angle(random_words(key_data, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
 

@@ -1,7 +1,7 @@
 """Recorded motions: values at given times, joined by straight lines."""
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,6 +33,7 @@ class Recorded(SegmentLaw):
         converter=partial(_checks.real_array, "values")
     )
     is_random = False
+    only_with: ClassVar = {"value": ("draw", "next_segment")}
     jumps = False
 
     def check_relations(self) -> None:

@@ -171,6 +171,7 @@ class GivenSegments(SegmentLaw):
     slopes: AnyArray = eqx.field(converter=jnp.asarray)
     may_jump: bool = eqx.field(static=True, default=True)
     is_random = False
+    only_with: ClassVar = {"value": ("draw", "next_segment")}
 
     @property
     def jumps(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of the law it is drawn from

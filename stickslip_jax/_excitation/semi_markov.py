@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._claims import keeps
 from .._distributions.families import Discrete
 from .._distributions.random_number import RandomNumber, Truncated
 from .._fields import Choice, is_of_package
@@ -175,16 +176,14 @@ def _is_positive(given: RandomNumber) -> bool:
 
 def _check_values(speed: RandomNumber) -> None:
     """Check that neighbouring velocities from `speed` can differ."""
-    inner = speed
-    while isinstance(inner, Truncated):
-        inner = inner.distribution
-    if not isinstance(inner, Discrete):
+    if speed.is_continuous:
         return
-    if inner is not speed:
+    if not keeps(speed, Discrete, "icdf"):  # its values and probabilities are not known
         raise ValueError(
-            f"Argument speed must be continuous or Discrete where alternating is False, but {_checks.show(speed)} was "
-            "given; leave the values out of the Discrete instead."
+            "Argument speed must be continuous or a Discrete, and no other distribution of single values, where "
+            f"alternating is False, but {_checks.show(speed)} was given."
         )
+    inner: Any = speed
     shares = inner.probabilities
     if _checks.is_traced(shares):
         return

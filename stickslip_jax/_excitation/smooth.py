@@ -4,7 +4,7 @@ import abc
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -30,8 +30,18 @@ class Signal(Checked):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
     `shortest_period`: the period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
-    not known, and the step of a simulation must then be given.
+    not known, and the step of a simulation must then be given. A subclass of a signal that has another `value` has the
+    rates, integrals and shortest period of that value, not those of its parent.
     """
+
+    is_harmonic: ClassVar[bool] = False  # a sum of `tones` and a `mean`, as `_Tones` has them
+    rests_on: ClassVar = {
+        "rate": ("value",),
+        "curvature": ("value", "rate"),
+        "integral": ("value",),
+        "shortest_period": ("value", "tones"),
+        "is_harmonic": ("value", "rate", "curvature", "integral"),
+    }
 
     @abc.abstractmethod
     def value(self, t: FloatArray) -> FloatArray:
@@ -57,6 +67,8 @@ class Signal(Checked):
 
 class _Tones(Signal):
     """Base class of a harmonic and a sum of harmonics."""
+
+    is_harmonic = True
 
     @property
     @abc.abstractmethod
@@ -198,6 +210,7 @@ class UserMotion(Signal):
     """
 
     motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
+    holds_users_code = True
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.motion.velocity(t)

@@ -160,6 +160,7 @@ class _OwnSpectrum(PowerSpectrum):
     """A function of angular frequency as a spectrum."""
 
     function: Any
+    holds_users_code = True
 
     def density(self, angular_frequency: Any) -> Any:
         values = jnp.asarray(angular_frequency, float)

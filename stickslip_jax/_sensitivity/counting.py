@@ -15,7 +15,7 @@ from .._dynamics.interval.engine import Scales, scales_of, start_motion, status_
 from .._dynamics.interval.lanes import is_over
 from .._dynamics.lanes import Engine
 from .._events.sticks import start_totals
-from .._excitation.laws import BangBangLaw, PoissonSwitching
+from .._excitation.laws import BangBangLaw
 from .._systems.mass_spring import MassSpring
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .edges import Edges, IntervalLane, cross_with_edges
@@ -117,8 +117,9 @@ class IntervalCounting(Engine):
     def _with_flux(self, total: Flux, edges: Edges, arrival: FloatArray, is_fixed: BoolArray | bool) -> Flux:
         """`total` with the flux that one interval adds."""
         exact, races = jnp.zeros_like(arrival), ~jnp.asarray(is_fixed)
-        if isinstance(self.law, PoissonSwitching):
-            rate = jnp.asarray(self.law.rate, arrival.dtype)
+        law: Any = self.law
+        if law.has_exponential_gaps:
+            rate = jnp.asarray(law.rate, arrival.dtype)
             # A gap that ends at the arrival, E / rate with its random number E held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact, races = weighted_flux(rate, gap - arrival, edges.exists), jnp.zeros((), bool)

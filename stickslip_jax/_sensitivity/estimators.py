@@ -8,7 +8,6 @@ import numpy as np
 
 from .._dynamics.chunks import chunks_of
 from .._dynamics.lanes import Engine, Job
-from .._excitation.laws import PoissonSwitching
 from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
 from .._systems.own import is_own
@@ -73,7 +72,7 @@ def counting_engine(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> A
         if not problem.by_intervals:
             return StepCounting(engine, bandwidths, problem.fixed_start)
         likelihood = None
-        if type(engine.law) is PoissonSwitching:
+        if engine.law.has_exponential_gaps:
             likelihood = Likelihood(engine.law.rate, pilot.stick_time, pilot.sticks)
         return IntervalCounting(
             engine.system, engine.law, engine.t1, engine.y0, bandwidths, likelihood, problem.fixed_start

@@ -176,6 +176,11 @@ class StickFunctional(StickStatistic):
 def statistic_of(statistic: StickStatistic | StatisticOfTotals) -> StickStatistic:
     """`statistic` as a `StickStatistic`. Raises ValueError for anything else."""
     if isinstance(statistic, StickStatistic):
+        if statistic.is_of_totals and not isinstance(statistic, OfTotals):
+            raise ValueError(
+                f"Argument statistic must have is_of_totals = False, but {_checks.show(statistic)} was given: only the "
+                "package's own statistics are found from totals."
+            )
         return statistic
     if statistic in DIFFERENTIABLE:
         return OfTotals(statistic)

@@ -1,5 +1,6 @@
 """Friction force and energies along one trajectory."""
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -18,9 +19,7 @@ from .._status import Ending
 from .._systems import energy
 from .._types import AnyArray, Array, FloatArray
 
-# In each step: the powers are smooth there, and no step is longer than a tenth of the shortest period.
-_NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(8))
-_NODES = _NODES + 0.5
+_MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
 
 
 class Energies(NamedTuple):
@@ -40,6 +39,31 @@ class Energies(NamedTuple):
     supplied: dict[str, Array]
     dissipated: dict[str, Array]
     imbalance: Array
+
+
+class _Rule(NamedTuple):
+    """Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
+
+    nodes: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, decay: Any, longest: Any) -> "_Rule":
+        """The rule for steps of at most `longest` (s), at whose beginning a motion may die out at the rate `decay`.
+
+        No step is longer than a tenth of the shortest period, so that powers are smooth there, but for such a motion of
+        strong damping: its parts are then the second half of the step, the second half of the first, and so on.
+        """
+        if not _checks.is_traced(decay) and decay == 0:
+            halves = 0
+        elif _checks.is_traced(decay) or _checks.is_traced(longest):
+            halves = _MOST_HALVES
+        else:
+            halves = min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
+        nodes, weights = np.polynomial.legendre.leggauss(8 if halves == 0 else 16)
+        edges = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
+        parts = np.diff(edges)[:, None]
+        return cls((edges[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1))
 
 
 def _sum(terms: energy.Terms) -> Array:
@@ -76,7 +100,8 @@ def _grip(model: Any, inputs: Any, y: Any, sticks: AnyArray) -> FloatArray:
     speed = model.relative_velocity(inputs, none, y)
     # At isolated instants of no relative velocity the friction of the slip that follows.
     sign = jnp.where(model.at_rest(inputs, y), model.release_sign(inputs, y), model.slip_sign(inputs, y))
-    return jnp.where(sticks, model.holding(inputs, none, y), sign * model.friction.kinetic(jnp.abs(speed)))
+    slip = model.grip_of(y, sign) * model.friction.kinetic(jnp.abs(speed))
+    return jnp.where(sticks, model.holding(inputs, none, y), slip)
 
 
 def energies_of(one: Any, times: Float[Array, "*times"]) -> Energies:
@@ -94,12 +119,14 @@ def energies_of(one: Any, times: Float[Array, "*times"]) -> Energies:
     model = one.system.switched_model(path.smooth, path.solver)
     energy.require_known(one.system, model, "energies")
     energy.require_energy(one.system)
-    found = _energies(model, path.beginnings, one.time_reached, times.reshape(-1))
+    lengths = jnp.append(path.beginnings.t[1:], one.time_reached) - path.beginnings.t
+    rule = _Rule.of(energy.fastest_decay(model), jnp.max(lengths))
+    found = _energies(model, path.beginnings, one.time_reached, times.reshape(-1), rule)
     return jax.tree.map(lambda values: values.reshape(times.shape), found)
 
 
 @jax.jit
-def _energies(model: Any, beginnings: Beginnings, last: FloatArray, times: FloatArray) -> Energies:
+def _energies(model: Any, beginnings: Beginnings, last: FloatArray, times: FloatArray, rule: _Rule) -> Energies:
     def worked(begun: Beginnings, h: FloatArray) -> energy.Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 
@@ -107,12 +134,13 @@ def _energies(model: Any, beginnings: Beginnings, last: FloatArray, times: Float
             now = begun.t + node * h
             y, inputs = state_in_step(model, begun, node * h), model.inputs(now, begun.segments)
             none = jnp.zeros_like(now)
-            slip = begun.sign * model.friction.kinetic(jnp.abs(model.relative_velocity(inputs, none, y)))
+            coefficient = model.friction.kinetic(jnp.abs(model.relative_velocity(inputs, none, y)))
+            slip = model.grip_of(y, begun.sign) * coefficient
             grip = jnp.where(begun.sign == 0, model.holding(inputs, none, y), slip)
             return energy.powers(model, inputs, y, energy.friction_force(model, y, grip))
 
-        rates = jax.vmap(power)(jnp.asarray(_NODES, h.dtype))
-        return jax.tree.map(lambda values: h * jnp.dot(jnp.asarray(_WEIGHTS, h.dtype), values), rates)
+        rates = jax.vmap(power)(jnp.asarray(rule.nodes, h.dtype))
+        return jax.tree.map(lambda values: h * jnp.dot(jnp.asarray(rule.weights, h.dtype), values), rates)
 
     ends = jnp.append(beginnings.t[1:], last)
     steps = jax.vmap(worked)(beginnings, ends - beginnings.t)

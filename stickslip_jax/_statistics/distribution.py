@@ -93,7 +93,12 @@ class Distribution:
 
     @property
     def skewness(self) -> Estimate:
-        """The third central moment over the cube of the standard deviation; NaN where all values are equal."""
+        """The third central moment over the cube of the standard deviation; NaN where all values are equal.
+
+        Its standard error is for many values without heavy tails, whose largest values decide both and are missed by
+        most runs: of 2,000 values in 400 clusters it is 0.87 of the spread of runs for exponential values, 0.82 where
+        clusters differ too (log-normal factors of spread 0.3), 0.37 for log-normal ones (``log_std`` 1).
+        """
         value = float(self.sums.skewness[0])
         if math.isnan(value):
             return self._estimate("skewness", value, value, "1")
@@ -150,7 +155,10 @@ class Distribution:
         """Shannon entropy of the normalised histogram in at most `bins` bins, ``-sum p log p``, nats.
 
         It depends on the width of the bins: entropies in the same bins (`common_bins`) can be compared. The estimate is
-        too low by about (bins - 1) / (2 number). Raises ValueError as `histogram`.
+        too low by about (bins - 1) / (2 number). The standard error is that of the entropy in these very bins, as
+        `common_bins` fix them (of 2,000 values in 400 clusters stated 0.027, spread of runs 0.028). A number of bins
+        makes bins that follow the range of the values: in another run they may be twice as wide, and the entropy lower
+        by up to 0.69 nats (spread 0.17 in the same runs). Raises ValueError as `histogram`.
         """
         edges, counts = self._joined(bins)
         name = f"entropy of the histogram in {len(counts)} bins"

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from .. import _checks
-from .._types import FloatArray, State
+from .._claims import keeps
+from .._types import FloatArray, Scalar, State
 from .mass_spring import OscillatorInputs, OscillatorModel
 from .motor_cart import CartInputs, CartModel, MotorCart
 from .system import System
@@ -42,10 +43,10 @@ def powers(model: Any, inputs: Any, y: State, force: FloatArray) -> Powers:
 
 def require_known(system: System, model: Any, name: str) -> None:
     """Check that friction forces of `system` are known in newtons, not only as shares. Raises ValueError otherwise."""
-    if friction_force.dispatch(type(model)) is friction_force.dispatch(object):
+    if not any(keeps(model, kind, "rates", "rates_under") for kind in (OscillatorModel, CartModel)):
         raise ValueError(
             f"{name} needs a MassSpring or a MotorCart, but a simulation of {_checks.show(system)} was given: the "
-            "friction of a SwitchedSystem is known as a share of its largest kinetic force only."
+            "friction of a system of your own is known as a share of its largest kinetic force only."
         )
 
 
@@ -56,6 +57,13 @@ def require_energy(system: System) -> None:
             f'energies needs a MotorCart with equation="physical", but one with equation="{system.equation}" was '
             "given: the units of that equation do not match, so that it has no energy."
         )
+
+
+def fastest_decay(model: Any) -> Scalar:
+    """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
+    if not isinstance(model, OscillatorModel) or model.system.damping is None:
+        return 0.0
+    return model.system.damping / model.system.mass
 
 
 @friction_force.register
@@ -83,7 +91,7 @@ def _(model: OscillatorModel, inputs: OscillatorInputs, y: State, force: FloatAr
 @friction_force.register
 def _(model: CartModel, y: State, grip: FloatArray) -> FloatArray:
     # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
-    return grip * model.system.cart_mass * model.system.gravity * jnp.sign(jnp.sin(y[0]))
+    return grip * model.system.largest_friction_torque / model.system.eccentricity * model.heading(y)
 
 
 @stored_energies.register

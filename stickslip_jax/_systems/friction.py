@@ -22,10 +22,13 @@ class FrictionLaw(Checked):
     The friction force is at most ``static * normal_force`` in a stick, and ``kinetic(|v_rel|) * normal_force`` in a
     slip at relative speed ``|v_rel|`` (m/s). For a law of your own take `FrictionCurve`, or subclass this.
 
-    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms.
+    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms. Where a subclass of a law
+    has another `kinetic` or `static` than that law, `constant`, `holds_more` and `speed_scale` must be stated anew: by
+    default the coefficient depends on the speed, in a way that is not known.
     """
 
     constant: ClassVar[bool] = False
+    rests_on: ClassVar = {"constant": ("kinetic",), "speed_scale": ("kinetic",), "holds_more": ("static", "kinetic")}
 
     @property
     def holds_more(self) -> bool:
@@ -174,6 +177,7 @@ class FrictionCurve(FrictionLaw):
     """
 
     curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
+    holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
     def check_relations(self) -> None:

@@ -18,14 +18,14 @@ from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
-from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics, added_up, angle
+from .._excitation.smooth import Signal, added_up, angle
 from .._fields import Quantity
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._numerics.sharing import sincos
 from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
-from .friction import Coulomb, FrictionLaw
+from .friction import FrictionLaw
 from .resonance import check_no_resonance
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
@@ -60,6 +60,7 @@ class MassSpring(System):
         default=None, converter=lambda v: None if _is_zero(v) else v
     )
     force: Signal | Recorded | None = None
+    rests_on: ClassVar = dict.fromkeys(("has_interval_form", "has_closed_form"), ("switched_model", "stick_half_width"))
 
     def check_relations(self) -> None:
         if not isinstance(self.friction, FrictionLaw):
@@ -111,16 +112,13 @@ class MassSpring(System):
 
     @property
     def has_interval_form(self) -> bool:
-        plain = isinstance(self.friction, Coulomb) and self.friction.mu_static is None
-        return plain and self.damping is None and self.force is None
+        friction = self.friction
+        return friction.constant and not friction.holds_more and self.damping is None and self.force is None
 
     @property
     def has_closed_form(self) -> bool:
-        """Whether its slips have a closed form: constant kinetic friction, and a force that is constant, piecewise
-        linear in time, or harmonic.
-        """
-        harmonic = isinstance(self.force, (Harmonic, SumOfHarmonics)) or not isinstance(self.force, Signal)
-        return self.friction.constant and harmonic
+        """That of constant kinetic friction under a force that is constant, piecewise linear in time, or harmonic."""
+        return self.friction.constant and (not isinstance(self.force, Signal) or self.force.is_harmonic)
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
         if solver is None and self.has_closed_form:
@@ -183,7 +181,7 @@ class MassSpring(System):
 
     @property
     def band_symbols(self) -> str:
-        mu = r"\mu_\mathrm{s}" if self.friction.holds_more or not isinstance(self.friction, Coulomb) else r"\mu"
+        mu = r"\mu" if self.friction.constant and not self.friction.holds_more else r"\mu_\mathrm{s}"
         return rf"|x| \leq {mu} n/k"
 
     def stick_band(
@@ -359,8 +357,8 @@ class OscillatorModel(SwitchedModel):
         m, k, c = self._constants()
         c = 0 if c is None else c
         x, p = (inputs.load - rub) / k, jnp.zeros_like(tau)
-        force = self.system.force
-        if isinstance(force, (Harmonic, SumOfHarmonics)):
+        force: Any = self.system.force if isinstance(self.system.force, Signal) else None
+        if force is not None:  # a sum of harmonics: there were no closed form otherwise
 
             def answer(amplitude, w, phase):
                 elastic, viscous = k - m * w * w, c * w
@@ -369,7 +367,7 @@ class OscillatorModel(SwitchedModel):
                 return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
 
             position, velocity = added_up(answer, force.tones)
-            x, p = x + force.offset / k + position, p + velocity
+            x, p = x + force.mean / k + position, p + velocity
         return x, p
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from .. import _checks
 from .. import _diffrax as diffrax
+from .._claims import keeps
 from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
@@ -95,6 +96,7 @@ class MotorCart(System):
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "CartModel":
         assert isinstance(smooth, SourceVoltage)
+        _require_sine(smooth)  # a realisation of a random law, say
         return CartModel(self, smooth)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
@@ -116,11 +118,13 @@ class MotorCart(System):
         return 1.0, most / self.motor_constant, most / self.resistance
 
     def check_excitation(self, excitation: Excitation) -> None:
-        if not isinstance(voltage_of(excitation), SourceVoltage) or excitation.base or excitation.ground:
+        voltage = voltage_of(excitation)
+        if not isinstance(voltage, SourceVoltage) or excitation.base or excitation.ground:
             raise ValueError(
                 "Argument base of a MotorCart must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), but another "
                 "motion was given."
             )
+        _require_sine(voltage)
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is not None:
@@ -145,23 +149,35 @@ class MotorCart(System):
         return -most, most
 
 
+def _require_sine(voltage: Signal) -> None:
+    """Raise ValueError for a subclass of `SourceVoltage` with another `value`, which the motor would not follow."""
+    if not keeps(voltage, SourceVoltage, "value"):
+        raise ValueError(
+            f"Argument base of a MotorCart must be a sine about its mean, but {_checks.show(voltage)} was given, whose "
+            "class overrides SourceVoltage.value; write motor and voltage as a SwitchedSystem of your own."
+        )
+
+
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
     """Upper bound of the stick duration at motor angles `angle` (rad, any shape), s; infinity where sticks never end.
 
-    It is the time in one period of the voltage during which friction can hold the torque of the steady current,
-    ``(pi + 2 asin s) / angular_frequency`` with ``s = (mu m g d |sin angle| / motor_constant - mean / resistance) / A``
-    and ``A`` the amplitude of the steady current; 0 where ``s <= -1`` (Lima and Sampaio 2022, section 4, whose eqs 7
-    and 8 lack the angular frequency in some places). The current that a stick begins with decays in the time
+    It is the longest time without a break during which friction can hold the torque of the steady current
+    ``mean / resistance + A sin(...)``, that is, during which the sine lies between ``low`` and ``high``,
+    ``(-+ mu m g d |sin angle| / motor_constant - mean / resistance) / A``. Where one of its extrema lies between them,
+    that is ``(pi + 2 asin high) / angular_frequency`` or ``(pi - 2 asin low) / angular_frequency`` (Lima and Sampaio
+    2022, section 4, whose mean is positive, and whose eqs 7 and 8 lack the angular frequency in some places); where
+    none does, the current swings from one limit to the other in ``(asin high - asin low) / angular_frequency``, twice
+    in a period; where both do, sticks may never end. The current that a stick begins with decays in the time
     ``inductance / resistance``; it can prolong a stick by about that much.
 
-    A constant voltage (amplitude 0) gives 0 or infinity. Raises ValueError for arguments of another kind, and for
-    angles that are not finite.
+    A constant voltage (amplitude 0) gives 0 or infinity. At dead centre, and without friction, nothing sticks: 0.
+    Raises ValueError for arguments of another kind, and for angles that are not finite.
 
     >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
     >>> print(f"{bound:.5f} s")
     0.50828 s
     """
-    if not isinstance(system, MotorCart) or not isinstance(voltage, SourceVoltage):
+    if not isinstance(system, MotorCart) or not keeps(voltage, SourceVoltage, "value"):
         raise ValueError(
             "Arguments system and voltage must be a MotorCart and a SourceVoltage, but "
             f"{_checks.show(system)} and {_checks.show(voltage)} were given."
@@ -170,11 +186,21 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     held = system.largest_friction_torque * jnp.abs(jnp.sin(jnp.asarray(angle, float))) / system.motor_constant
     reactance = system.inductance * voltage.angular_frequency
     amplitude = jnp.abs(voltage.amplitude) / jnp.sqrt(system.resistance**2 + reactance**2)
-    spare = held - voltage.mean / system.resistance
-    some = (amplitude > 0) & (jnp.abs(spare) < amplitude)
-    s = jnp.where(some, spare, 0) / jnp.where(some, amplitude, 1)
-    bound = (math.pi + 2 * jnp.arcsin(s)) / voltage.angular_frequency
-    return jnp.where(some, bound, jnp.where(spare >= amplitude, jnp.inf, 0.0))
+    mean = voltage.mean / system.resistance
+    per_amplitude = 1 / jnp.where(amplitude > 0, amplitude, 1)
+    spare = [limit - mean for limit in (-held, held)]
+    low, high = (_asin_within(some * per_amplitude) for some in spare)
+    over_lowest, over_highest = spare[0] <= -amplitude, spare[1] >= amplitude
+    # Over an extremum the current turns: it takes the way back, too.
+    bound = (high - low) * jnp.where(over_lowest | over_highest, 2, 1) / voltage.angular_frequency
+    bound = jnp.where(amplitude > 0, bound, 0)
+    return jnp.where(held > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
+
+
+def _asin_within(sine: FloatArray) -> FloatArray:
+    """The angle whose sine this is, from -pi / 2 to pi / 2, and the nearer one of these beyond."""
+    within = jnp.abs(sine) < 1
+    return jnp.where(within, jnp.arcsin(jnp.where(within, sine, 0)), jnp.sign(sine) * (math.pi / 2))
 
 
 class CartInputs(NamedTuple):
@@ -259,7 +285,7 @@ class CartModel(SwitchedModel):
 
     @property
     def friction(self) -> FrictionLaw:
-        return Coulomb(self.system.mu)
+        return Coulomb(1.0)  # a share of the largest friction torque
 
     def rates_under(self, inputs: CartInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
         system, voltage = self.system, self.smooth
@@ -267,7 +293,7 @@ class CartModel(SwitchedModel):
         sine, cosine = sincos(angle)
         inertia = system.cart_mass * system.eccentricity**2
         carried = speed * speed if system.equation == "physical" else speed
-        rub = grip * system.cart_mass * system.gravity * system.eccentricity * jnp.abs(sine)
+        rub = grip * system.largest_friction_torque * jnp.abs(sine)
         torque = (
             system.motor_constant * current - system.motor_damping * speed - rub - inertia * sine * cosine * carried
         )
@@ -275,6 +301,14 @@ class CartModel(SwitchedModel):
         drop = system.resistance * current + system.motor_constant * speed
         rise = (voltage.mean + voltage.amplitude * phase - drop) / system.inductance
         return speed, torque / (system.motor_inertia + inertia * sine * sine), rise
+
+    def grip_of(self, y: State, sign: FloatArray) -> FloatArray:
+        # Slips go by the sign of the cart's velocity, `rates_under` and `relative_velocity` by that of the motor's.
+        return sign * self.heading(y)
+
+    def heading(self, y: State) -> FloatArray:
+        """+1 on the half with sin(alpha) > 0, where the cart moves against its axis as the angle grows; else -1."""
+        return jnp.where(jnp.sin(y[0]) < 0, -1.0, 1.0).astype(y[0].dtype)
 
     def relative_velocity(self, inputs: CartInputs, tau: FloatArray, y: State) -> FloatArray:
         # Velocity of the pin that moves the cart, ``eccentricity alpha'``: zero in sticks only.

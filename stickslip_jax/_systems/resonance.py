@@ -4,21 +4,20 @@ from typing import Any
 
 import numpy as np
 
-from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._numerics.known import bounds_of, values_of
 from .._types import Scalar
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
 
 
-def check_no_resonance(force: Signal, omega: Scalar) -> None:
+def check_no_resonance(force: Any, omega: Scalar) -> None:
     """Raises ValueError for a harmonic `force` at the natural angular frequency `omega` (rad/s) of undamped motion:
     the closed form is the steady response, and there is none at resonance. Under vmap that of every sample is checked;
     raises NotKnown under jit.
     """
-    if not isinstance(force, (Harmonic, SumOfHarmonics)):
+    if not force.is_harmonic:
         return
-    frequencies = force.angular_frequency if isinstance(force, Harmonic) else force.angular_frequencies
+    frequencies = force.tones[1]
     if np.any(np.abs(values_of(frequencies / omega) - 1) < _RESONANCE):
         raise ValueError(
             f"Argument force must not have the natural angular frequency of {_shown(omega)} rad/s where there is no "

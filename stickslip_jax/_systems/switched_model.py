@@ -112,6 +112,10 @@ class SwitchedModel(eqx.Module):
     def rates_under(self, inputs: Any, tau: FloatArray, y: State, grip: FloatArray) -> State:
         """The time derivative of the state under the signed friction coefficient `grip`; affine in it."""
 
+    def grip_of(self, y: State, sign: FloatArray) -> FloatArray:
+        """The sign that the friction coefficient of `rates_under` has in a slip of this `sign`."""
+        return sign
+
     @abc.abstractmethod
     def relative_velocity(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
         """The relative velocity, m/s."""

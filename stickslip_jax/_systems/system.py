@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from .. import _checks
+from .._claims import keeps
 from .._excitation.excitation import Excitation
 from .._excitation.random import RandomPhase, RandomSignal
 from .._excitation.recorded import Recorded
@@ -197,7 +198,12 @@ class System(Checked):
 
 def voltage_of(excitation: Excitation) -> Signal | RandomSignal | None:
     """The smooth part of `excitation` without its random phase."""
-    return excitation.smooth.signal if isinstance(excitation.smooth, RandomPhase) else excitation.smooth
+    return unphased(excitation.smooth)
+
+
+def unphased(signal: Any) -> Any:
+    """`signal` without its random phase, if it is a `RandomPhase` and nothing else of it is random."""
+    return signal.signal if keeps(signal, RandomPhase, "realized") else signal
 
 
 def shortest_period(excitation: Excitation) -> Scalar | None:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from .. import _checks
 from .._systems.motor_cart import MotorCart, stick_duration_bound
+from .._systems.system import unphased
 from . import _parts, _style
 from ._types import Voltage
 
@@ -34,7 +35,7 @@ def stick_bounds(
 
     Returns the axes. Raises ValueError for arguments of another kind.
     """
-    signal: Any = getattr(voltage, "signal", voltage)
+    signal: Any = unphased(voltage)
     stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
     given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
     _checks.numeric("mu", given, ndim=1)

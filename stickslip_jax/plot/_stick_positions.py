@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
-from .._excitation.random import RandomPhase
 from .._excitation.smooth import Signal
 from .._statistics.first_sticks import FirstSticks
-from .._systems.system import System, require_system
+from .._systems.system import System, require_system, unphased
 from . import _parts, _style
 from ._sticks import complete_sticks
 from ._types import SimulatedSticks, Voltage
@@ -53,7 +52,7 @@ def placed_sticks(
             "histogram(result), their durations."
         )
     whole = system.coordinates[0].period
-    voltage = bound.signal if isinstance(bound, RandomPhase) else bound
+    voltage = unphased(bound)
     if voltage is not None and np.ndim(getattr(system, "mu", 0.0)) > 0:
         raise ValueError(
             "Argument system must be given with the bound, which is that of one MotorCart, but a batch of shape "

@@ -297,3 +297,25 @@ def test_uniform_draws_never_leave_the_interval(low, width, word):
         if low_in < high_in:
             x = ss.Uniform(jnp.asarray(low_in), jnp.asarray(high_in)).icdf(jnp.asarray(u, dtype))
             assert low_in <= x <= high_in
+
+
+def test_beta_with_most_of_its_weight_at_an_end():
+    """In single precision: 1 less the nearest number below it is 6e-8, and 5 % of the draws lie beyond that."""
+    scipys = stats.beta(30.0, 0.2, -1.0, 2.0)
+    beta = ss.Beta(30.0, 0.2, -1.0, 1.0)
+    x = np.array([-0.5, 0.5, 0.9, 0.999, 1 - 2.0**-20, 1 - 2.0**-24, 1.0], np.float32)
+    np.testing.assert_allclose(beta.cdf(x), scipys.cdf(x.astype(float)), rtol=2e-5)
+    u = np.array([1e-3, 0.3, 0.6, 0.9, 0.93, 0.9375], np.float32)
+    np.testing.assert_allclose(beta.icdf(jnp.asarray(u)), scipys.ppf(u.astype(float)), rtol=0, atol=1e-7)
+    other = ss.Beta(0.2, 30.0, -1.0, 1.0)  # in a mirror
+    np.testing.assert_allclose(other.cdf(-x), stats.beta(0.2, 30.0, -1.0, 2.0).cdf(-x.astype(float)), rtol=2e-5)
+    for function, at in (
+        (lambda a, at: ss.Beta(a, 0.2, -1.0, 1.0).cdf(at), 0.9),
+        (lambda a, at: ss.Beta(a, 0.2, -1.0, 1.0).icdf(at), 0.6),
+    ):
+        slope = jax.grad(function)(30.0, jnp.asarray(at))
+        ends = [
+            scipys.dist.cdf(at, a, 0.2, -1.0, 2.0) if at == 0.9 else scipys.dist.ppf(at, a, 0.2, -1.0, 2.0)
+            for a in (29.97, 30.03)
+        ]
+        assert float(slope) == pytest.approx((ends[1] - ends[0]) / 0.06, rel=2e-3)

@@ -24,6 +24,7 @@ ROWS = (
     "_status",
     "_checks",
     "_methods",
+    "_claims",
     "_diffrax",
     "_html",
     "_fields",

@@ -78,6 +78,11 @@ CASES = {
     "record": (ss.MassSpring(1.0, 2.0, 1.0, ss.Coulomb(0.4), force=RECORD), RECORD, ss.Exact()),
     "ground": (BELT, ss.KanaiTajimi(rms=1.5).sample(jax.random.key(0), 30.0), ss.Exact()),
     "weakening": (ss.MassSpring(1.0, 1.0, 1.0, ss.VelocityWeakening(1.0, 3.0)), ss.Constant(0.2), ss.Exact()),
+    "overdamped": (
+        ss.MassSpring(1.0, 4.0, 300.0, ss.Coulomb(0.3, 0.4), 64.0),
+        ss.WithJumps(ss.Harmonic(3.0, 1.1, 0.3), ss.SquareWave(2.0, 7.0)),
+        ss.Exact(),
+    ),
     "motor": (ss.MotorCart(mu=0.5), ss.SourceVoltage(), ss.Exact(step=2e-4)),
 }  # fmt: skip
 
@@ -120,10 +125,11 @@ def test_force_of_a_stick_is_what_it_needs():
     assert np.abs(needed[sticks]).max() <= 1.5 * 0.5 + 1e-12
 
 
-def test_motor():
+@pytest.mark.parametrize("start", [0.3, 0.3 + math.pi, -0.3], ids=["first half", "second half", "before"])
+def test_motor(start):
     """``k_e c = f_r d sin(alpha)`` in sticks (Lima and Sampaio 2022, eq. 4), ``mu m g`` against the cart in slips."""
     system = ss.MotorCart(mu=0.5)
-    one = ss.simulate(system, ss.SourceVoltage(), t1=1.0, y0=(0.3, 0.0, 0.0))
+    one = ss.simulate(system, ss.SourceVoltage(), t1=1.0, y0=(start, 0.0, 0.0))
     times = np.linspace(1e-3, 0.999, 700)
     angle, speed, current = (np.asarray(values) for values in one.evaluate(times))
     force = np.asarray(one.friction_force(times))
@@ -132,6 +138,19 @@ def test_motor():
     assert_allclose(force[sticks] * 0.01 * np.sin(angle[sticks]), 0.0533 * current[sticks], rtol=0, atol=1e-13)
     cart = -0.01 * np.sin(angle) * speed
     assert_allclose(force[~sticks], -0.5 * 5 * 9.81 * np.sign(cart[~sticks]), rtol=1e-15)
+
+
+@pytest.mark.parametrize("start", [0.7, 0.7 + math.pi])
+def test_heat_of_a_cart_that_goes_round(start):
+    """``mu m g`` times its way; 1.3254 J within 2 s from rest."""
+    one = ss.simulate(ss.MotorCart(), ss.SourceVoltage(), t1=2.0, y0=(start, 0.0, 0.0))
+    times = np.linspace(0, 2, 4001)
+    angle, speed, _ = (np.asarray(values) for values in one.evaluate(times))
+    way = np.trapezoid(np.abs(0.01 * np.sin(angle) * speed), times)
+    found = one.energies(np.array([2.0]))
+    assert float(found.dissipated["friction"][0]) == pytest.approx(0.2 * 5 * 9.81 * way, rel=2e-5)
+    assert 0.2 * 5 * 9.81 * way == pytest.approx(1.3254, abs=1e-4)
+    assert abs(float(found.imbalance[0])) < 1e-6
 
 
 def test_regularised_force_comes_near():

@@ -104,3 +104,13 @@ def test_instants_are_neither_independent_nor_identical():
         assert ss.identically_distributed(sticks, quantity, starts_before=float("inf")).rejected
         assert verdict.question == f"Are the {body} starts, consecutive, independent?"
     assert not ss.independent(sticks, "slip_duration", starts_before=float("inf")).rejected
+
+
+def test_sticks_that_touch_have_no_slip_between_them():
+    """Measured: two sticks of one sample end to end; a slip before them, and one after."""
+    table = {"sample": [0, 0, 1], "start": [1.0, 2.0, 0.5], "end": [2.0, 3.0, 1.0]}
+    many = ss.Ensemble.from_sticks(table, t1=4.0)
+    np.testing.assert_array_equal(many.totals.slips, [2, 2])
+    assert many.statistics.slips.duration.number == 4
+    assert many.statistics.slips.duration.smallest > 0
+    np.testing.assert_allclose(np.asarray(many.slips.duration)[0][:2], [1.0, 1.0])
