@@ -242,6 +242,18 @@ class CartModel(SwitchedModel):
         guard = jnp.where(sticking, 1 - share * share, sign * sine * y[1])
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
 
+    def approach(
+        self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray, start: State
+    ) -> tuple[FloatArray, FloatArray]:
+        # In a slip the angular velocity, positive in the direction in which the slip began: unlike the guard, it passes
+        # dead centre unchanged. There (sine 0) the velocity tells that direction; from rest (velocity 0) the sign does.
+        sine, _ = sincos(start[0])
+        fast = jnp.abs(start[1]) > self.guard_scale(inputs, (start[0], 0 * tau, start[2]), sign) * jnp.abs(sine)
+        ahead = jnp.sign(jnp.where(fast, start[1], sign * sine))
+        _, turn, _ = self.rates(inputs, tau, y, sign)
+        guard, slope = self.guard(inputs, tau, y, sign)
+        return jnp.where(sign == 0, guard, ahead * y[1]), jnp.where(sign == 0, slope, ahead * turn)
+
     def guard_scale(self, inputs: CartInputs, y: State, sign: FloatArray) -> FloatArray:
         ideal = (jnp.abs(self.smooth.mean) + jnp.abs(self.smooth.amplitude)) / self.system.motor_constant
         return jnp.where(sign == 0, 2.0, ideal + jnp.abs(y[1]))

@@ -80,6 +80,16 @@ class SwitchedModel(eqx.Module):
         friction force needed and f_max the largest one.
         """
 
+    def approach(
+        self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray, start: State
+    ) -> tuple[FloatArray, FloatArray]:
+        """The guard and its time derivative, of a slip in a form that is zero only at rest and else stays away from it.
+
+        Where the guard also passes zero as the direction of friction reverses with the motion going on, a slip that
+        nearly comes to rest shows no minimum of the guard; it shows one here. `start`: the state at `tau` 0.
+        """
+        return self.guard(inputs, tau, y, sign)
+
     @abc.abstractmethod
     def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
         """The size of the terms that cancel in the guard: the scale of its round-off."""
