@@ -23,7 +23,7 @@ def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by:
     """The derivative by one parameter, and the index of its window, the narrower one where the halves differ.
 
     `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities. Where no
-    two windows agree (`is_torn`), the error is NaN: that of the narrowest window says nothing of what is missing from it.
+    two windows agree (`is_torn`), the error is NaN: that of the narrowest window says nothing of what it misses.
     """
 
     def derivative(moments: Moments, window: int) -> Gradient:

@@ -164,9 +164,9 @@ def test_slip_of_no_length():
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_cart_that_nearly_stops_before_dead_centre(way):
-    """Dead centre hides the minimum from the guard ``+-sin(angle) angular velocity``, which falls all the way there. The
-    margin's measure has it, at the time and of the size that Radau finds, and passes dead centre unchanged. The mirror
-    image of the motion has the same.
+    """Dead centre hides the minimum from the guard ``+-sin(angle) angular velocity``, which falls all the way there.
+    The margin's measure has it, at the time and of the size that Radau finds, and passes dead centre unchanged. The
+    mirror image of the motion has the same.
     """
     system, voltage = ss.MotorCart(mu=0.45), ss.SourceVoltage(way * 1.0, way * 0.5, 10.0, 3.8)
     held, inertia = 0.45 * 5.0 * 9.81 * 0.01, 5.0 * 0.01**2
@@ -188,14 +188,13 @@ def test_a_cart_that_nearly_stops_before_dead_centre(way):
     t, (angle, velocity, _) = found.t, found.y
     sign = np.sign(way * np.sin(angle))
     model, nothing = system.switched_model(voltage, None), Segments((), (), ())
-    start = tuple(jnp.asarray(value) for value in found.y[:, 0])
 
     def along(of):
         return jax.vmap(lambda t, y, sign: of(model.inputs(t, nothing), jnp.zeros_like(t), tuple(y), sign))(
             t, found.y.T, sign
         )
 
-    value, slope = along(lambda *at: model.approach(*at, start))
+    value, slope = along(lambda inputs, tau, y, sign: model.approach(inputs, tau, y, sign, y))
     guard, guard_slope = along(model.guard)
     least, center = np.argmin(way * velocity), np.argmax(sign != sign[0])
     assert 10 < least < center - 10
