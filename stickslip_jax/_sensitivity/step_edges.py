@@ -25,8 +25,8 @@ from .edges import Edges, Number
 
 _NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off
 _FAR = 0.5  # of the guard's scale: beyond the width of any kernel
-# Search along a flow: increments in time steps, then a number of refinements between the last two places.
-_STEPS, _TRIES = np.linspace(0.5, 1.5, 12), 5
+# Search along a flow: the first and last increment in time steps (`SwitchedModel.steps_to_turn` of them), then a number of refinements between the last two places.
+_STEPS, _TRIES = (0.5, 1.5), 5
 _JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
 
 
@@ -248,7 +248,7 @@ def _places(
         none, no, yes = jnp.zeros_like(step), jnp.zeros((), bool), jnp.ones((), bool)
         inside = one_step.dips & ~is_across
         ends = _Side(none, -(none + 1), none + 1, no), _Side(one_step.tau, one_step.rise, none + 1, inside & yes)
-        shares = jnp.asarray([np.nan, *_STEPS, *[0.0] * _TRIES], step.dtype)
+        shares = jnp.asarray([np.nan, *np.linspace(*_STEPS, model.steps_to_turn), *[0.0] * _TRIES], step.dtype)
         (before, after, _), _ = lax.scan(go_on, (*ends, y0), shares)
         length = after.tau - before.tau
         rate = (after.value - before.value) / jnp.where(length > 0, length, 1)
@@ -283,7 +283,7 @@ def _replaced(side: _Side, new: _Side, by_new: BoolArray) -> _Side:
 def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -> _Look:
     """Time, state and guard at the places `tau` (2,) on both flows, with their derivatives."""
     # A solver must not be given steps longer than its limit.
-    steps = 1 if model.steps_may_be_long else len(_STEPS)
+    steps = 1 if model.steps_may_be_long else model.steps_to_turn
 
     def look(t0, y0, sign, tau):
         length = tau / steps

@@ -12,7 +12,7 @@ a linear invariant, which a Runge-Kutta method conserves exactly and an exponent
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -186,6 +186,8 @@ class CartInputs(NamedTuple):
 class CartModel(SwitchedModel):
     """A `MotorCart` under a `SourceVoltage`."""
 
+    # Steps are short beside the mechanical time constant; how near the motor stops follows the slower voltage.
+    steps_to_turn: ClassVar[int] = 96
     system: MotorCart
     smooth: SourceVoltage
 

@@ -36,9 +36,11 @@ class SwitchedModel(eqx.Module):
     """A system under its excitation. `inputs` is what `inputs(t, segments)` returned, `tau` (s) the time since that t.
 
     `steps_may_be_long`: whether `slip` and `stick` are as exact over a long time as over a short step.
+    `steps_to_turn`: in how many time steps a slip that is continued beyond its end turns round, where it hardly ended.
     """
 
     steps_may_be_long: ClassVar[bool] = False
+    steps_to_turn: ClassVar[int] = 12
 
     @abc.abstractmethod
     def inputs(self, t: FloatArray, segments: Segments) -> Any:
