@@ -25,7 +25,8 @@ from .edges import Edges, Number
 
 _NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off
 _FAR = 0.5  # of the guard's scale: beyond the width of any kernel
-# Search along a flow: the first and last increment in time steps (`SwitchedModel.steps_to_turn` of them), then a number of refinements between the last two places.
+# Search along a flow: the first and last of `SwitchedModel.steps_to_turn` increments in time steps, then a number of
+# refinements between the last two places.
 _STEPS, _TRIES = (0.5, 1.5), 5
 _JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
 
