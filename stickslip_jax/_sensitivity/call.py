@@ -78,9 +78,10 @@ def sensitivity(
     down by `relative_bandwidth`, and the same random numbers.
 
     Returns a `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the
-    event part rests on fewer than 100 sticks or differs from window to window, at base speeds w = 1, 2, 3, 8 and 15,
-    and where every trajectory begins with an arc that exactly grazes the base velocity: the derivative does not exist
-    there, and is NaN. Raises ValueError for invalid arguments, in single precision also where there is no closed form.
+    event part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
+    speeds w = 1, 2, 3, 8 and 15, and where every trajectory begins with an arc that exactly grazes the base velocity:
+    the derivative does not exist there, and is NaN. Raises ValueError for invalid arguments, in single precision also
+    where there is no closed form.
     """
     _check_options(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(
@@ -165,8 +166,8 @@ def _warn_of_torn(
     if torn:
         warnings.warn(
             f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one "
-            "looks for sticks about to be born or lost, or does not exist. That of the narrowest window is given; "
-            "compare with estimator='finite-difference' at several steps.",
+            "looks for sticks about to be born or lost, or does not exist. That of the narrowest window is given, with "
+            "a standard error of NaN; compare with estimator='finite-difference' at several steps.",
             RuntimeWarning,
             stacklevel=4,
         )

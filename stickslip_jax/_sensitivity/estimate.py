@@ -19,7 +19,7 @@ class Sensitivity:
 
     - `value`, `value_error`: the statistic and its standard error, in `unit`.
     - `derivative`, `standard_error`: derivative of the expectation, in `unit` divided by the parameter's unit; a pure
-      number if `is_elasticity`.
+      number if `is_elasticity`. The error is NaN where no two windows (or steps) agree.
     - `pathwise`: the part that automatic differentiation of each trajectory gives; `event`: the rest, of sticks that
       appear and vanish (of a switching rate also what the score function corrects). They add up to `derivative`; NaN
       for finite differences, which do not separate them.

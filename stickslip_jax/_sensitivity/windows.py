@@ -22,12 +22,16 @@ _TORN = 4.0  # standard errors: by chance alone two windows differ so much once 
 def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by: float | None) -> tuple[Gradient, int]:
     """The derivative by one parameter, and the index of its window, the narrower one where the halves differ.
 
-    `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities.
+    `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities. Where no
+    two windows agree (`is_torn`), the error is NaN: that of the narrowest window says nothing of what it misses.
     """
 
     def derivative(moments: Moments, window: int) -> Gradient:
         return gradient_of_ratio(moments, where.derivative[window], where.pathwise, log_by)
 
+    if is_torn(accumulator, where, near):
+        narrowest = _usable(where, near)[-1]
+        return derivative(accumulator.moments, narrowest)._replace(standard_error=math.nan), narrowest
     halves = accumulator.halves
     for_second, for_first = (_widest(half, where, near, _AGREE) for half in halves)
     whole = derivative(accumulator.moments, max(for_first, for_second))

@@ -118,6 +118,7 @@ def test_a_slope_that_depends_on_the_step_is_reported():
     with pytest.warns(RuntimeWarning, match="No two windows agree on the derivative with respect to mu"):
         found = ss.sensitivity(ss.mean_stick_count, system, ss.Harmonic(1.0, 1.3), **options)
     assert found.estimator == "finite-difference"
+    assert math.isnan(found.standard_error)
 
 
 @pytest.mark.slow
