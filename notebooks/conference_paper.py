@@ -235,7 +235,9 @@ ax.figure.set_size_inches(9, 5.4)
 plt.show()
 
 # %% [markdown]
-# **Verdict.** No reading gives what the paper says: none is level from 0.6 to 2.5, as the lines above say. A new
-# direction in each half period comes nearest up to `r = 0.85`: it grows almost linearly from nothing at 0.5, and is
-# then level for a while; but it falls again towards 0.95 and has doubled at 1.2. With a quarter period, or `1 / (r
-# omega)`, there are sticks at 0.5 already. The text of the paper has no numbers of this figure to compare with.
+# **Verdict.** No reading gives what the paper says: none is level from 0.6 to 2.5, as the lines above say. With a new
+# direction in each period the mean neither grows linearly nor stays level. In each half period it grows almost linearly
+# from nothing at 0.5 and is level from 0.7 to 0.85; but it falls again towards 0.95 and has doubled at 1.2. In each
+# quarter period there are sticks below 0.5 already, at 0.6 about twice as many as at 0.5, and slowly fewer from there
+# on. With `1 / (r omega)` nothing grows between 0.5 and 0.6. The text of the paper has no numbers of this figure to
+# compare with.

@@ -73,8 +73,8 @@ for start in ((-0.9, 0.0), (-0.2, 1.0)):
     region = (velocity > 0) & (velocity < 1.0)
     expected = np.where(sticking, x > 0, region)
     right = [((power > 0) == one).sum() for one in (expected, region | sticking)]
-    print(f"start {start}: {sticking.sum()} of {len(times)} instants in a stick, {(sticking & (x < 0)).sum()} at x < 0; "
-          f"the sign of the power is as said at {right[0]}, by regions that hold the belt's line at {right[1]}")  # fmt: skip
+    print(f"start {start}: {sticking.sum()} of {len(times)} instants in a stick, {(sticking & (x < 0)).sum()} at x < 0;"
+          f" the sign of the power is as said at {right[0]}, by regions with the line at {right[1]}")  # fmt: skip
 
 # %% [markdown]
 # In a stick the belt, or the spring, works without loss. In the circles that follow the belt goes on working, at the
