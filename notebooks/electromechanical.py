@@ -183,8 +183,8 @@ for mu, many in runs.items():
 # **Verdict.** The supports are those of the bound, as the paper says: no stick is longer by over 1 ms. At mu = 0.5
 # every sample has a first stick after it has moved, and the duration depends on the angle as the bound does. At mu =
 # 0.2 only few have one, as many as the lines above say, so that 10,000 runs give a joint histogram of a few hundred
-# points, of which two halves differ greatly. Counted with the initial rest every sample has a first stick, but most of
-# these are the wait for the current. The text does not give the paper's own shares.
+# points, of which two halves differ greatly. Counted with the initial rest nearly every sample has a first stick, but
+# most of these are the wait for the current. The text does not give the paper's own shares.
 
 # %%
 print(f"{len(runs) * SAMPLES} runs took {took:.1f} s with compilation; the paper's 20,000, about 30 hours of CPU")

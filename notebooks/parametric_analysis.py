@@ -34,12 +34,13 @@ from stickslip_jax import papers
 jax.config.update("jax_enable_x64", True)
 
 SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "10_000"))
+T1 = 200.0  # s
 
 # %% [markdown]
 # ## 64 points of friction coefficient and rate
 
 # %%
-study = papers.parametric_analysis(samples=SAMPLES)
+study = papers.parametric_analysis(samples=SAMPLES, t1=T1)
 began = time.perf_counter()
 results = study.run(progress=False)
 print(study)
@@ -96,7 +97,7 @@ COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 def ensemble_at(point):
     """The samples of the study at this point, again, with all their distributions."""
     return ss.simulate_ensemble(
-        papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]), t1=study.t1,
+        papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]), t1=T1,
         samples=SAMPLES, key=jax.random.key(0), y0=(0.0, papers.BELT_SPEED), progress=False,
     )  # fmt: skip
 
@@ -184,7 +185,7 @@ system, law = papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BE
 means = []
 for start, key in ((papers.BELT_SPEED, 0), (papers.BELT_SPEED / 2, 1)):
     one = ss.simulate_ensemble(
-        system, law, t1=study.t1, samples=max(SAMPLES, 1000), key=jax.random.key(key), y0=(0.0, start), progress=False
+        system, law, t1=T1, samples=max(SAMPLES, 1000), key=jax.random.key(key), y0=(0.0, start), progress=False
     )
     means.append(ss.mean_stick_duration(one))
     print(f"start at {start:g} m/s: {means[-1]}")
@@ -197,7 +198,7 @@ found = ss.sensitivity(
     system,
     law,
     wrt=("mu", "stiffness", "mass", "speed", "rate"),
-    t1=study.t1,
+    t1=T1,
     samples=max(SAMPLES, 1000),
     key=jax.random.key(0),
     y0=(0.0, papers.BELT_SPEED / 2),

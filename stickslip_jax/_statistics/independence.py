@@ -74,8 +74,8 @@ def independent(
         apart = "consecutive" if lag == 1 else f"{lag} apart"
         asked = f"Are the {plural(earlier)}, {apart}, independent?"
     else:
-        apart = "the next" if lag == 1 else f"the next but {lag - 1}"
-        asked = f"Are the {plural(earlier)} independent of the {plural(later)} that follow, {apart} of each?"
+        apart = "them" if lag == 1 else f"{lag} apart"
+        asked = f"Are the {plural(earlier)} independent of the {plural(later)} that follow {apart}?"
     return Verdict(asked, significance, tests, given, values, reason, remarks)
 
 

@@ -125,7 +125,7 @@ def test_known_dependence_is_found_where_it_is():
     after = independent(sticks, ("duration", "slip_duration"))
     assert after.rejected
     assert abs(after.tests[2].effect - spearman_of(0.6)) < 4 * after.tests[2].effect_error
-    assert str(after).startswith("Are the stick durations independent of the slip durations that follow, the next of ")
+    assert str(after).startswith("Are the stick durations independent of the slip durations that follow them? Rejected")
     assert "Spearman, stick duration 1 and slip duration 1: p" in str(after)
     assert "have stick duration 1 and slip duration 1." in str(after)
     assert independent(sticks, ("slip_duration", "duration")).rejected is False
