@@ -70,9 +70,9 @@ for start in ((-0.9, 0.0), (-0.2, 1.0)):
         np.asarray(values)[np.asarray(motion.sticks.mask)] for values in (motion.sticks.start, motion.sticks.end)
     )
     sticking = ((times[:, None] >= begin) & (times[:, None] < end)).any(axis=1)
-    region = (velocity > 0) & (velocity < 1.0)
+    region = (velocity > 0) & (velocity <= 1.0)  # and the belt's line
     expected = np.where(sticking, x > 0, region)
-    right = [((power > 0) == one).sum() for one in (expected, region | sticking)]
+    right = [((power > 0) == one).sum() for one in (expected, region)]
     print(f"start {start}: {sticking.sum()} of {len(times)} instants in a stick, {(sticking & (x < 0)).sum()} at x < 0;"
           f" the sign of the power is as said at {right[0]}, by regions with the line at {right[1]}")  # fmt: skip
 
