@@ -47,9 +47,9 @@ def independent(
 
     1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair from each sample that
        has both. The pairs are independent, so the p-value (Student's t) holds whatever the dependence within a sample.
-    2. Chi-square of the same pairs in a table of `bins` x `bins` pooled quantiles; effect: Cramer's V. With few pairs
-       there are fewer bins, and neighbouring bins are joined until the expected count of each cell is at least 5. Finds
-       dependence without correlation.
+    2. Chi-square of the same pairs in a table of `bins` x `bins` quantiles (of one quantity: pooled, of two: of each);
+       effect: Cramer's V. With few pairs there are fewer bins, and neighbouring bins are joined until the expected
+       count of each cell is at least 5. Finds dependence without correlation.
     3. Serial rank correlation: all pairs of all samples from `first` on, ranked among the pairs of the same orders.
        Pairs of one sample may be dependent, so the variance is that of sums over samples (statistic: Student's t with
        one degree of freedom fewer than there are samples with pairs). Also finds a factor that all values of a sample
@@ -66,7 +66,11 @@ def independent(
     pairs, remarks, values = _pairs(source, (earlier, later), lag, first, starts_before)
     at = np.flatnonzero(pairs.order == first)
     early, late = pairs.early[at], pairs.late[at]
-    tests = (_spearman(early, late, pairs.names), _chi_square(early, late, bins), _serial(pairs))
+    tests = (
+        _spearman(early, late, pairs.names),
+        _chi_square(early, late, bins, pooled=earlier == later),
+        _serial(pairs),
+    )
     reason = "" if any(test.made for test in tests) else tests[0].reason
     given = len(pairs.count)
     remarks = (*remarks, f"{len(at)} of {given} samples have {'values of ' * (earlier == later)}{pairs.names}.")
@@ -160,11 +164,11 @@ def _spearman(early: np.ndarray, late: np.ndarray, names: str) -> HypothesisTest
     return HypothesisTest(name, correlation, float(found.pvalue), correlation, "rank correlation", sizes=sizes)
 
 
-def _chi_square(early: np.ndarray, late: np.ndarray, bins: int) -> HypothesisTest:
+def _chi_square(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> HypothesisTest:
     sizes = (len(early),)
     if reason := _too_few(early, late):
         return HypothesisTest("Chi-square", sizes=sizes, reason=reason)
-    table = _table(early, late, bins)
+    table = _table(early, late, bins, pooled)
     shape = " x ".join(map(str, table.shape))
     name = f"Chi-square, {shape} quantile bins"
     if min(table.shape) < 2:
@@ -174,16 +178,18 @@ def _chi_square(early: np.ndarray, late: np.ndarray, bins: int) -> HypothesisTes
     return HypothesisTest(name, float(found.statistic), float(found.pvalue), cramer, "Cramer's V", sizes=sizes)
 
 
-def _table(early: np.ndarray, late: np.ndarray, bins: int) -> np.ndarray:
-    """Counts of pairs in pooled quantile bins, joined until the expected count of each cell is large enough.
+def _table(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> np.ndarray:
+    """Counts of pairs in quantile bins, pooled or of each side, joined until cells expect enough.
 
     Which bins are joined depends only on the sums over rows and columns, which carry no information on dependence.
     """
     bins = max(2, min(bins, math.isqrt(len(early) // FEWEST_EXPECTED)))
-    edges = np.unique(np.quantile(np.concatenate([early, late]), np.arange(1, bins) / bins))
-    width = len(edges) + 1
-    cell = width * np.searchsorted(edges, early, "left") + np.searchsorted(edges, late, "left")
-    table = np.bincount(cell, minlength=width**2).reshape(width, width)
+    both = np.concatenate([early, late])
+    sides = ((both, early), (both, late)) if pooled else ((early, early), (late, late))
+    edges = [np.unique(np.quantile(of, np.arange(1, bins) / bins)) for of, _ in sides]
+    place = [np.searchsorted(own, values, "left") for own, (_, values) in zip(edges, sides, strict=True)]
+    shape = [len(own) + 1 for own in edges]
+    table = np.bincount(place[0] * shape[1] + place[1], minlength=shape[0] * shape[1]).reshape(shape)
     while True:
         sums = table.sum(axis=1), table.sum(axis=0)
         if sums[0].min() * sums[1].min() >= FEWEST_EXPECTED * len(early) or min(table.shape) < 2:

@@ -101,6 +101,13 @@ def test_numbers_by_loops(sticks, quantities, lag, shift, first):
     firsts = np.array([sample[0] for sample in samples if sample])
     expected = stats.spearmanr(*firsts.T)
     assert (verdict.tests[0].effect, verdict.tests[0].p_value) == pytest.approx((expected.statistic, expected.pvalue))
+    ours = verdict.tests[1]
+    same = quantities[0] == quantities[1]
+    medians = np.full(2, np.median(firsts)) if same else np.median(firsts, axis=0)
+    over = firsts > medians
+    table = [[np.sum(np.all(over == (early, late), axis=1)) for late in (0, 1)] for early in (0, 1)]
+    expected = stats.chi2_contingency(table, correction=False)
+    assert (ours.statistic, ours.p_value) == pytest.approx((expected.statistic, expected.pvalue))
     above, squares, shares = 0.0, np.zeros(2), np.zeros(len(samples))
     for order in range(max(map(len, samples))):
         having = [number for number, pairs in enumerate(samples) if len(pairs) > order]
