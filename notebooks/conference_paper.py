@@ -213,10 +213,12 @@ ratios = np.round(
     np.concatenate([np.arange(0.3, 0.5, 0.05), np.arange(0.5, 0.6, 0.02), np.arange(0.6, 1.3, 0.05),
                     np.arange(1.3, 2.55, 0.1)]), 2
 )  # fmt: skip
-ax = None
+ax, curves = None, {}
 for name, divided in READINGS.items():
     found = [random_share(ratio, period(ratio) / divided) for ratio in ratios]
-    ax = ss.plot.stick_fraction_curve(ratios, found, label=f"interval: {name}", band_label="bands: 90 % of the samples", ax=ax)
+    ax = ss.plot.stick_fraction_curve(
+        ratios, found, label=f"interval: {name}", band_label="bands: 90 % of the samples", ax=ax
+    )
     means = np.array([100 * one.mean.value for one in found])
     fitted = (ratios >= 0.5) & (ratios <= 0.6)
     line = np.polyfit(ratios[fitted], means[fitted], 1)
@@ -229,7 +231,10 @@ for name, divided in READINGS.items():
           f"line {line[0]:.1f} % per unit of r, R^2 = {explained:.3f}")  # fmt: skip
     print("  then", ", ".join(f"{at[ratio]:.2f} % at {ratio:g}" for ratio in (0.7, 0.85, 0.95, 1.2, 1.8, 2.5)))
     level = bool(np.ptp(later) < 0.2 * later.mean())
+    curves[name] = at
     print(f"  from 0.6 on {later.min():.2f} to {later.max():.2f} %, level within a tenth: {level}")
+print(f"a period at r = 2.5: {curves['a period'][2.5]:.2f} %, half a period at 1.25: "
+      f"{curves['half a period'][1.25]:.2f} %")  # fmt: skip
 ax.set_ylim(bottom=0)
 ax.figure.set_size_inches(9, 5.4)
 plt.show()
@@ -238,6 +243,6 @@ plt.show()
 # **Verdict.** No reading gives what the paper says: none is level from 0.6 to 2.5, as the lines above say. With a new
 # direction in each period the mean neither grows linearly nor stays level. In each half period it grows almost linearly
 # from nothing at 0.5 and is level from 0.7 to 0.85; but it falls again towards 0.95 and has doubled at 1.2. In each
-# quarter period there are sticks below 0.5 already, at 0.6 about twice as many as at 0.5, and slowly fewer from there
-# on. With `1 / (r omega)` nothing grows between 0.5 and 0.6. The text of the paper has no numbers of this figure to
-# compare with.
+# quarter period there are sticks below 0.5 already, at 0.6 about twice as many as at 0.5, and between 6 and 10 % of the
+# time from there on. With `1 / (r omega)` nothing grows between 0.5 and 0.6. All four are one curve, drawn over another
+# unit of the interval. The text of the paper has no numbers of this figure to compare with.

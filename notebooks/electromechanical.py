@@ -164,7 +164,9 @@ plt.show()
 # %%
 for mu, many in runs.items():
     first = ss.first_stick(many)
-    bins = int(np.clip(math.sqrt(first.count) / 2, 6, 40))  # some sticks to each cell that holds any
+    number = int(np.clip(math.sqrt(first.count) / 2, 6, 40))  # some sticks to each cell that holds any
+    edge = math.asin(least / mu) - 0.02  # rad, just beyond the angles at which a stick is possible
+    bins = (np.linspace(edge, math.pi - edge, number + 1), number)
     main, *_ = ss.plot.joint_histogram(first, system=many.system, bound=voltage, period=math.pi, bins=bins, log=True)
     main.set_xlabel(main.get_xlabel() + rf", $\mu$ = {mu:g}")
 plt.show()
