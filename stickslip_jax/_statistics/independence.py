@@ -74,12 +74,7 @@ def independent(
     reason = "" if any(test.made for test in tests) else tests[0].reason
     given = len(pairs.count)
     remarks = (*remarks, f"{len(at)} of {given} samples have {'values of ' * (earlier == later)}{pairs.names}.")
-    if earlier == later:
-        apart = "consecutive" if lag == 1 else f"{lag} apart"
-        asked = f"Are the {plural(earlier)}, {apart}, independent?"
-    else:
-        apart = "them" if lag == 1 else f"{lag} apart"
-        asked = f"Are the {plural(earlier)} independent of the {plural(later)} that follow {apart}?"
+    asked = _question(earlier, later, lag)
     return Verdict(asked, significance, tests, given, values, reason, remarks)
 
 
@@ -110,6 +105,13 @@ def independent_and_identical(
     reason = "; ".join(dict.fromkeys(part.reason for part in parts if part.reason))
     question = f"Are the {plural(quantity)} independent and identically distributed?"
     return Verdict(question, significance, tests, parts[0].samples, parts[0].values, reason, remarks)
+
+
+def _question(earlier: str, later: str, lag: int) -> str:
+    if earlier == later:
+        return f"Are the {plural(earlier)}, {'consecutive' if lag == 1 else f'{lag} apart'}, independent?"
+    apart = "them" if lag == 1 else f"{lag} apart"
+    return f"Are the {plural(earlier)} independent of the {plural(later)} that follow {apart}?"
 
 
 class _Pairs(NamedTuple):
