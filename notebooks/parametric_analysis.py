@@ -135,16 +135,17 @@ def draw_section(along, other):
             (column[1], [one.variance for one in found], f"variance{squared}"),
             (column[2], [entropy_of(one) for one in found], "entropy (nat)" if unit == "1" else "diff. entropy (nat)"),
         ):
-            ss.plot.curve(values, estimates, xlabel=where, ylabel=label, xlog=along == "rate", ax=panel)
+            ss.plot.curve(
+                values, estimates, xlabel=where, ylabel=label, xlog=along == "rate", ylog=panel is column[1], ax=panel
+            )
             panel.get_legend().remove()
         numbers = [f"{value:.3g}: {one.variance.value:.4g}, {entropy_of(one).value:.3f}"
                    for value, one in zip(values[[0, 4, 7]], shown[:1] + shown[2:], strict=True)]  # fmt: skip
         print(f"  {name}: variance{squared.replace('$', '')} and entropy (nat) at {along}", "; ".join(numbers))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, [f"{along} = {label}" for label in labels], loc="outside upper center", ncols=4, frameon=False
-    )
-    figure.suptitle(f"at {other} = {middle[other]:.3g}{units[other]}; bars: 90 % confidence intervals", fontsize=10)
+    title = f"at {other} = {middle[other]:.3g}{units[other]}; bars: 90 % confidence intervals"
+    labels = [f"{along} = {label}" for label in labels]
+    figure.legend(handles, labels, title=title, loc="outside upper center", ncols=4, frameon=False)
     plt.show()
 
 
