@@ -47,19 +47,23 @@ def period(ratio):
 
 # %% [markdown]
 # ## Figure 2: a belt of constant speed
-# The paper: in the plane of `omega x` and `x'` paths are circles about `(n mu / (m omega), 0)`; a stick can happen
-# only before the steady state, which is a circle.
+# The paper: in the plane of `omega x` and `x'` paths are circles about one centre for each direction of the belt, `(n
+# mu / (m omega), 0)` or minus that; a stick lies in the band `y = v`, `|x| <= mu n / k`, and can happen only before the
+# steady state, which is a circle. The starts of the right panel are those of the left one, mirrored.
 
 # %%
 figure, panels = plt.subplots(1, 2, figsize=(9, 5.2), layout="constrained")
-for panel, speed in zip(panels, (1.0, -1.0), strict=True):
+for panel, speed in zip(panels, (papers.BELT_SPEED, -papers.BELT_SPEED), strict=True):
     for start in ((0.0, 1.6), (-0.9, 0.0), (0.25, 0.5)):
-        one = ss.simulate(oscillator, ss.Constant(speed), t1=12.0, y0=(math.copysign(1, speed) * start[0], start[1]))
+        one = ss.simulate(oscillator, ss.Constant(speed), t1=12.0, y0=(speed * start[0], speed * start[1]))
         ss.plot.phase_portrait(one, abscissa="position_times_omega", ax=panel)
+    panel.plot(
+        [-center, center], [speed, speed], color="#F0E442", lw=9, solid_capstyle="butt", zorder=0, label="stick band"
+    )
     panel.get_legend().remove()
     panel.set_title(f"belt at {speed:g} m/s", fontsize=10)
 handles = {label: handle for panel in panels for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
-figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4, frameon=False)
+figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=5, frameon=False)
 plt.show()
 
 # %% [markdown]
@@ -99,8 +103,9 @@ print(f"starts that stick, and lie outside the circle, or neither: {np.sum(stick
 # %% [markdown]
 # ## Figures 3 to 5: the belt runs backward and forward alternately
 # The frequency ratio `r` is that of the belt over that of the oscillator, both in Hz: with the other reading of the
-# paper's symbols there is no stick at `r = 1.2`, where its figure 6 has the most. The paper: no stick in the steady
-# state at `r` = 0.1, 0.4, 2.0 and 2.5; sticks at 1.0 and 1.3; one circle about each centre at 0.1, two at 0.4.
+# paper's symbols, in which the belt's period is `1 / (r omega)`, there is no stick at `r = 1.2`, where its figure 6 has
+# the most. The paper: no stick in the steady state at `r` = 0.1, 0.4, 2.0 and 2.5; sticks at 1.0 and 1.3; one circle
+# about each centre at 0.1, two at 0.4.
 
 # %%
 shown = 10  # periods: the steady motion need not have that of the belt
@@ -115,9 +120,23 @@ for panel, ratio in zip(panels.flat, ratios, strict=True):
     end, mask = np.asarray(one.sticks.end), np.asarray(one.sticks.mask)
     late = int(np.sum(mask & (end > t1 - shown * period(ratio))))
     panel.set_title(f"r = {ratio:g}: {late} sticks in {shown} periods", fontsize=10)
+    told = f"r = {ratio:g}: {late} sticks in the last {shown} periods"
+    if (
+        ratio < 1
+    ):  # whole circles: their radii, at the end of each half period, about the centre of the belt's direction
+        instants = t1 - period(ratio) * (np.arange(2 * shown) / 2 + 0.01)
+        x, velocity = (np.asarray(values) for values in one.evaluate(instants))
+        directions = np.asarray(one.base.velocity(jnp.asarray(instants)))
+        radii = np.hypot(omega * x - center * directions, velocity)
+        for direction in (1, -1):
+            different = len(set(np.round(radii[directions == direction], 6)))
+            told += f", {different} different circles about {center * direction:+g} m/s"
+    print(told)
 handles, labels = panels[0, 2].get_legend_handles_labels()
 figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
 plt.show()
+other = 100 * float(papers.steady_stick_share(2 * math.pi * 1.2))
+print(f"with the period 1 / (r omega), at r = 1.2: {other:.2f} % of a steady period")
 
 # %% [markdown]
 # **Verdict.** As the paper says at all six ratios.
@@ -173,9 +192,10 @@ print(f"five starts at twenty ratios: the shares differ by at most {float(np.ptp
 
 # %% [markdown]
 # ## Figure 7: a belt of random direction
-# The paper: the direction is drawn anew in each interval of `1 / f_b`, forward or backward with equal probability; the
-# mean share of sticks over 200 s grows linearly with `r` between 0.5 and 0.6, and then is level. The share of all
-# samples is drawn here for a new direction in each period, as printed, and in each half of it.
+# The paper: the direction is drawn anew in each interval of `1 / omega_b`, forward or backward with equal probability;
+# the mean share of sticks over 200 s grows linearly with `r` between 0.5 and 0.6, and then reaches a stable level. Four
+# readings of the interval: a period of the belt, a half or a quarter of it, and `1 / (r omega)`, in which the symbols
+# are taken as they stand.
 
 
 # %%
@@ -188,25 +208,41 @@ def random_share(ratio, interval):
     return many.statistics.stick_fraction
 
 
-ratios = np.round(np.concatenate([np.arange(0.3, 0.5, 0.05), np.arange(0.5, 0.6, 0.02), np.arange(0.6, 1.31, 0.05)]), 2)
-ax = None
-for name, divided in (("each period", 1), ("each half period", 2)):
+READINGS = {"a period": 1, "half a period": 2, "a quarter period": 4, r"$1/(r\omega)$": 2 * math.pi}
+ratios = np.round(
+    np.concatenate([np.arange(0.3, 0.5, 0.05), np.arange(0.5, 0.6, 0.02), np.arange(0.6, 1.3, 0.05),
+                    np.arange(1.3, 2.55, 0.1)]), 2
+)  # fmt: skip
+ax, curves = None, {}
+for name, divided in READINGS.items():
     found = [random_share(ratio, period(ratio) / divided) for ratio in ratios]
     ax = ss.plot.stick_fraction_curve(
-        ratios, found, label=f"new direction in {name}", band_label=f"90 % of samples, {name}", ax=ax
+        ratios, found, label=f"interval: {name}", band_label="bands: 90 % of the samples", ax=ax
     )
-    means = {ratio: 100 * one.mean.value for ratio, one in zip(ratios, found, strict=True)}
-    fitted = [ratio for ratio in ratios if 0.5 <= ratio <= 0.6]
-    errors = max(100 * one.mean.standard_error for one in found)
-    print(f"{name}:", ", ".join(f"{ratio:g}: {means[ratio]:.2f} %" for ratio in (0.5, 0.54, 0.6, 0.65, 0.7, 0.85)),
-          f"(+- {errors:.2f})")  # fmt: skip
-    line = np.polyfit(fitted, [means[ratio] for ratio in fitted], 1)
-    values = np.array([means[ratio] for ratio in fitted])
-    explained = 1 - np.var(values - np.polyval(line, fitted)) / np.var(values)
-    print(f"  line from r = 0.5 to 0.6: {line[0]:.1f} % per unit of r, R^2 = {explained:.3f}")
+    means = np.array([100 * one.mean.value for one in found])
+    fitted = (ratios >= 0.5) & (ratios <= 0.6)
+    line = np.polyfit(ratios[fitted], means[fitted], 1)
+    explained = 1 - np.var(means[fitted] - np.polyval(line, ratios[fitted])) / np.var(means[fitted])
+    later = means[ratios >= 0.6]
+    error = max(100 * one.mean.standard_error for one in found)
+    at = dict(zip(ratios, means, strict=True))
+    print(f"{name} (standard errors up to {error:.2f} %):")
+    print(f"  below r = 0.5 at most {means[ratios < 0.5].max():.2f} %; {at[0.5]:.2f} % at 0.5, {at[0.6]:.2f} % at 0.6; "
+          f"line {line[0]:.1f} % per unit of r, R^2 = {explained:.3f}")  # fmt: skip
+    print("  then", ", ".join(f"{at[ratio]:.2f} % at {ratio:g}" for ratio in (0.7, 0.85, 0.95, 1.2, 1.8, 2.5)))
+    level = bool(np.ptp(later) < 0.2 * later.mean())
+    curves[name] = at
+    print(f"  from 0.6 on {later.min():.2f} to {later.max():.2f} %, level within a tenth: {level}")
+print(f"a period at r = 2.5: {curves['a period'][2.5]:.2f} %, half a period at 1.25: "
+      f"{curves['half a period'][1.25]:.2f} %")  # fmt: skip
+ax.set_ylim(bottom=0)
+ax.figure.set_size_inches(9, 5.4)
 plt.show()
 
 # %% [markdown]
-# **Verdict.** With a new direction in each period the mean neither grows linearly from 0.5 to 0.6 nor is level after
-# it. With one in each half period it grows as described, and is near 5 % from 0.7 to 0.85. This does not show that the
-# paper drew it so: its text has no numbers of this figure to compare with.
+# **Verdict.** No reading gives what the paper says: none is level from 0.6 to 2.5, as the lines above say. With a new
+# direction in each period the mean neither grows linearly nor stays level. In each half period it grows almost linearly
+# from nothing at 0.5 and is level from 0.7 to 0.85; but it falls again towards 0.95 and has doubled at 1.2. In each
+# quarter period there are sticks below 0.5 already, at 0.6 about twice as many as at 0.5, and between 6 and 10 % of the
+# time from there on. With `1 / (r omega)` nothing grows between 0.5 and 0.6. All four are one curve, drawn over another
+# unit of the interval. The text of the paper has no numbers of this figure to compare with.

@@ -34,12 +34,13 @@ from stickslip_jax import papers
 jax.config.update("jax_enable_x64", True)
 
 SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "10_000"))
+T1 = 200.0  # s
 
 # %% [markdown]
 # ## 64 points of friction coefficient and rate
 
 # %%
-study = papers.parametric_analysis(samples=SAMPLES)
+study = papers.parametric_analysis(samples=SAMPLES, t1=T1)
 began = time.perf_counter()
 results = study.run(progress=False)
 print(study)
@@ -56,65 +57,155 @@ names = ["mean_stick_count", "mean_stick_duration", "stick_fraction", "mean_slip
 axes = ss.plot.parameter_study(results, names)
 
 # %% [markdown]
-# The same along each parameter, with 90 % confidence intervals: the paper's two sections, on the rate and on friction.
+# The means along each parameter: the paper's two sections, on the rate and on friction. The 90 % confidence intervals
+# are narrower than the points at full size; the widest is printed.
 
 # %%
 middle = {"mu": float(results.mu[4]), "rate": float(results.rate[4])}
-figure, panels = plt.subplots(2, 2, figsize=(11, 7.4), layout="constrained")
+units = {"mu": "", "rate": "/s"}
+names = ["mean_stick_count", "mean_stick_duration", "mean_slip_duration", "stick_fraction"]
+figure, panels = plt.subplots(2, 4, figsize=(15, 7), layout="constrained")
+widest = 0.0
 for row, other in zip(panels, ("mu", "rate"), strict=True):
     some = results.sel({other: middle[other]})
-    ss.plot.parameter_study(some, ["mean_stick_count", "mean_stick_duration"], axes=row)
-    row[0].set_title(f"{other} = {middle[other]:.3g}", fontsize=10, loc="left")
+    ss.plot.parameter_study(some, names, axes=row)
+    for panel in row:
+        panel.get_legend().remove()
+    row[0].set_title(f"at {other} = {middle[other]:.3g}{units[other]}", fontsize=10, loc="left")
+    widest = max(widest, *(float((1.645 * some[f"{name}_error"] / some[name]).max()) for name in names))
 plt.show()
+print(f"90 % confidence intervals: at most {100 * widest:.2f} % of the value to each side")
 
 # %% [markdown]
-# ## Histograms and entropies that can be compared
-# All points share the bins of their histograms, so that entropies differ only where the distributions do.
+# ## Histograms, variances and entropies
+# Of the number of sticks, of the durations of sticks and slips, and of the instants at which the fifth of each begins,
+# along the rate (lambda) and along the friction coefficient. The entropy of the number of sticks is that of the numbers
+# themselves, one bin for each. The others are differential entropies, which need no bins: they are lower by `log 2` nat
+# where a distribution is half as wide, and may be negative.
 
 # %%
-figure, panels = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-colors = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
-for panel, (along, other) in zip(panels, (("rate", "mu"), ("mu", "rate")), strict=True):
-    for color, value in zip(colors, results[along].values[[0, 2, 4, 7]], strict=True):
-        point = {along: float(value), other: middle[other]}
-        ensemble = ss.simulate_ensemble(
-            ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(point["mu"])),
-            ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]),
-            t1=200.0,
-            samples=SAMPLES,
-            key=jax.random.key(0),
-            y0=(0.0, papers.BELT_SPEED),
-            progress=False,
-        )
-        histogram = ensemble.statistics.stick_count.histogram(40)
-        panel.stairs(histogram.density, histogram.edges, color=color, lw=1.5, label=f"{along} = {value:.3g}")
-        same = np.isclose(float(results.mean_stick_count.sel(point)), ensemble.statistics.stick_count.mean.value)
-        entropy = float(results.stick_count_entropy.sel(point))
-        print(
-            f"{along} = {value:5.3g}: entropy of the number of sticks {entropy:.3f} nat; the study's mean again: {same}"
-        )
-    panel.set_xlabel(f"number of sticks in 200 s, {other} = {middle[other]:.3g}")
-    panel.set_ylabel("share per whole number")
-    panel.legend(frameon=False)
-plt.show()
+QUANTITIES = {
+    "number of sticks": lambda statistics: statistics.stick_count,
+    "stick duration": lambda statistics: statistics.duration,
+    "slip duration": lambda statistics: statistics.slip_duration,
+    "start of the 5th stick": lambda statistics: statistics.order(5).start,
+    "start of the 5th slip": lambda statistics: statistics.slips.order(5).start,
+}
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
+
+
+def ensemble_at(point):
+    """The samples of the study at this point, again, with all their distributions."""
+    return ss.simulate_ensemble(
+        papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]), t1=T1,
+        samples=SAMPLES, key=jax.random.key(0), y0=(0.0, papers.BELT_SPEED), progress=False,
+    )  # fmt: skip
+
+
+def entropy_of(distribution):
+    """Of whole numbers that of the numbers, of others the differential entropy, nat."""
+    return distribution.entropy() if distribution.is_whole else distribution.differential_entropy
+
+
+def draw_section(along, other):
+    """Histograms at four values of a parameter, variances and entropies at all eight."""
+    values = results[along].values
+    points = [{along: float(value), other: middle[other]} for value in values]
+    ensembles = [ensemble_at(point) for point in points]
+    again = [np.isclose(float(results.mean_stick_count.sel(point)), ss.mean_stick_count(one).value)
+             for point, one in zip(points, ensembles, strict=True)]  # fmt: skip
+    print(f"along {along}: the study's mean number of sticks again at {sum(again)} of {len(again)} points")
+    figure, panels = plt.subplots(3, 5, figsize=(17, 9.5), layout="constrained")
+    where = f"{along} (1/s)" if along == "rate" else "friction coefficient mu"
+    for column, (name, of) in zip(panels.T, QUANTITIES.items(), strict=True):
+        found = [of(one.statistics) for one in ensembles]
+        shown = [found[number] for number in (0, 2, 4, 7)]
+        for color, value, distribution in zip(COLORS, values[[0, 2, 4, 7]], shown, strict=True):
+            histogram = distribution.histogram(None if distribution.is_whole else 40)
+            edges = histogram.edges - 0.5 * distribution.is_whole
+            column[0].stairs(histogram.density, edges, color=color, lw=1.5, label=f"{value:.3g}{units[along]}")
+        unit = found[0].unit
+        column[0].set_xlabel(name if unit == "1" else f"{name} ({unit})")
+        column[0].set_ylabel("share per whole number" if unit == "1" else f"probability density (1/{unit})")
+        column[0].set_xlim(left=0, right=max(one.quantile(0.995).value for one in shown if one.number))
+        if "slip duration" in name:
+            column[0].set_yscale("log")
+        squared = "" if unit == "1" else f" ({unit}$^2$)"
+        for panel, estimates, label in (
+            (column[1], [one.variance for one in found], f"variance{squared}"),
+            (column[2], [entropy_of(one) for one in found], "entropy (nat)" if unit == "1" else "diff. entropy (nat)"),
+        ):
+            ss.plot.curve(
+                values, estimates, xlabel=where, ylabel=label, xlog=along == "rate", ylog=panel is column[1], ax=panel
+            )
+            panel.get_legend().remove()
+        numbers = [f"{value:.3g}: {one.variance.value:.4g}, {entropy_of(one).value:.3f}"
+                   for value, one in zip(values[[0, 4, 7]], shown[:1] + shown[2:], strict=True)]  # fmt: skip
+        print(f"  {name}: variance{squared.replace('$', '')} and entropy (nat) at {along}", "; ".join(numbers))
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    title = f"at {other} = {middle[other]:.3g}{units[other]}; bars: 90 % confidence intervals"
+    labels = [f"{along} = {label}" for label in labels]
+    figure.legend(handles, labels, title=title, loc="outside upper center", ncols=4, frameon=False)
+    plt.show()
+
+
+# %% [markdown]
+# Along the rate, at the middle friction coefficient:
+
+# %%
+draw_section("rate", "mu")
+
+# %% [markdown]
+# Along the friction coefficient, at the middle rate:
+
+# %%
+draw_section("mu", "rate")
+
+# %% [markdown]
+# The study holds the entropies of all 64 points, of histograms in bins that all points share; of the number of sticks,
+# one bin for each number.
+
+# %%
+for name in ("stick_count", "duration", "slip_duration"):
+    entropies, bins = results[f"{name}_entropy"], results.sizes[f"{name}_bin"]
+    low, high = (entropies.where(entropies == end, drop=True) for end in (entropies.min(), entropies.max()))
+    print(f"{name}, {bins} bins: entropy from {float(low.max()):.3f} nat (mu {float(low.mu[0]):.3g}, rate "
+          f"{float(low.rate[0]):.3g}/s) to {float(high.max()):.3f} nat (mu {float(high.mu[0]):.3g}, rate "
+          f"{float(high.rate[0]):.3g}/s)")  # fmt: skip
 
 # %% [markdown]
 # ## How much each parameter matters
 # Elasticities of the mean stick duration: by how many percent it changes when a parameter grows by one percent. Sticks
-# appear and vanish as parameters change, so these are corrected derivatives, with standard errors.
+# appear and vanish as parameters change, so these are corrected derivatives, with standard errors. The start is not
+# that of the study, in which the mass rests on the belt where this begins forward: at any other speed of the belt that
+# rest, which no mean counts, would be gone, so that there is no derivative by the speed. How little the start matters:
 
 # %%
 point = {"mu": middle["mu"], "rate": middle["rate"]}
+system, law = papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BELT_SPEED, point["rate"])
+means = []
+for start, key in ((papers.BELT_SPEED, 0), (papers.BELT_SPEED / 2, 1)):
+    one = ss.simulate_ensemble(
+        system, law, t1=T1, samples=max(SAMPLES, 1000), key=jax.random.key(key), y0=(0.0, start), progress=False
+    )
+    means.append(ss.mean_stick_duration(one))
+    print(f"start at {start:g} m/s: {means[-1]}")
+difference = means[1] - means[0]
+print(f"difference: {difference.without_name()}")
+
+# %%
 found = ss.sensitivity(
     ss.mean_stick_duration,
-    ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(point["mu"])),
-    ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]),
+    system,
+    law,
     wrt=("mu", "stiffness", "mass", "speed", "rate"),
-    t1=200.0,
+    t1=T1,
     samples=max(SAMPLES, 1000),
     key=jax.random.key(0),
-    y0=(0.0, 0.5),
+    y0=(0.0, papers.BELT_SPEED / 2),
     elasticity=True,
 )
 print(found)
-axes = ss.plot.tornado(found)
+ax = ss.plot.tornado(found)
+ax.set_title("start at half the speed of the belt", fontsize=10)
+plt.show()

@@ -51,8 +51,10 @@ def belt(law, ratio):
 # %% [markdown]
 # ## Where friction feeds energy in
 # The paper divides the phase plane of a belt of constant speed into regions by whether friction introduces or
-# dissipates energy. The power of the friction force on the mass is force times velocity, so it is positive where the
-# mass moves the way of the belt and is slower than it, and negative elsewhere.
+# dissipates energy. The power of the friction force on the mass is force times velocity. In a slip it is positive where
+# the mass moves the way of the belt and is slower than it, and negative elsewhere. In a stick friction balances the
+# spring, so that the power is `k x v`: positive where the belt loads the spring, negative where the spring, still
+# loaded the other way, pulls the mass along.
 
 # %%
 one = ss.simulate(oscillator, ss.Constant(1.0), t1=12.0, y0=(-0.9, 0.0))
@@ -60,25 +62,41 @@ ax = ss.plot.phase_portrait(one, abscissa="position_times_omega", energy_regions
 
 # %%
 times = np.linspace(0.0, 12.0, 2001)
-_, velocity = (np.asarray(values) for values in one.evaluate(times))
-power = np.asarray(one.friction_force(times)) * velocity
-agrees = (power > 0) == ((velocity > 0) & (velocity <= 1.0))
-print(f"instants at which the sign of the power is that of the region: {agrees.sum()} of {len(agrees)}")
+for start in ((-0.9, 0.0), (-0.2, 1.0)):
+    motion = ss.simulate(oscillator, ss.Constant(1.0), t1=12.0, y0=start)
+    x, velocity = (np.asarray(values) for values in motion.evaluate(times))
+    power = np.asarray(motion.friction_force(times)) * velocity
+    begin, end = (
+        np.asarray(values)[np.asarray(motion.sticks.mask)] for values in (motion.sticks.start, motion.sticks.end)
+    )
+    sticking = ((times[:, None] >= begin) & (times[:, None] < end)).any(axis=1)
+    region = (velocity > 0) & (velocity <= 1.0)  # and the belt's line
+    expected = np.where(sticking, x > 0, region)
+    right = [((power > 0) == one).sum() for one in (expected, region)]
+    print(f"start {start}: {sticking.sum()} of {len(times)} instants in a stick, {(sticking & (x < 0)).sum()} at x < 0;"
+          f" the sign of the power is as said at {right[0]}, by regions with the line at {right[1]}")  # fmt: skip
 
 # %% [markdown]
-# In a stick the belt loads the spring without loss. In the circles that follow it goes on working, at the rate `mu n
-# v`, and all of that work becomes heat: what friction feeds in on one part of a circle it takes away on the rest.
+# In a stick the belt, or the spring, works without loss. In the circles that follow the belt goes on working, at the
+# rate `mu n v`, and over a whole circle all of that work becomes heat: what friction feeds in on one part of it it
+# takes away on the rest.
 
 # %%
 axes = ss.plot.energies(one)
 found = one.energies(12.0)
 print(f"after 12 s: the belt supplied {float(found.supplied['base']):.4f} J, friction turned "
       f"{float(found.dissipated['friction']):.4f} J into heat, imbalance {float(found.imbalance):.0e} J")  # fmt: skip
+stick = [float(instants[0]) for instants in (one.sticks.start, one.sticks.end)]
+for name, (begin, end) in (("the stick", stick), ("the last circle", (12.0 - 2 * math.pi / omega, 12.0))):
+    before, after = one.energies(begin), one.energies(end)
+    supplied = float(after.supplied["base"] - before.supplied["base"])
+    heat = float(after.dissipated["friction"] - before.dissipated["friction"])
+    print(f"{name}, {end - begin:.4f} s: the belt supplied {supplied:.4f} J, heat {abs(heat):.4f} J")
 
 # %% [markdown]
 # ## Steady motion on periodic belts
 # The sticks of the last ten periods of 400, in the colour of sticks in all figures, for friction coefficients 0.5 and
-# 2.
+# 2. On a harmonic belt slips have one colour, because its direction is not constant during them.
 
 # %%
 figure, panels = plt.subplots(2, 3, figsize=(12, 8.4), layout="constrained")
@@ -107,11 +125,14 @@ maps = {}
 figure, panels = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
 for panel, law in zip(panels, ("square", "harmonic"), strict=True):
     maps[law] = papers.stick_share_map(law, mu=frictions, ratios=ratios).run(progress=False)
-    ss.plot.parameter_map(maps[law].stick_fraction, ax=panel, contours=False)
+    ss.plot.parameter_map(maps[law].stick_fraction, ax=panel, contours=False, limits=(0, 1))
     panel.set_title(f"{law} belt", fontsize=10)
 plt.show()
 constant = papers.stick_share_map("constant", mu=frictions).run(progress=False)
-print(f"constant belt: at most {100 * float(constant.stick_fraction.max()):.2f} % of 200 s, the one stick at the start")
+run = jax.vmap(lambda mu: ss.simulate(papers.belt_oscillator(mu), ss.Constant(1.0), t1=200.0, y0=(0.0, 1.0)).sticks)
+sticks = run(jnp.asarray(frictions))
+print(f"constant belt: at most {int(sticks.count.max())} stick, from {float(sticks.start[:, 0].max()):g} s on; "
+      f"at most {100 * float(constant.stick_fraction.max()):.2f} % of 200 s")  # fmt: skip
 
 # %% [markdown]
 # **On a belt of constant speed** there is one stick at most, at the beginning. **On a harmonic belt** the mass sticks
@@ -144,6 +165,7 @@ def steady_share(mu, ratio):
 
 few, many = np.array([1.0, 4.0, 10.0]), np.linspace(0.1, 2.5, 97)
 steady = np.asarray(steady_share(*np.meshgrid(few, many, indexing="ij")))
+print(f"square wave, mu = {few[0]:g}: no stick in a steady period at {(steady[0] == 0).sum()} of {len(many)} ratios")
 for mu, row in zip(few, steady, strict=True):
     print(
         f"square wave, mu = {mu:g}: at most {100 * row.max():.1f} % of a steady period, at r = {many[row.argmax()]:.3f}"

@@ -1,8 +1,10 @@
 """Execute the notebooks and keep them with their figures: ``python tools/notebooks.py [NAME ...] [--out FOLDER]``."""
 
 import argparse
+import os
 import time
 from pathlib import Path
+from typing import Any
 
 import jupytext
 import nbformat
@@ -10,6 +12,15 @@ from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 LONGEST = 3600  # s that one cell may take
+
+
+def execute(notebook: Any, **environment: str) -> Any:
+    """Execute a notebook in a kernel of its own, which draws its figures into it; it gets `environment` besides ours.
+
+    Figures come only from the kernel's own backend, and MPLBACKEND in the environment would choose another.
+    """
+    ours = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
+    return NotebookClient(notebook, timeout=LONGEST, kernel_name="python3").execute(env={**ours, **environment})
 
 
 def main() -> None:
@@ -25,9 +36,8 @@ def main() -> None:
     for name in chosen.names or names:
         began, path = time.perf_counter(), chosen.out / f"{name}.ipynb"
         notebook = jupytext.read(FOLDER / f"{name}.py")
-        client = NotebookClient(notebook, timeout=LONGEST, kernel_name="python3")
         try:
-            client.execute()
+            execute(notebook)
         finally:
             nbformat.write(notebook, path)  # of one that failed, what came out until then
         print(f"{path}: {time.perf_counter() - began:.0f} s", flush=True)

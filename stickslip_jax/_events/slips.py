@@ -31,6 +31,15 @@ class FlatSlips(NamedTuple):
         return np.arange(len(self.sample)) - np.repeat(first, np.diff(first, append=len(self.sample))) + 1
 
 
+def slips_after(sticks: FlatSticks, t1: float) -> tuple[np.ndarray, np.ndarray]:
+    """Start and duration (s) of the slip after each stick, the last one up to `t1`; NaN where there is none."""
+    end, next_start = np.asarray(sticks.end, np.float64), np.append(sticks.start[1:], 0.0)
+    last = (sticks.first + sticks.count - 1)[sticks.count > 0]
+    next_start[last] = sticks.start.dtype.type(t1)
+    start = np.where((sticks.ending == Ending.HORIZON) | (next_start <= end), np.nan, end)
+    return start, next_start - start
+
+
 def slips_among(sticks: FlatSticks, t1: float, finished: np.ndarray | None = None) -> FlatSlips:
     """The slips on ``[0, t1]`` (s) of all samples that have `finished`, (samples,); None: of all samples.
 

@@ -17,8 +17,8 @@ from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .._status import Ending
 from . import stick_sums
+from .distribution import BINS
 from .registry import STICK_QUANTITIES
-from .stick_sums import BINS
 
 MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
 

@@ -10,8 +10,9 @@ from .._numerics import numba_loops
 from .._numerics.dyadic import Axis, DyadicCounts
 from .._numerics.power_sums import PowerSums
 from . import stick_sums
+from .distribution import BINS
 from .registry import STREAMED_PAIRS
-from .stick_sums import BINS, BINS_BY_ORDER, BINS_OF_PAIRS, OrderSums, StickSums
+from .stick_sums import BINS_BY_ORDER, BINS_OF_PAIRS, OrderSums, StickSums
 
 QUANTITIES = ("start", "duration", "position")
 """The quantities of a stick that the loops sum, in the order of their columns."""

@@ -15,6 +15,7 @@ from .clusters import Clusters
 from .estimate import Estimate
 
 DEFAULT_BINS = 50
+BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
 _MOST_SPACINGS = 100_000  # number of values for the entropy without bins: its error is small by then
 
 
@@ -139,11 +140,12 @@ class Distribution:
         """Width of the finest bins, in `unit`; NaN without values."""
         return math.ldexp(1.0, self.bins.exponent[0]) if self.number else math.nan
 
-    def histogram(self, bins: int | CommonBins = DEFAULT_BINS) -> Histogram:
+    def histogram(self, bins: int | CommonBins | None = None) -> Histogram:
         """The histogram of all values, in at most `bins` bins of equal width, or in the bins of `common_bins`.
 
-        Each bin is a union of bins of the finest histogram, so that the counts are exact. Raises ValueError unless
-        `bins` is a whole number of at least 1, or bins that hold all values.
+        By default 50; of whole numbers, one for each number (up to 8192: beyond, 2, 4, ... numbers share one). Each bin
+        is a union of bins of the finest histogram, so that the counts are exact. Raises ValueError unless `bins` is
+        None, a whole number of at least 1, or bins that hold all values.
         """
         edges, counts = self._joined(bins)
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
@@ -151,17 +153,21 @@ class Distribution:
         width = np.diff(edges)
         return Histogram(edges, counts, counts / max(self.number, 1) / width, error / width, self.number, self.unit)
 
-    def entropy(self, bins: int | CommonBins = DEFAULT_BINS) -> Estimate:
+    def entropy(self, bins: int | CommonBins | None = None) -> Estimate:
         """Shannon entropy of the normalised histogram in at most `bins` bins, ``-sum p log p``, nats.
 
-        It depends on the width of the bins: entropies in the same bins (`common_bins`) can be compared. The estimate is
-        too low by about (bins - 1) / (2 number). The standard error is that of the entropy in these very bins, as
-        `common_bins` fix them (of 2,000 values in 400 clusters stated 0.027, spread of runs 0.028). A number of bins
-        makes bins that follow the range of the values: in another run they may be twice as wide, and the entropy lower
-        by up to 0.69 nats (spread 0.17 in the same runs). Raises ValueError as `histogram`.
+        Of whole numbers it is by default that of the numbers themselves, each in a bin of its own. Else it depends on
+        the width of the bins: entropies in the same bins (`common_bins`) can be compared. The estimate is too low by
+        about (bins - 1) / (2 number). The standard error is that of the entropy in these very bins, as `common_bins`
+        fix them (of 2,000 values in 400 clusters stated 0.027, spread of runs 0.028). A number of bins makes bins that
+        follow the range of the values: in another run they may be twice as wide, and the entropy lower by up to 0.69
+        nats (spread 0.17 in the same runs). Raises ValueError as `histogram`.
         """
         edges, counts = self._joined(bins)
         name = f"entropy of the histogram in {len(counts)} bins"
+        if self.is_whole and self.number > 0:
+            width = round(edges[1] - edges[0])
+            name = "entropy" if width == 1 else f"{name} of {width} numbers each"
         if self.number == 0:
             return self._estimate(name, math.nan, math.nan, "nat")
         surprise, value = self._surprise(edges, counts)
@@ -171,8 +177,8 @@ class Distribution:
     def repeated_share(self) -> Estimate:
         """Share of the retained values that equal others up to round-off: the weight of the atoms of the distribution.
 
-        Atoms occur because a mass that is released at the edge of the stick band, and reverses before the next switch,
-        comes back to the same point whatever happened before.
+        Atoms occur where something about a sample is certain: a mass that starts from one fixed state and meets its
+        base before the first switch begins its first stick at the same point in every such sample.
         """
         if len(self.clusters.values) == 0:
             return self._estimate("share of repeated values", math.nan, math.nan, "1")
@@ -213,8 +219,9 @@ class Distribution:
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
         return each[place], float(share @ each)
 
-    def _joined(self, bins: int | CommonBins) -> tuple[np.ndarray, np.ndarray]:
+    def _joined(self, bins: int | CommonBins | None) -> tuple[np.ndarray, np.ndarray]:
         """Edges and counts of at most `bins` bins of equal width, or of the given ones, joined from the finest."""
+        bins = default_bins(self.is_whole) if bins is None else bins
         if isinstance(bins, CommonBins):
             if not bins.hold(self.bins):
                 raise ValueError(
@@ -274,10 +281,15 @@ class Distribution:
         return "\n".join([*lines, f"  from {self.smallest:.6g} to {self.largest:.6g} {self.unit}".removesuffix(" 1")])
 
 
-def common_bins(distributions: Sequence[Distribution], bins: int = DEFAULT_BINS) -> CommonBins:
+def default_bins(is_whole: bool) -> int:
+    """The largest number of bins where none is asked for: of whole numbers, as many as are held."""
+    return BINS if is_whole else DEFAULT_BINS
+
+
+def common_bins(distributions: Sequence[Distribution], bins: int | None = None) -> CommonBins:
     """At most `bins` bins of equal width that hold all values of several distributions of one quantity.
 
-    Histograms and entropies in the same bins can be compared.
+    By default 50; of whole numbers, one for each number. Histograms and entropies in the same bins can be compared.
 
     Raises ValueError for anything but distributions in one unit, with at least one value among them.
 
@@ -289,14 +301,16 @@ def common_bins(distributions: Sequence[Distribution], bins: int = DEFAULT_BINS)
     entropy of the histogram in 32 bins of stick duration: 2.7682 +- 0.0017 nat
     entropy of the histogram in 32 bins of stick duration: 3.4191 +- 0.0034 nat
     """
-    _checks.whole_number("bins", bins)
+    if bins is not None:
+        _checks.whole_number("bins", bins)
     found = list(distributions) if isinstance(distributions, Sequence) else []
     if not found or not all(isinstance(one, Distribution) for one in found) or len({one.unit for one in found}) > 1:
         raise ValueError(
             "Argument distributions must be a list of distributions in one unit, such as many.statistics.duration of "
             f"several ensembles, but {_checks.show(distributions)} was given."
         )
-    common = CommonBins.of((one.bins for one in found), bins)
+    most = default_bins(all(one.is_whole for one in found)) if bins is None else bins
+    common = CommonBins.of((one.bins for one in found), most)
     if common is None:
         raise ValueError("Argument distributions must have a value among them, but all of them are empty.")
     return common

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
+from .._events.slips import slips_after
 from .._events.stick_stream import StickStream
 from .._events.sticks import FlatSticks
 from .._numerics.dyadic import DyadicCounts
@@ -15,7 +16,7 @@ from .._numerics.power_sums import PowerSums
 from .._status import Ending
 from .accumulator import Numbering, StickAccumulator
 from .clusters import Clusters
-from .distribution import DEFAULT_BINS, Distribution
+from .distribution import Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labeled import dataset_of_statistics
@@ -25,6 +26,8 @@ from .registry import (
     OWN_MEAN_DURATION,
     POSITION,
     SAMPLE_QUANTITIES,
+    SLIP_AFTER,
+    SLIP_AFTER_START,
     SLIP_DURATION,
     STICK_QUANTITIES,
     STREAMED_PAIRS,
@@ -234,12 +237,15 @@ class EnsembleStatistics(_ByQuantity):
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
         """The joint distribution of two quantities of a stick, or of two sticks of one sample.
 
-        - `x`, `y`: "start", "duration", "position" or "slip_before" (duration of the slip before the stick), both of
-          the same stick; or each with the number of the stick: ``joint(("duration", 1), ("duration", 2))`` is the joint
-          distribution of the durations of the first and the second stick.
+        - `x`, `y`: "start", "duration", "position", "slip_before" (duration of the slip before the stick),
+          "slip_start" or "slip_duration" (of the slip after the stick, s), both of the same stick; or each with the
+          number of the stick: ``joint(("duration", 1), ("duration", 2))`` is the joint distribution of the durations of
+          the first and the second stick, ``joint(("slip_duration", 1), ("duration", 2))`` that of the slip between the
+          two and the second stick.
 
-        These two durations, ("duration", "position") and ("start", "duration") were summed over all samples; any other
-        pair rests on the retained samples. Raises ValueError for other arguments.
+        A stick that the horizon cuts has no slip after it, and its pairs with one are left out. The two durations,
+        ("duration", "position") and ("start", "duration") were summed over all samples; any other pair rests on the
+        retained samples. Raises ValueError for other arguments.
         """
         (of_x, number_x), (of_y, number_y) = _stick_value("x", x), _stick_value("y", y)
         for of in (of_x, of_y):
@@ -258,6 +264,8 @@ class EnsembleStatistics(_ByQuantity):
             has = self.sticks.count - skipped >= max(number_x, number_y)
             first, owner = (self.sticks.first + skipped)[has] - 1, np.flatnonzero(has)
             values = (self._column(of_x.name)[first + number_x], self._column(of_y.name)[first + number_y])
+        exists = np.isfinite(values[0]) & np.isfinite(values[1])
+        values, owner = tuple(column[exists] for column in values), owner[exists]
         bins, correlation, of_all = self._streamed(x, y)
         columns = [self._clusters(column, owner, of_all=of_all) for column in values]
         return JointDistribution(
@@ -272,10 +280,12 @@ class EnsembleStatistics(_ByQuantity):
             origin=self.origin,
         )
 
-    def to_xarray(self, bins: int = DEFAULT_BINS) -> "xarray.Dataset":
+    def to_xarray(self, bins: int | None = None) -> "xarray.Dataset":
         """Moments, quantiles, histograms, joint histograms and means by order as an ``xarray.Dataset`` with units.
 
-        - `bins`: at most, of each histogram. Needs the extra ``study`` (else ImportError).
+        - `bins`: at most, of each histogram; by default 50, of whole numbers one for each number.
+
+        Needs the extra ``study`` (else ImportError).
         """
         return dataset_of_statistics(self, bins)
 
@@ -333,9 +343,12 @@ class EnsembleStatistics(_ByQuantity):
         return Clusters(values, owner, retained, self.samples if of_all else retained)
 
     def _column(self, name: str) -> np.ndarray:
-        """A quantity of each retained stick."""
+        """A quantity of each retained stick; NaN where there is none."""
         if name == "slip_before":
             return np.asarray(StickStream.of(self.sticks).slip, np.float64)
+        if name in (SLIP_AFTER_START.name, SLIP_AFTER.name):
+            start, duration = slips_after(self.sticks, self.t1)
+            return start if name == SLIP_AFTER_START.name else duration
         return np.asarray(getattr(self.sticks, name), np.float64)
 
 

@@ -1,16 +1,16 @@
-"""Tests whether consecutive values are independent, and whether they are independent and identically distributed."""
+"""Tests whether values that follow each other, of one quantity or two, are independent; and identically distributed."""
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
 from .. import _checks
-from .complete_values import Sequences, plural, sequences_of
+from .complete_values import plural, sequences_of
 from .identical import identically_distributed
-from .registry import TestedQuantity
+from .registry import IN_A_CYCLE, TESTED, TestedQuantity
 from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance
 
@@ -22,7 +22,7 @@ FEWEST_EXPECTED = 5
 
 def independent(
     source: StickSource,
-    quantity: TestedQuantity = "duration",
+    quantity: TestedQuantity | tuple[TestedQuantity, TestedQuantity] = "duration",
     *,
     lag: int = 1,
     first: int = 1,
@@ -30,25 +30,30 @@ def independent(
     significance: float = 0.05,
     starts_before: float | None = None,
 ) -> Verdict:
-    """Test whether values of one sample that are `lag` apart in order are independent.
+    """Test whether values of one sample that follow each other are independent: of one quantity, or one of each of two.
 
-    - `source`, `quantity`, `significance`, `starts_before`: as in `identically_distributed`. A pair is used only if its
-      later value begins before ``starts_before``. This depends on the earlier value, but does not make independent
-      values dependent. Without it (``math.inf``) a long value leaves less time for the next before the simulation ends.
-    - `lag`: difference of the orders. `first`: order of the earlier value of the pair that each sample gives to the
-      first two tests.
+    - `source`, `significance`, `starts_before`: as in `identically_distributed`. A pair is used only if its later value
+      begins before ``starts_before``. This depends on the earlier value, but does not make independent values
+      dependent. Without it (``math.inf``) a long value leaves less time for the next before the simulation ends.
+    - `quantity`: one as in `identically_distributed`: do its values depend on each other? Or two, the earlier first:
+      ``("duration", "slip_duration")`` asks whether a stick and the slip after it are independent, and
+      ``("slip_duration", "duration")`` whether a slip and the stick after it are.
+    - `lag`: 1 pairs each value with the next, 2 with the one after that, and so on.
+    - `first`: order of the first value that counts as the earlier one. The first two tests take this pair of each
+      sample, the third this one and all later.
     - `bins`: number of quantile bins of each value in the chi-square test, at least 2.
 
     The tests; none of them takes a drift of the distribution with the order for dependence:
 
     1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair from each sample that
        has both. The pairs are independent, so the p-value (Student's t) holds whatever the dependence within a sample.
-    2. Chi-square of the same pairs in a table of `bins` x `bins` pooled quantiles; effect: Cramer's V. With few pairs
-       there are fewer bins, and neighbouring bins are joined until the expected count of each cell is at least 5. Finds
-       dependence without correlation.
-    3. Serial rank correlation: all pairs of all samples, ranked among the pairs of the same orders. Pairs of one sample
-       may be dependent, so the variance is that of sums over samples (statistic: Student's t with one degree of freedom
-       fewer than there are samples with pairs). Also finds a factor that all values of a sample share.
+    2. Chi-square of the same pairs in a table of `bins` x `bins` quantiles (of one quantity: pooled, of two: of each);
+       effect: Cramer's V. With few pairs there are fewer bins, and neighbouring bins are joined until the expected
+       count of each cell is at least 5. Finds dependence without correlation.
+    3. Serial rank correlation: all pairs of all samples from `first` on, ranked among the pairs of the same orders.
+       Pairs of one sample may be dependent, so the variance is that of sums over samples (statistic: Student's t with
+       one degree of freedom fewer than there are samples with pairs). Also finds a factor that all values of a sample
+       share.
 
     A test needs 10 pairs (the third: 10 samples with pairs) and values that are not all equal; the answer is None if
     no test could be made. Question: Lima and Sampaio 2017, introduction. Raises ValueError as
@@ -57,16 +62,20 @@ def independent(
     check_significance(significance)
     lag, first = _checks.whole_number("lag", lag), _checks.whole_number("first", first)
     bins = _checks.whole_number("bins", bins, minimum=2)
-    sequences = sequences_of(source, quantity, starts_before)
-    at = (sequences.first + first - 1)[sequences.count >= first + lag]
-    early, late = sequences.values[at], sequences.values[at + lag]
-    tests = (_spearman(early, late, first, lag), _chi_square(early, late, bins), _serial(sequences, lag))
+    earlier, later = quantity if isinstance(quantity, tuple) and len(quantity) == 2 else (quantity, quantity)
+    pairs, remarks, values = _pairs(source, (earlier, later), lag, first, starts_before)
+    at = np.flatnonzero(pairs.order == first)
+    early, late = pairs.early[at], pairs.late[at]
+    tests = (
+        _spearman(early, late, pairs.names),
+        _chi_square(early, late, bins, pooled=earlier == later),
+        _serial(pairs),
+    )
     reason = "" if any(test.made for test in tests) else tests[0].reason
-    apart = "consecutive" if lag == 1 else f"{lag} apart"
-    given = len(sequences.count)
-    remarks = (sequences.remark, f"{len(early)} of {given} samples have values of orders {first} and {first + lag}.")
-    question = f"Are the {plural(quantity)}, {apart}, independent?"
-    return Verdict(question, significance, tests, given, len(sequences.values), reason, remarks)
+    given = len(pairs.count)
+    remarks = (*remarks, f"{len(at)} of {given} samples have {'values of ' * (earlier == later)}{pairs.names}.")
+    asked = _question(earlier, later, lag)
+    return Verdict(asked, significance, tests, given, values, reason, remarks)
 
 
 def independent_and_identical(
@@ -98,14 +107,58 @@ def independent_and_identical(
     return Verdict(question, significance, tests, parts[0].samples, parts[0].values, reason, remarks)
 
 
+def _question(earlier: str, later: str, lag: int) -> str:
+    if earlier == later:
+        return f"Are the {plural(earlier)}, {'consecutive' if lag == 1 else f'{lag} apart'}, independent?"
+    apart = "them" if lag == 1 else f"{lag} apart"
+    return f"Are the {plural(earlier)} independent of the {plural(later)} that follow {apart}?"
+
+
+class _Pairs(NamedTuple):
+    """All pairs of an earlier and a later value, sample after sample, those of a sample in order of time.
+
+    - `early`, `late`: the values; `order`: that of the earlier one in its sample, from `first` on; (pairs,).
+    - `count`: number of pairs of each sample, (samples,). `names`: of the pair that comes first.
+    """
+
+    early: np.ndarray
+    late: np.ndarray
+    order: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
+    names: str
+
+
+def _pairs(
+    source: StickSource, quantities: tuple[Any, Any], lag: int, first: int, starts_before: float | None
+) -> tuple[_Pairs, tuple[str, ...], int]:
+    """The pairs, remarks on the values that were used and left out, and the number of those that were used."""
+    alike = quantities[0] == quantities[1]
+    earlier = sequences_of(source, quantities[0], starts_before)
+    later = earlier if alike else sequences_of(source, quantities[1], starts_before)
+    places = [IN_A_CYCLE.index(quantity) for quantity in quantities]
+    shift = lag - (places[0] < places[1])  # the next of the other kind may belong to the same stick
+    count = np.maximum(np.minimum(earlier.count, later.count - shift) - first + 1, 0)
+    order = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first
+    at = [np.repeat(one.first, count) + order - 1 for one in (earlier, later)]
+    names = f"orders {first} and {first + shift}"
+    if not alike:
+        names = " and ".join(
+            f"{TESTED[quantity].label} {number}"
+            for quantity, number in zip(quantities, (first, first + shift), strict=True)
+        )
+    pairs = _Pairs(earlier.values[at[0]], later.values[at[1] + shift], order, count, names)
+    values = len(earlier.values) + (0 if alike else len(later.values))
+    return pairs, tuple(dict.fromkeys((earlier.remark, later.remark))), values
+
+
 def _too_few(early: np.ndarray, late: np.ndarray) -> str:
     if len(early) < FEWEST_PAIRS:
         return f"fewer than {FEWEST_PAIRS} samples have such a pair"
     return "all values of one order are equal" if np.ptp(early) == 0 or np.ptp(late) == 0 else ""
 
 
-def _spearman(early: np.ndarray, late: np.ndarray, first: int, lag: int) -> HypothesisTest:
-    name, sizes = f"Spearman, orders {first} and {first + lag}", (len(early),)
+def _spearman(early: np.ndarray, late: np.ndarray, names: str) -> HypothesisTest:
+    name, sizes = f"Spearman, {names}", (len(early),)
     if reason := _too_few(early, late):
         return HypothesisTest(name, sizes=sizes, reason=reason)
     found: Any = stats.spearmanr(early, late)
@@ -113,11 +166,11 @@ def _spearman(early: np.ndarray, late: np.ndarray, first: int, lag: int) -> Hypo
     return HypothesisTest(name, correlation, float(found.pvalue), correlation, "rank correlation", sizes=sizes)
 
 
-def _chi_square(early: np.ndarray, late: np.ndarray, bins: int) -> HypothesisTest:
+def _chi_square(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> HypothesisTest:
     sizes = (len(early),)
     if reason := _too_few(early, late):
         return HypothesisTest("Chi-square", sizes=sizes, reason=reason)
-    table = _table(early, late, bins)
+    table = _table(early, late, bins, pooled)
     shape = " x ".join(map(str, table.shape))
     name = f"Chi-square, {shape} quantile bins"
     if min(table.shape) < 2:
@@ -127,16 +180,18 @@ def _chi_square(early: np.ndarray, late: np.ndarray, bins: int) -> HypothesisTes
     return HypothesisTest(name, float(found.statistic), float(found.pvalue), cramer, "Cramer's V", sizes=sizes)
 
 
-def _table(early: np.ndarray, late: np.ndarray, bins: int) -> np.ndarray:
-    """Counts of pairs in pooled quantile bins, joined until the expected count of each cell is large enough.
+def _table(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> np.ndarray:
+    """Counts of pairs in quantile bins, pooled or of each side, joined until cells expect enough.
 
     Which bins are joined depends only on the sums over rows and columns, which carry no information on dependence.
     """
     bins = max(2, min(bins, math.isqrt(len(early) // FEWEST_EXPECTED)))
-    edges = np.unique(np.quantile(np.concatenate([early, late]), np.arange(1, bins) / bins))
-    width = len(edges) + 1
-    cell = width * np.searchsorted(edges, early, "left") + np.searchsorted(edges, late, "left")
-    table = np.bincount(cell, minlength=width**2).reshape(width, width)
+    both = np.concatenate([early, late])
+    sides = ((both, early), (both, late)) if pooled else ((early, early), (late, late))
+    edges = [np.unique(np.quantile(of, np.arange(1, bins) / bins)) for of, _ in sides]
+    place = [np.searchsorted(own, values, "left") for own, (_, values) in zip(edges, sides, strict=True)]
+    shape = [len(own) + 1 for own in edges]
+    table = np.bincount(place[0] * shape[1] + place[1], minlength=shape[0] * shape[1]).reshape(shape)
     while True:
         sums = table.sum(axis=1), table.sum(axis=0)
         if sums[0].min() * sums[1].min() >= FEWEST_EXPECTED * len(early) or min(table.shape) < 2:
@@ -150,18 +205,16 @@ def _table(early: np.ndarray, late: np.ndarray, bins: int) -> np.ndarray:
         table = np.add.reduceat(table, [at for at in range(len(sums[axis])) if at != start + 1], axis=axis)
 
 
-def _serial(sequences: Sequences, lag: int) -> HypothesisTest:
+def _serial(among: _Pairs) -> HypothesisTest:
     """Rank correlation of all pairs, ranked separately for each order; its error from sums over samples."""
-    counts = np.maximum(sequences.count - lag, 0)
+    counts = among.count
     having = counts > 0
     pairs, samples = int(counts.sum()), int(having.sum())
     name, sizes = f"Serial rank correlation, {pairs} pairs in {samples} samples", (pairs, samples)
     if samples < FEWEST_PAIRS:
         return HypothesisTest(name, sizes=sizes, reason=f"fewer than {FEWEST_PAIRS} samples have such a pair")
-    order = sequences.order
-    early = np.flatnonzero(order <= np.repeat(counts, sequences.count))
-    order = order[early]
-    a, b = (_scores(sequences.values[at], order) for at in (early, early + lag))
+    order = among.order
+    a, b = _scores(among.early, order), _scores(among.late, order)
     norms = math.sqrt(a @ a), math.sqrt(b @ b)
     if min(norms) == 0:
         return HypothesisTest(name, sizes=sizes, reason="all values of one order are equal")

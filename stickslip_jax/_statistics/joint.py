@@ -91,9 +91,8 @@ class JointDistribution:
     def atoms(self) -> Atoms:
         """The points that have a probability of their own, each with its share of the retained pairs.
 
-        A mass that is released at the edge of the stick band, and reverses before the next switch, comes back to the
-        same point whatever happened before (`Distribution.repeated_share`). Points with less than 0.1 % of the pairs
-        are left out.
+        They come from what is certain in many samples, such as one fixed start (`Distribution.repeated_share`). Points
+        with less than 0.1 % of the pairs are left out.
         """
         return atoms_of(self.x.values, self.y.values, self.round_off)
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .distribution import Distribution
+from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution
 from .registry import DISTRIBUTIONS, FIRST_TWO, SLIP_QUANTITIES, STICK_QUANTITIES, STREAMED_PAIRS, StickValue
@@ -17,7 +17,7 @@ _SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _Entries = dict[Hashable, Any]  # variables or coordinates by name, as xarray takes them
 
 
-def dataset_of_statistics(statistics: Any, bins: int) -> "xarray.Dataset":
+def dataset_of_statistics(statistics: Any, bins: int | None) -> "xarray.Dataset":
     """An `EnsembleStatistics` as an ``xarray.Dataset``; see `EnsembleStatistics.to_xarray`."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
@@ -54,7 +54,9 @@ def _add_estimates(
     variables[f"{name}_error"] = _entry(dimension, errors, "standard error", unit)
 
 
-def _add_distribution(name: str, of: Distribution, bins: int, variables: _Entries, coordinates: _Entries) -> None:
+def _add_distribution(
+    name: str, of: Distribution, bins: int | None, variables: _Entries, coordinates: _Entries
+) -> None:
     for label, one in (("mean", of.mean), ("standard_deviation", of.standard_deviation), ("skewness", of.skewness)):
         variables[f"{name}_{label}"] = _entry((), one.value, one.name, one.unit, standard_error=one.standard_error)
     quantiles = [of.quantile(share) for share in _SHARES]
@@ -72,8 +74,10 @@ def _key(value: StickValue) -> str:
     return value if isinstance(value, str) else f"{value[0]}_{value[1]}"
 
 
-def _add_joint(name: str, joint: JointDistribution, bins: int, variables: _Entries, coordinates: _Entries) -> None:
-    histogram = joint.histogram(min(bins, 128))
+def _add_joint(
+    name: str, joint: JointDistribution, bins: int | None, variables: _Entries, coordinates: _Entries
+) -> None:
+    histogram = joint.histogram(DEFAULT_BINS if bins is None else min(bins, 128))
     edges, dimensions = (histogram.x_edges, histogram.y_edges), (f"{name}_x_bin", f"{name}_y_bin")
     for dimension, edge, quantity, unit in zip(dimensions, edges, joint.names, joint.units, strict=True):
         _add_bins(dimension, edge, quantity, unit, variables, coordinates)

@@ -59,6 +59,8 @@ START = SampledQuantity("start", "stick start", "s")
 DURATION = SampledQuantity("duration", "stick duration", "s")
 POSITION = SampledQuantity("position", "stick position", None)
 SLIP_BEFORE = SampledQuantity("slip_before", "slip before the stick", "s")
+SLIP_AFTER = SampledQuantity("slip_duration", "slip after the stick", "s")
+SLIP_AFTER_START = SampledQuantity("slip_start", "start of the slip after the stick", "s")
 SLIP_START = SampledQuantity("slip_start", "slip start", "s")
 SLIP_DURATION = SampledQuantity("slip_duration", "slip duration", "s")
 STICK_COUNT = SampledQuantity("stick_count", "number of sticks", "1", is_whole=True)
@@ -73,13 +75,14 @@ A new one goes to the end. Its values are the field of its name in `StickStream`
 compiled loops sum the first three; with more, NumPy sums all, more slowly (`accumulator.py`).
 """
 
-StickQuantity: TypeAlias = Literal["start", "duration", "position", "slip_before"]
-"""The names of a stick's quantities: the `STICK_QUANTITIES`, and the duration of the slip before the stick."""
+StickQuantity: TypeAlias = Literal["start", "duration", "position", "slip_before", "slip_start", "slip_duration"]
+"""The names of a stick's quantities: the `STICK_QUANTITIES`, the duration of the slip before the stick, and when the
+slip after it begins and how long it lasts."""
 
 StickValue: TypeAlias = StickQuantity | tuple[StickQuantity, int]
 """A quantity of any stick, "duration", or of the i-th stick of each sample, ("duration", 1)."""
 
-BY_NAME = {quantity.name: quantity for quantity in (*STICK_QUANTITIES, SLIP_BEFORE)}
+BY_NAME = {quantity.name: quantity for quantity in (*STICK_QUANTITIES, SLIP_BEFORE, SLIP_AFTER_START, SLIP_AFTER)}
 """The quantities of a stick by their names, as in `StickQuantity`."""
 
 SAMPLE_QUANTITIES = (STICK_COUNT, SLIP_COUNT, STICK_FRACTION)
@@ -98,6 +101,9 @@ TestedQuantity: TypeAlias = Literal["start", "duration", "position", "slip_start
 
 TESTED = {quantity.name: quantity for quantity in (*STICK_QUANTITIES, *SLIP_QUANTITIES)}
 """The same quantities by their names."""
+
+IN_A_CYCLE: tuple[TestedQuantity, ...] = ("start", "position", "duration", "slip_start", "slip_duration")
+"""In which order the quantities of a stick and the slip after it come to be known."""
 
 STREAMED_PAIRS: tuple[tuple[StickQuantity, StickQuantity], ...] = (("duration", "position"), ("start", "duration"))
 """Pairs of quantities of the same stick whose joint histograms are summed over all sticks."""

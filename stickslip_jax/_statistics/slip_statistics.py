@@ -13,10 +13,9 @@ from .._events.sticks import FlatSticks
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
-from .distribution import Distribution
+from .distribution import BINS, Distribution
 from .estimate import Estimate
 from .registry import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity, ordinal
-from .stick_sums import BINS
 from .summary import Summary, summary_of_distributions
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from .._events.stick_stream import StickStream
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
+from .distribution import BINS
 from .registry import STICK_QUANTITIES, STREAMED_PAIRS
 
-BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
 BINS_BY_ORDER = 1024
 BINS_OF_PAIRS = 128  # at most, along each axis
 

@@ -84,7 +84,8 @@ def _notes(ensemble: Any, statistics: "EnsembleStatistics") -> list[str]:
         rest = " but those that begin at t = 0" if statistics.sticks.begins_at_zero.any() else ""
         notes.append(f"There is no stick{rest}.")
     notes.append(
-        "Sticks and slips cut by the horizon count with the part before it. Entropies: of histograms in 50 bins."
+        "Sticks and slips cut by the horizon count with the part before it. Entropies: in 50 bins; of "
+        "numbers, in one for each."
     )
     if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
         notes.append(

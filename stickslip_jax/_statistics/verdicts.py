@@ -39,13 +39,21 @@ class HypothesisTest:
         """Whether there is a p-value."""
         return not math.isnan(self.p_value)
 
+    @property
+    def smallest_p_value(self) -> float:
+        """The smallest p-value of its `parts`, not adjusted; its own where it has none."""
+        return min((part.p_value for part in self.parts), default=self.p_value)
+
     def line(self, adjusted: float | None = None) -> str:
         """The test on one line; `adjusted` is its p-value adjusted for all tests made with it."""
         if not self.made:
             return f"{self.name}: not made, {self.reason}"
-        together = "" if adjusted is None else f" (with regard to all tests {_shown(adjusted)})"
         error = "" if math.isnan(self.effect_error) else f" +- {self.effect_error:.2g}"
-        return f"{self.name}: {_shown(self.p_value)}{together}, {self.effect_name} {self.effect:.3g}{error}"
+        own = _shown(self.p_value)
+        if self.parts:
+            own = f"smallest {_shown(self.smallest_p_value)}, adjusted for its {len(self.parts)} tests {own}"
+        together = "" if adjusted is None else f", adjusted for all tests {_shown(adjusted)}"
+        return f"{self.name}: {own}{together}; {self.effect_name} {self.effect:.3g}{error}"
 
     def __repr__(self) -> str:
         return self.line()
@@ -77,7 +85,11 @@ class Verdict:
 
     @property
     def p_value(self) -> float:
-        """The smallest of the adjusted p-values; NaN if no test was made."""
+        """The smallest of the adjusted p-values; NaN if no test was made.
+
+        It answers the question as a whole. Near 1 it says no more than that no test found anything: each test's own
+        ``tests[i].p_value`` is what is spread evenly from 0 to 1 where the hypothesis holds.
+        """
         return min((p for p in self.adjusted_p_values if not math.isnan(p)), default=math.nan)
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._ensemble.result import Ensemble
 from .._numerics.dyadic import CommonBins
-from .._statistics.distribution import DEFAULT_BINS
+from .._statistics.distribution import DEFAULT_BINS, default_bins
 from .._statistics.estimate import Estimate
 from .._statistics.registry import BY_NAME as STICK_BY_NAME
 from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS, SampledQuantity
@@ -96,7 +96,7 @@ def _common_bins(work: Work) -> dict[str, CommonBins]:
             counts = getattr(ensemble.statistics, name).bins
             ends = counts._replace(counts=counts.counts[..., :0])  # the ends of the histogram without its numbers
             held.setdefault(name, []).append(ends)
-    found = {name: CommonBins.of(ends, DEFAULT_BINS) for name, ends in held.items()}
+    found = {name: CommonBins.of(ends, default_bins(_BY_NAME[name].is_whole)) for name, ends in held.items()}
     return {name: bins for name, bins in found.items() if bins is not None}
 
 
@@ -232,7 +232,8 @@ def _attributes(plan: Plan) -> dict[str, Any]:
         "dtype": plan.dtype,
         "piece": plan.piece,
         "common_random_numbers": int(not plan.independent),
-        "histograms": f"at most {DEFAULT_BINS} bins, the same for all points; entropies are of these histograms",
+        "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
+        "entropies are of these histograms",
     }
 
 

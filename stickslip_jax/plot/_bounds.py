@@ -27,7 +27,7 @@ def stick_bounds(
     """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
 
     This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
-    infinite; the legend gives the share of such angles.
+    infinite; the legend gives the share of such angles, and says so where no angle allows a stick.
 
     - `system`: a `MotorCart`. `voltage`: a `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
     - `mu`: friction coefficients in place of that of `system`, zero or positive.
@@ -47,8 +47,12 @@ def stick_bounds(
         longest = np.asarray(stick_duration_bound(dataclasses.replace(system, mu=float(one)), signal, angles), float)
         endless = np.isinf(longest)
         color, line = _style.free_look(ax)
+        none = not np.any(longest > 0)
         label = rf"$\mu$ = {one:g}" + (f", for ever at {100 * endless.mean():.0f} %" if endless.any() else "")
-        ax.plot(angles, np.where(endless, np.nan, longest), color=color, ls=line, lw=_style.SLIP_WIDTH, label=label)
+        # A curve that is zero throughout lies on the axis, below the ends of the others.
+        look: dict[str, Any] = {"lw": (2.5 if none else 1) * _style.SLIP_WIDTH, "zorder": 3 if none else 2}
+        label += ": no stick" if none else ""
+        ax.plot(angles, np.where(endless, np.nan, longest), color=color, ls=line, label=label, clip_on=not none, **look)
     _style.angle_axis(ax, period)
     ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
     ax.set_ylabel(_parts.quantity_label("longest possible stick duration", "s"))

@@ -8,7 +8,7 @@ from matplotlib.axis import Axis
 from matplotlib.patches import StepPatch
 
 from .. import _checks
-from .._statistics.distribution import Distribution
+from .._statistics.distribution import DEFAULT_BINS, Distribution
 from .._statistics.estimate import Estimate
 from . import _parts, _style
 from ._sticks import complete_sticks, edges_of_bins, outside
@@ -16,7 +16,11 @@ from ._types import Bins, SimulatedSticks
 
 
 def histogram(
-    result: Distribution | SimulatedSticks, *, bins: Bins = 50, label: str | None = None, ax: Axes | None = None
+    result: Distribution | SimulatedSticks,
+    *,
+    bins: Bins | None = None,
+    label: str | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw the histogram of one quantity, or of the durations of complete sticks, as a probability density.
 
@@ -30,10 +34,10 @@ def histogram(
       samples), ``first_stick(ensemble)``, or a `Simulation` (one, or a batch by ``vmap``). The durations of complete
       sticks are drawn; the legend gives the number of those cut by the horizon, which are left out. So are
       samples that did not reach ``t1``.
-    - `bins`: of a distribution, the largest number of bins, which have equal width and hold all values; bins of whole
-      numbers are centred on them. Of sticks, the number of equal bins from 0 to the longest duration, or their
-      increasing edges, s. Sticks outside the edges are not drawn but count: density times bin width stays the share of
-      all complete sticks.
+    - `bins`: of a distribution, the largest number of bins, which have equal width and hold all values; by default 50,
+      of whole numbers one for each number, centred on it. Of sticks, the number of equal bins from 0 to the longest
+      duration, by default 50, or their increasing edges, s. Sticks outside the edges are not drawn but count: density
+      times bin width stays the share of all complete sticks.
     - `label`: what is drawn, before the number of values in the legend.
     - `ax`: where to draw; by default the axes of a new figure.
 
@@ -101,13 +105,13 @@ class _Bars(NamedTuple):
     mean: Estimate | None = None
 
 
-def _bars_of_distribution(distribution: Distribution, bins: Bins) -> _Bars:
-    if np.ndim(bins) > 0:
+def _bars_of_distribution(distribution: Distribution, bins: Bins | None) -> _Bars:
+    if bins is not None and np.ndim(bins) > 0:
         raise ValueError(
             "Argument bins must be a whole number for a distribution, whose bins were fixed while it was summed, but "
             f"{_checks.show(bins)} was given; edges of your own go with the sticks: histogram(ensemble, bins=edges)."
         )
-    drawn = distribution.histogram(_checks.whole_number("bins", bins))
+    drawn = distribution.histogram(None if bins is None else _checks.whole_number("bins", bins))
     samples = _parts.counted(distribution.samples, "sample")
     empty = distribution.number == 0
     label = f"no values in {samples}" if empty else f"{_parts.counted(distribution.number, 'value')} in {samples}"
@@ -128,10 +132,12 @@ def _bars_of_distribution(distribution: Distribution, bins: Bins) -> _Bars:
     )
 
 
-def _bars_of_sticks(result: SimulatedSticks, bins: Bins) -> _Bars:
+def _bars_of_sticks(result: SimulatedSticks, bins: Bins | None) -> _Bars:
     sticks = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
     number = len(sticks.duration)
-    edges = edges_of_bins("bins", bins, (0.0, sticks.duration.max(initial=0) or 1.0), "s")
+    edges = edges_of_bins(
+        "bins", DEFAULT_BINS if bins is None else bins, (0.0, sticks.duration.max(initial=0) or 1.0), "s"
+    )
     counts, _ = np.histogram(sticks.duration, edges)
     return _Bars(
         edges=edges,

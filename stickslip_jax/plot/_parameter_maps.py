@@ -33,6 +33,7 @@ def parameter_map(
     ylog: bool = False,
     log: bool = False,
     contours: bool = True,
+    limits: tuple[float | int, float | int] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw a quantity over two parameters as a map of colours.
@@ -52,6 +53,8 @@ def parameter_map(
     - `contours`: whether to draw lines of equal values, too, except in flat regions, where their course is chance:
       where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`, below
       four of its standard errors.
+    - `limits`: values of the first and the last colour, such as ``(0, 1)`` for shares, so that maps can be compared; by
+      default the smallest and the largest value.
     - `ax`: where to draw; by default the axes of a new figure.
 
     Returns the axes, with a note in them if no value is known. Raises ValueError for arrays of other shapes, infinite
@@ -60,9 +63,10 @@ def parameter_map(
     for name, truth in (("xlog", xlog), ("ylog", ylog), ("log", log), ("contours", contours)):
         _checks.truth(name, truth)
     _checks.positive("error_share", error_share)
+    norm = _norm(limits, log)
     grid = _map_of(x, y, values, errors, (xlabel, ylabel, label), (xlog, ylog))
     ax = _style.axes_or_new(ax, (5.6, 4.2))
-    _draw(ax, grid, log, contours, error_share)
+    _draw(ax, grid, norm, contours, error_share)
     return ax
 
 
@@ -124,8 +128,21 @@ def _checked_errors(errors: Any, values: np.ndarray) -> np.ndarray:
     return array
 
 
-def _draw(ax: Axes, grid: _Map, log: bool, contours: bool, error_share: float) -> None:
+def _norm(limits: Any, log: bool) -> Normalize:
+    """How values become colours."""
+    kind = LogNorm if log else Normalize
+    if limits is None:
+        return kind()
+    _checks.numeric("limits", limits, ndim=1)
+    if len(limits) != 2 or not limits[0] < limits[1] or (log and limits[0] <= 0):
+        which = "two increasing positive numbers" if log else "two increasing numbers"
+        raise ValueError(f"Argument limits must be {which}, but {_checks.show(limits)} was given.")
+    return kind(*limits)
+
+
+def _draw(ax: Axes, grid: _Map, norm: Normalize, contours: bool, error_share: float) -> None:
     """The cells, what is said of them in the legend, and the axes."""
+    log = isinstance(norm, LogNorm)
     if log:
         grid = grid._replace(values=np.where(grid.values > 0, grid.values, np.nan))
     unknown = np.isnan(grid.values)
@@ -134,7 +151,7 @@ def _draw(ax: Axes, grid: _Map, log: bool, contours: bool, error_share: float) -
     if np.all(unknown):
         _parts.note(ax, "no values")
     else:
-        _draw_values(ax, grid, log, contours)
+        _draw_values(ax, grid, norm, contours)
     if grid.errors is not None:
         _draw_uncertain(ax, grid, grid.errors, error_share)
     for axis, edges, is_log in zip((ax.xaxis, ax.yaxis), grid.edges, grid.logs, strict=True):
@@ -145,17 +162,19 @@ def _draw(ax: Axes, grid: _Map, log: bool, contours: bool, error_share: float) -
         _style.legend_above(ax, columns=1)
 
 
-def _draw_values(ax: Axes, grid: _Map, log: bool, contours: bool) -> None:
+def _draw_values(ax: Axes, grid: _Map, norm: Normalize, contours: bool) -> None:
     """The colours, their scale, and lines of equal values."""
     cells = np.ma.masked_invalid(grid.values).T
-    norm = LogNorm() if log else Normalize()
     mesh = ax.pcolormesh(*grid.edges, cells, cmap="viridis_r", norm=norm, rasterized=True)
     figure = ax.get_figure(root=True)
     assert figure is not None
-    bar = figure.colorbar(mesh, ax=ax, label=grid.names[2])
+    known = cells.compressed()
+    sides = (known.min() < norm.vmin, known.max() > norm.vmax)
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(sides, "neither")
+    bar = figure.colorbar(mesh, ax=ax, label=grid.names[2], extend=extend)
     if contours and np.nanmin(grid.values) < np.nanmax(grid.values):
         values, errors = grid.values, grid.errors
-        if log:
+        if isinstance(norm, LogNorm):
             values, errors = np.log(values), None if errors is None else errors / values
         _draw_contours(ax, bar, grid, _flat(values, errors))
 

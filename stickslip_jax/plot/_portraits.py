@@ -37,7 +37,7 @@ _BY_BASE: tuple[Group, ...] = (
     _STICK,
 )
 _ALIKE: tuple[Group, ...] = (
-    ("slip", lambda segment: not segment.sticks, {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
+    ("slip", lambda segment: not segment.sticks, {"color": _style.EITHER_WAY, "lw": _style.SLIP_WIDTH}),
     _STICK,
 )
 
@@ -53,9 +53,10 @@ def phase_portrait(
     """Draw velocity against position, as in Lima and Sampaio (conference paper), figures 3 to 5.
 
     Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
-    black while it moves backward, and pale blue while it is at rest; on other bases slip is gray. Crosses mark the
+    black while it moves backward, and pale blue while it is at rest; on other bases slip is purple. Crosses mark the
     centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, eq. 3), if the friction
-    coefficient is constant and there is no force and no ground motion. For a `MotorCart`, the angular velocity is drawn
+    coefficient is constant and there is no force and no ground motion; on a base that moves one way only, that about
+    which a mass slower than the base moves: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
     against the angle modulo 2 pi; its sticks are points. For a system of your own, the second coordinate is drawn
     against the first.
 
@@ -113,13 +114,24 @@ def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: st
     center = one.system.slip_center
     if center is not None and not isinstance(one.base, GroundMotion):
         look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
-        ax.plot(scale * float(center) * np.array([-1, 1]), [0, 0], label=r"centres, $x = \pm \mu n/k$", **look)
+        directions = _directions(one, segments)
+        label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
+        ax.plot(scale * float(center) * directions, 0 * directions, label=label, **look)
     whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
     scaled = f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)"
     ax.set_xlabel(scaled if abscissa == _SCALED else first.labeled(whose))
     ax.set_ylabel(second.labeled(whose))
     if abscissa == _SCALED:
         ax.set_aspect("equal", adjustable="datalim")
+
+
+def _directions(one: Simulation, segments: list[Segment]) -> np.ndarray:
+    """-1 and 1; or the only one of them in which the base moves in all `segments`."""
+    if has_steady_base(one):
+        signs = {np.sign(segment.base_velocity[0]) for segment in segments}
+        if len(signs) == 1 and 0 not in signs:
+            return np.array(list(signs))
+    return np.array([-1.0, 1.0])
 
 
 def _draw_periodic(ax: Axes, segments: list[Segment], first: Coordinate, second: Coordinate) -> None:

@@ -70,7 +70,7 @@ def stick_fraction_curve(
     ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
     ax.set_ylabel("stick fraction $T_s$ (%)")
     if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=2)
+        _style.legend_above(ax, columns=2, lines_first=True)
     return ax
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import to_rgba
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.typing import ColorType
 
@@ -24,6 +25,7 @@ BASE = "#0072B2"
 FORWARD = "#999999"
 BACKWARD = "#000000"
 AT_REST = "#56B4E9"
+EITHER_WAY = "#CC79A7"
 BAND = "#F0E442"
 FED = "#009E73"
 SERIES = ("#0072B2", "#009E73", "#CC79A7", "#000000", "#E69F00")
@@ -98,12 +100,17 @@ def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tu
     return found
 
 
-def legend_above(ax: Axes, *others: Axes, columns: int = 3) -> None:
-    """Put one legend for `ax` and `others` above `ax`, where it hides no data; each label is listed once."""
+def legend_above(ax: Axes, *others: Axes, columns: int = 3, lines_first: bool = False) -> None:
+    """Put one legend for `ax` and `others` above `ax`, where it hides no data; each label is listed once.
+
+    `lines_first`: whether lines come before areas, so that of two columns each holds one kind.
+    """
     handles = {}
     for one in (ax, *others):
         for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
+    if lines_first:
+        handles = dict(sorted(handles.items(), key=lambda item: not isinstance(item[1], Line2D)))
     ax.legend(
         handles.values(), handles.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False
     )

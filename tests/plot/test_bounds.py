@@ -71,3 +71,13 @@ def test_history_shows_the_force():
     times, drawn = panel.lines[0].get_data()
     assert panel.get_ylabel() == "force (N)"
     assert drawn == pytest.approx(2.0 * np.cos(1.5 * times))
+
+
+def test_a_curve_that_is_zero_throughout_is_seen():
+    """It lies on the axis: wider, above the others, not cut in half; and the legend says that there is no stick."""
+    ax = plot.stick_bounds(ss.MotorCart(), VOLTAGE, mu=(0.1, 0.2))
+    none, some = ax.lines
+    assert (none.get_label(), some.get_label()) == (r"$\mu$ = 0.1: no stick", r"$\mu$ = 0.2")
+    assert not np.any(none.get_ydata())
+    assert none.get_zorder() > some.get_zorder()
+    assert not none.get_clip_on()

@@ -209,6 +209,15 @@ def test_uncertain_cells_have_dots():
     assert sure.get_legend() is None
 
 
+def test_maps_with_one_scale_of_colours():
+    values = np.array([[1.0, 4.0], [2.0, 5.0], [3.0, 6.0]])
+    maps = [plot.parameter_map([1, 2, 3], [1, 2], scale * values, limits=(0, 6), **MAP_LABELS) for scale in (1, 0.1)]
+    norms = [only(ax, mpl.collections.QuadMesh).norm for ax in maps]
+    assert [(norm.vmin, norm.vmax) for norm in norms] == [(0, 6), (0, 6)]
+    beyond = plot.parameter_map([1, 2, 3], [1, 2], values, limits=(2, 5), log=True, **MAP_LABELS)
+    assert only(beyond, mpl.collections.QuadMesh).colorbar.extend == "both"
+
+
 def test_logarithmic_maps():
     x, y = np.geomspace(0.1, 10.0, 5), np.array([1.0, 2.0, 3.0])
     values = np.outer(x, y)
@@ -263,6 +272,12 @@ def test_bad_maps(annotations_unchecked):
         (plain, {**MAP_LABELS, "errors": np.ones((2, 3))}, "errors must hold numbers of zero or more in the shape"),
         (plain, {**MAP_LABELS, "error_share": 0.0}, "error_share must be positive"),
         (plain, {**MAP_LABELS, "log": 1}, "log must be True or False"),
+        (plain, {**MAP_LABELS, "limits": (1.0, 1.0)}, "limits must be two increasing numbers, but"),
+        (
+            plain,
+            {**MAP_LABELS, "limits": (0.0, 1.0), "log": True},
+            "limits must be two increasing positive numbers, but",
+        ),
         (plain, {}, "xlabel must be a string, but None was given"),
         ((data.duration, None, values), {}, "values must be left out with a labelled array"),
         ((data.duration[0],), {}, "x must have 2 dimensions, but an array with 1 was given"),

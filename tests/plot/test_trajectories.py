@@ -160,6 +160,14 @@ def test_portrait_crosses_mark_the_centers(one):
     assert crosses.get_marker() == "x"
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_portrait_marks_the_only_equilibrium_of_a_belt_that_runs_one_way(sign):
+    """Conference paper, section 2: (n mu / (m omega), 0) if the belt runs forward, else minus that."""
+    one = simulate(ss.Constant(float(sign)), 10.0, (0.3, 1.5))
+    crosses = line(plot.phase_portrait(one), r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$")
+    assert crosses.get_xdata().tolist() == [0.25 * sign]
+
+
 def test_portrait_pieces_last_the_whole_window(one):
     ax = plot.phase_portrait(one, window=(5.0, 15.0))
     exact = np.column_stack([np.asarray(values) for values in evaluate(one, jnp.asarray([5.0, 15.0]))])

@@ -36,7 +36,11 @@ def test_few_pairs_have_no_atoms():
 
 
 def test_atoms_of_the_switching_belt():
-    """A stick that is released at the edge a = 0.25 m of its band after 0.25 s at 1 m/s began in the middle."""
+    """They come from the fixed start: on a belt that begins the other way the mass meets it at x = 0 again.
+
+    In the plane of omega x and x' it moves on a circle about -omega a, a = 0.25 m, from (0, v) to (0, -v), which takes
+    2 atan(v / (omega a)) / omega, and sticks for a / v: so do half of the samples whose belt does not turn by then.
+    """
     system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
     many = ss.simulate_ensemble(
         system, ss.PoissonSwitching(1.0, 1.0), t1=100.0, samples=1000, key=jax.random.key(0), y0=(0.0, 1.0)
@@ -46,6 +50,14 @@ def test_atoms_of_the_switching_belt():
     position, duration = joint.y.values[atoms.of_pair], joint.x.values[atoms.of_pair]
     assert len(atoms.share) > 0
     assert duration[np.abs(position) < 1e-9] == pytest.approx(0.25)
+    chance = np.exp(-(np.arctan(2.0) + 0.25)) / 2
+    share, numbered = many.statistics.duration.repeated_share, many.statistics.duration.number / 1000
+    assert abs(share.value - chance / numbered) < 4 * share.standard_error
+    anywhere = (ss.Uniform(-0.5, 0.5), ss.Uniform(-1.0, 1.0))
+    other = ss.simulate_ensemble(
+        system, ss.PoissonSwitching(1.0, 1.0), t1=100.0, samples=1000, key=jax.random.key(0), y0=anywhere
+    )
+    assert other.statistics.duration.repeated_share.value == 0
     # Both repeat at an atom, so its pairs are not more than those of which one does.
     assert atoms.share.sum() <= many.statistics.duration.repeated_share.value + 1e-12
     assert atoms.of_pair.mean() == pytest.approx(atoms.share.sum())

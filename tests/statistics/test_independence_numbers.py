@@ -207,10 +207,15 @@ class TestEdges:
         assert independent(small, starts_before=40.0).p_value == pytest.approx(expected.p_value, rel=1e-2)
 
     def test_words_of_one_test(self):
-        assert repr(HypothesisTest("Name", 2.0, 0.0, 0.5, "distance")) == "Name: p < 1e-300, distance 0.5"
+        assert repr(HypothesisTest("Name", 2.0, 0.0, 0.5, "distance")) == "Name: p < 1e-300; distance 0.5"
         with_error = HypothesisTest("Name", 2.0, 0.0123, 0.5, "distance", 0.02)
-        assert repr(with_error) == "Name: p = 0.012, distance 0.5 +- 0.02"
-        assert with_error.line(0.05).startswith("Name: p = 0.012 (with regard to all tests p = 0.05), ")
+        assert repr(with_error) == "Name: p = 0.012; distance 0.5 +- 0.02"
+        assert with_error.line(0.05).startswith("Name: p = 0.012, adjusted for all tests p = 0.05; ")
+        parts = tuple(HypothesisTest(f"Part {p}", 2.0, p, 0.5, "distance") for p in (0.3, 0.02))
+        combined = HypothesisTest("Name", 2.0, 0.04, 0.5, "distance", parts=parts)
+        assert combined.line(0.08) == (
+            "Name: smallest p = 0.02, adjusted for its 2 tests p = 0.04, adjusted for all tests p = 0.08; distance 0.5"
+        )
         assert repr(HypothesisTest("Name", reason="too few pairs")) == "Name: not made, too few pairs"
 
     def test_words(self):
@@ -221,7 +226,7 @@ class TestEdges:
         )
         starts = (
             "  Anderson-Darling, orders 1, 2, 3, 4, 5: p = ",
-            "  Kolmogorov-Smirnov, 10 pairs of orders: p = ",
+            "  Kolmogorov-Smirnov, 10 pairs of orders: smallest p = ",
             "  Spearman, orders 1 and 2: p = ",
             "  Chi-square, 5 x 5 quantile bins: p = ",
             "  Serial rank correlation, ",
