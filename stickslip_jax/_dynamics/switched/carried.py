@@ -13,7 +13,6 @@ again, by the same rule for `tau` and `y`, they give the second derivatives, and
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 

@@ -133,8 +133,7 @@ def advance(
     stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
     left = time_left = stop - lane.t
     # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
-    (_, inputs, _), left, step, lane = without_derivatives((given, left, step, lane))
-    model = without_derivatives(model)
+    (model, inputs, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
     h = jnp.where(to_stop, left, lane.target)
     sticking = lane.sign == 0
