@@ -2,10 +2,13 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from ..._events.sticks import StickRecord, Totals, start_totals
+from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.roots import look_ahead
 from ..._status import Ending
 from ..._types import BoolArray, FloatArray, Scalar
@@ -138,11 +141,35 @@ def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArra
     falls = (s0 > 0) & (s1 < 0)
     s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
     u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(h)).where
-    # One more Newton step, which carries the derivative.
-    value = hermite(u, jnp.ones_like(u), s0, d0, s1, d1)
-    slope = 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
+    # One more Newton step.
+    cubic = s0, d0, s1, d1
+    value, slope = _of_cubic(u, *cubic), _slope_of_cubic(u, *cubic)
     usable = falls & (slope < 0)
-    return h * jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1)
+    u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
+    return h * _root(cubic, usable, u)[0]
+
+
+@OwnDerivative
+def _root(cubic: tuple[FloatArray, ...], usable: BoolArray, u: FloatArray) -> tuple[FloatArray, ...]:
+    """The root `u` of a cubic on [0, 1], with its derivatives of every order; without any where not `usable`."""
+    return (u,)
+
+
+@_root.def_jvp
+def _root_jvp(primals, tangents):
+    cubic, usable, u = primals
+    (u,) = _root(cubic, usable, lax.stop_gradient(u))
+    _, change = eqx.filter_jvp(lambda *cubic: _of_cubic(u, *cubic), cubic, tangents[0])
+    usable = usable & (u > 0) & (u < 1)
+    return (u,), (jnp.where(usable, -change / jnp.where(usable, _slope_of_cubic(u, *cubic), -1), 0),)
+
+
+def _of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+    return hermite(u, jnp.ones_like(u), s0, d0, s1, d1)
+
+
+def _slope_of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+    return 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
 
 
 def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:

@@ -6,8 +6,7 @@ time step:
 
 - if the guard stays positive, the time step is accepted;
 - if the guard falls through zero inside, the step is tried again with the estimated event as its end, until it ends
-  within `_LANDED` of the event; a last Newton step then lands on the event, and carries its derivative (the implicit
-  function theorem);
+  within `_LANDED` of the event; a last Newton step then lands on the event (its derivatives: `carried.py`);
 - if the guard has a minimum near zero, the step is tried again up to this minimum, to see whether it falls below;
 - a time step never crosses the end of a segment of the base motion or of the load: there the mode is found anew;
 - a time step whose error estimate is too large is tried again, shorter.
@@ -29,12 +28,14 @@ from jax import lax
 from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import SegmentLaw, SegmentState, following_segment, is_invalid
+from ..._numerics.primal import without_derivatives
 from ..._numerics.roots import look_ahead
 from ..._numerics.sharing import sharing
 from ..._status import Ending, Status
 from ..._systems.switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from ..._systems.system import System
 from ..._types import BoolArray, FloatArray, IntArray
+from .carried import HowItEnds, carried
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
 _NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # fraction of the guard's scale
@@ -130,16 +131,18 @@ def advance(
 ) -> tuple[Lane, StickRecord]:
     """One loop step; returns the lane after it and the record of the stick that ended in it, if any."""
     dtype = lane.t.dtype
-    inputs = model.inputs(lane.t, segment_laws.segments(lane.segment_states))
+    before, given = lane, (model, model.inputs(lane.t, segment_laws.segments(lane.segment_states)), lane.y)
     stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
-    left = stop - lane.t
+    left = time_left = stop - lane.t
+    # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
+    (model, inputs, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
     h = jnp.where(to_stop, left, lane.target)
     sticking = lane.sign == 0
-    # For derivatives the branch that is not chosen must be finite too: a slip over a stick's long step may overflow.
+    # A slip over a stick's long step may overflow.
     slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
     held, error_held = model.stick_and_error(inputs, lane.y, h)
-    y1, error = _where(sticking, held, slid), lax.stop_gradient(_chosen(sticking, error_held, error))
+    y1, error = _where(sticking, held, slid), _chosen(sticking, error_held, error)
 
     s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(inputs, h, y1, lane.sign)
@@ -166,16 +169,18 @@ def advance(
     stretch = _Stretch(sticking, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
     touched, race = _close_calls(stretch, taken, landed & ~at_once, taken & to_stop)
 
-    # The event: a Newton step from the end of the step. Its derivative is that of the implicit function theorem.
+    # The event: a Newton step from the end of the step.
     delta = jnp.where(landed & ~at_once, delta, 0)
     stays = again | at_once
     tau = jnp.where(stays, 0, h + delta)
     rates = model.rates(inputs, h, y1, lane.sign)
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
+    model, lane, ends = given[0], before, HowItEnds(~stays, landed & ~at_once, taken & to_stop)
+    tau, *y = carried(*given, time_left, lane.sign, ends, tau, y)
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
     live = ~(lane.t >= t1) & ~is_spent(lane)
     moved = lane._replace(
-        t=t, y=_known(y, s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
+        t=t, y=_known(tuple(y), s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
     )
 
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))

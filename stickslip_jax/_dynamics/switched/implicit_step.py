@@ -9,16 +9,20 @@ linearised friction would overshoot it to and fro.
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ..._numerics.own_derivative import OwnDerivative
+from ..._numerics.primal import without_derivatives
 from ..._systems.friction import FrictionLaw
 from ..._systems.switched_model import State, SwitchedModel
 from ..._types import FloatArray
 from ..regularized.switch import Switch
 
 _GAMMA = 1 - 1 / math.sqrt(2)
+_LEAST_STEEP = 1e-6  # of the balance of forces, 1 without friction; not above it at the edge of a jump
 _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
@@ -71,10 +75,11 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
     """The signed friction coefficient ``grip(sigma)`` at the root of ``sigma + stiffness grip(sigma) = speed``.
 
     Newton's method from below, on the magnitude: `grip` is concave up to its largest value, so that no iterate
-    overshoots. With ``mu_static > mu`` a long step may have several roots: the one found is the stick. The last Newton
-    step carries the derivative of the implicit function.
+    overshoots. With ``mu_static > mu`` a long step may have several roots: the one found is the stick. The derivatives
+    are those of the implicit function (`_root`).
     """
-    size, sign = jnp.abs(speed), jnp.where(speed < 0, -1.0, 1.0)
+    given, sign = (switch, friction, jnp.abs(speed), stiffness), jnp.where(speed < 0, -1.0, 1.0)
+    switch, friction, size, stiffness = without_derivatives(given)
 
     def grip(sigma):
         return jax.jvp(lambda value: switch.grip(friction, value), (sigma,), (jnp.ones_like(sigma),))
@@ -84,11 +89,35 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
     for _ in range(_NEWTON[switch.shape]):
         value, slope = grip(sigma)
         sigma = jnp.maximum(sigma - (sigma + stiffness * value - size) / jnp.maximum(1 + stiffness * slope, 1), 0)
-    sigma = lax.stop_gradient(sigma)
     value, slope = grip(sigma)
-    slope = lax.stop_gradient(slope)
     residual = sigma + stiffness * value - size
-    return sign * (value - slope * residual / jnp.maximum(1 + stiffness * slope, 1))
+    last = slope * residual / jnp.maximum(1 + stiffness * slope, 1)  # one more Newton step
+    (sigma,) = _root(*given, sigma)
+    switch, friction, *_ = given
+    return sign * (switch.grip(friction, sigma) - last)
+
+
+@OwnDerivative
+def _root(
+    switch: Switch, friction: FrictionLaw, size: FloatArray, stiffness: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, ...]:
+    """The root `sigma` of ``sigma + stiffness grip(sigma) = size``, with its derivatives of every order."""
+    return (sigma,)
+
+
+@_root.def_jvp
+def _root_jvp(primals, tangents):
+    *given, sigma = primals
+    (sigma,) = _root(*given, lax.stop_gradient(sigma))
+
+    def residual(switch, friction, size, stiffness):
+        return sigma + stiffness * switch.grip(friction, sigma) - size
+
+    _, change = eqx.filter_jvp(residual, tuple(given), tuple(tangents[:-1]))
+    switch, friction, _, stiffness = given
+    _, slope = jax.jvp(lambda value: switch.grip(friction, value), (sigma,), (jnp.ones_like(sigma),))
+    steep = 1 + stiffness * slope
+    return (sigma,), (-change / jnp.where(steep > _LEAST_STEEP, steep, 1),)
 
 
 def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:

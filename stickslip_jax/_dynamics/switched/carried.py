@@ -1,0 +1,76 @@
+"""Derivatives of a time step, of every order.
+
+A step ends at an event, at the end of a segment, or after a length that was chosen for it. Where it ends is found by
+trial; its derivative comes from what defines it. The event time `tau` solves ``guard(tau, flow(tau)) = 0``, so that
+
+    d tau = -(d guard at fixed tau) / (rate of the guard)
+    d y   =  (d flow at fixed tau) + (rates at tau) d tau
+
+(the implicit function theorem). Both hold for all parameters, with `tau` and `y` functions of them: differentiated
+again, by the same rule for `tau` and `y`, they give the second derivatives, and so on.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+
+from ..._numerics.own_derivative import OwnDerivative
+from ..._systems.switched_model import State, SwitchedModel
+from ..._types import BoolArray, FloatArray
+
+
+class HowItEnds(NamedTuple):
+    """Whether a step moves at all; if so, whether it ends at an event, or at the end of a segment or the horizon."""
+
+    moves: BoolArray
+    at_event: BoolArray
+    at_stop: BoolArray
+
+
+@OwnDerivative
+def carried(
+    model: SwitchedModel,
+    inputs: Any,
+    y: State,
+    left: FloatArray,
+    sign: FloatArray,
+    ends: HowItEnds,
+    tau: FloatArray,
+    reached: State,
+) -> tuple[FloatArray, ...]:
+    """The length `tau` (s) of a step from `y` and the state `reached` in it, with their derivatives of every order.
+
+    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `tau` and `reached` are
+    taken as they are; their derivatives are those of what they were found to be.
+    """
+    return tau, *reached
+
+
+@carried.def_jvp
+def _carried_jvp(primals, tangents):
+    model, inputs, y, left, sign, ends, tau, reached = primals
+    tau, *reached = carried(model, inputs, y, left, sign, ends, *lax.stop_gradient((tau, reached)))
+    by = (tangents[0], tangents[1], tangents[2])
+
+    def flow(model, inputs, y):
+        sticking = sign == 0
+        # The branch that is not chosen must be finite too: a slip over a stick's long step may overflow.
+        slid, held = model.slip(inputs, y, jnp.where(sticking, 0, tau), sign), model.stick(inputs, y, tau)
+        moved = tuple(jnp.where(sticking, a, b) for a, b in zip(held, slid, strict=True))
+        moved = tuple(jnp.where(ends.moves, a, b) for a, b in zip(moved, y, strict=True))
+        return moved, model.guard(inputs, tau, moved, sign)[0]
+
+    _, (d_reached, d_guard) = eqx.filter_jvp(flow, (model, inputs, y), by)
+    _, rate = model.guard(inputs, tau, tuple(reached), sign)
+    d_left = jnp.zeros_like(tau) if tangents[3] is None else tangents[3]
+    d_event = -_or_zero(d_guard, tau) / jnp.where(ends.at_event, rate, -1)
+    d_tau = jnp.where(ends.at_event, d_event, jnp.where(ends.at_stop, d_left, 0))
+    rates = model.rates(inputs, tau, tuple(reached), sign)
+    d_reached = tuple(_or_zero(d, v) + r * d_tau for d, v, r in zip(d_reached, reached, rates, strict=True))
+    return (tau, *reached), (d_tau, *d_reached)
+
+
+def _or_zero(tangent: Any, like: Any) -> Any:
+    return jnp.zeros_like(like) if tangent is None else tangent

@@ -1,0 +1,178 @@
+"""Functions with a derivative of their own that holds to every order, in every mode, inside loops too.
+
+``jax.custom_jvp`` gives a function a rule for its first derivative; where the rule calls the function again, it holds
+to every order. But reverse mode through ``lax.scan`` replaces the call in the rule by the function's own operations
+(JAX 0.10), and where their derivatives differ from the rule, the second derivative is wrong without a word. A primitive
+stays one operation, with its rule.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+from .sharing import sharing
+
+_call = Primitive("call_with_own_derivative")
+_tangent = Primitive("tangent_of_call")
+_call.multiple_results = _tangent.multiple_results = True
+
+
+class _Level(NamedTuple):
+    """A ``jax.vmap``: its size, and its axis in each argument."""
+
+    size: int
+    axes: tuple[int | None, ...]
+
+
+_Levels = tuple[_Level, ...]
+
+
+class OwnDerivative:
+    """`function`, a tuple of arrays, whose derivative is given by `def_jvp`, as for ``equinox.filter_custom_jvp``.
+
+    The rule takes the arguments and their tangents (None where zero), and returns results and tangents, all arrays. To
+    hold to every order it must build the tangents from the function's results, not from their values found otherwise.
+    """
+
+    def __init__(self, function: Callable[..., tuple[Any, ...]]):
+        self.function = function
+        self.rule: Callable[..., Any] | None = None
+
+    def def_jvp(self, rule: Callable[..., Any]) -> Callable[..., Any]:
+        """Set the rule."""
+        self.rule = rule
+        return rule
+
+    def __call__(self, *args: Any) -> tuple[Any, ...]:
+        arrays, rest = eqx.partition(args, eqx.is_array)
+        leaves, tree = jax.tree.flatten(arrays)
+        return tuple(_call.bind(*leaves, call=_Call(self, tree, rest), levels=()))
+
+
+class _Call:
+    """One call of a function: the structure of its arguments, and those that are no arrays."""
+
+    def __init__(self, of: OwnDerivative, tree: Any, rest: Any):
+        self.of, self.tree, self.rest = of, tree, rest
+
+    def results(self, *leaves: Any) -> list[Any]:
+        """The results."""
+        return list(self.of.function(*eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)))
+
+    def tangents(self, moved: tuple[bool, ...], *both: Any) -> list[Any]:
+        """The tangents of the results, given the arrays and the tangents of those that are `moved`."""
+        leaves, given = both[: len(moved)], iter(both[len(moved) :])
+        args = eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
+        directions = jax.tree.unflatten(self.tree, [next(given) if m else None for m in moved])
+        assert self.of.rule is not None
+        return list(self.of.rule(args, directions)[1])
+
+    def cotangents(self, moved: tuple[bool, ...], *both: Any) -> list[Any]:
+        """The cotangents of the arrays that are `moved`, given all arrays and the cotangents of the results."""
+        leaves, given = both[: len(moved)], both[len(moved) :]
+        still = [jnp.zeros_like(leaf) for leaf, m in zip(leaves, moved, strict=True) if m]
+        _, back = jax.vjp(lambda *directions: self.tangents(moved, *leaves, *directions), *still)
+        return list(back(list(given)))
+
+
+def _mapped(function: Callable[..., Any], levels: Sequence[_Level]) -> Callable[..., Any]:
+    """`function`, cut, under ``jax.vmap`` with these axes of its arguments, the innermost first."""
+    function = sharing(function)
+    for size, axes in levels:
+        function = jax.vmap(function, axes, axis_size=size)
+    return function
+
+
+def _mapped_back(function: Callable[..., Any], levels: Sequence[_Level], number: int) -> Callable[..., Any]:
+    """`function` of `number` arrays and of cotangents of results, cut, under the ``jax.vmap`` of these axes of the
+    arrays and of the tangents; the cotangents of a tangent without the axis are summed.
+    """
+    function = sharing(function)
+    for level in levels:
+        function = partial(_level_back, function, level, number)
+    return function
+
+
+def _level_back(function: Callable[..., Any], level: _Level, number: int, *both: Any) -> list[Any]:
+    axes = (*level.axes[:number], *[0] * (len(both) - number))
+    results = jax.vmap(function, axes, axis_size=level.size)(*both)
+    return [
+        jnp.sum(result, 0) if axis is None else jnp.moveaxis(result, 0, axis)
+        for result, axis in zip(results, level.axes[number:], strict=True)
+    ]
+
+
+def _level(args: Sequence[Any], axes: Sequence[Any]) -> _Level:
+    return _Level(next(arg.shape[axis] for arg, axis in zip(args, axes, strict=True) if axis is not None), tuple(axes))
+
+
+@_call.def_impl
+def _run(*leaves: Any, call: _Call, levels: _Levels) -> list[Any]:
+    return _mapped(call.results, levels)(*leaves)
+
+
+@_call.def_abstract_eval
+def _shapes(*leaves: Any, call: _Call, levels: _Levels) -> list[Any]:
+    return list(jax.make_jaxpr(_mapped(call.results, levels))(*leaves).out_avals)
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, call: _Call, levels: _Levels):
+    moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
+    given = [tangent for tangent, m in zip(tangents, moved, strict=True) if m]
+    results = _call.bind(*primals, call=call, levels=levels)
+    both = tuple(_Level(n, (*axes, *(axis for axis, m in zip(axes, moved, strict=True) if m))) for n, axes in levels)
+    return results, _tangent.bind(*primals, *given, call=call, levels=both, moved=moved)
+
+
+def _batch(args: Sequence[Any], axes: Sequence[Any], *, call: _Call, levels: _Levels):
+    results = _call.bind(*args, call=call, levels=(*levels, _level(args, axes)))
+    return results, [0] * len(results)
+
+
+@_tangent.def_impl
+def _run_tangent(*both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]) -> list[Any]:
+    return _mapped(partial(call.tangents, moved), levels)(*both)
+
+
+@_tangent.def_abstract_eval
+def _tangent_shapes(*both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]) -> list[Any]:
+    results = _shapes(
+        *both[: len(moved)], call=call, levels=tuple(_Level(size, axes[: len(moved)]) for size, axes in levels)
+    )
+    return [result.to_tangent_aval() for result in results]
+
+
+def _jvp_of_tangent(primals: Sequence[Any], tangents: Sequence[Any], **params: Any):
+    changed = [not isinstance(tangent, ad.Zero) for tangent in tangents]
+
+    def of(*some):
+        some = iter(some)
+        return _run_tangent(*(next(some) if c else v for v, c in zip(primals, changed, strict=True)), **params)
+
+    return jax.jvp(of, *([v for v, c in zip(values, changed, strict=True) if c] for values in (primals, tangents)))
+
+
+def _transposed(cotangents: Sequence[Any], *both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]):
+    leaves, wanted = both[: len(moved)], both[len(moved) :]
+    given = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
+    found = _mapped_back(partial(call.cotangents, moved), levels, len(moved))(*leaves, *given)
+    found = [new if ad.is_undefined_primal(old) else None for new, old in zip(found, wanted, strict=True)]
+    return [*[None] * len(moved), *found]
+
+
+def _batch_tangent(both: Sequence[Any], axes: Sequence[Any], *, levels: _Levels, **params: Any):
+    results = _tangent.bind(*both, levels=(*levels, _level(both, axes)), **params)
+    return results, [0] * len(results)
+
+
+ad.primitive_jvps[_call], ad.primitive_jvps[_tangent] = _jvp, _jvp_of_tangent
+ad.primitive_transposes[_tangent] = _transposed
+batching.primitive_batchers[_call], batching.primitive_batchers[_tangent] = _batch, _batch_tangent
+mlir.register_lowering(_call, mlir.lower_fun(_run, multiple_results=True))
+mlir.register_lowering(_tangent, mlir.lower_fun(_run_tangent, multiple_results=True))
