@@ -1,0 +1,67 @@
+"""The balance of forces in a stage of an implicit step where static friction exceeds kinetic friction.
+
+Friction then falls off where a stick ends, and a step that does not resolve this fall has two balances: the mass sticks,
+or it slides. Which one holds follows from what the mass did before: a sliding mass slides as long as it can, one that
+sticks does so as long as it can.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..._systems.friction import FrictionLaw
+from ..._types import FloatArray
+from ..regularized.switch import Switch
+
+_RISE, _FALL = 7, 10  # iterations
+_BALANCED = 1e-6  # of the largest friction: as good as equal
+
+
+def balance_with_static(
+    switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray, slides: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The signed friction coefficient at a root of ``sigma + stiffness grip(sigma) = speed``, and whether it slides.
+
+    `slides`, and what is returned: the sign of the relative velocity of a mass that slides, 0 for one that sticks.
+    """
+    size, sign = jnp.abs(speed), jnp.where(speed < 0, -1.0, 1.0)
+    most = switch.width + stiffness * friction.static  # what a stick can take up
+
+    def missing(sigma):
+        value, slope = jax.jvp(lambda at: switch.grip(friction, at), (sigma,), (jnp.ones_like(sigma),))
+        return value, slope, sigma + stiffness * value - size, 1 + stiffness * slope
+
+    least = _BALANCED * stiffness * friction.static
+    sliding, balanced = _sliding(missing, switch.width, size, least)
+    breaks = size > most + least
+    chosen = breaks | ((slides == sign) & balanced)
+    sigma = lax.stop_gradient(jnp.where(chosen, sliding, _sticking(missing, switch, size)))
+    value, slope, rest, gain = missing(sigma)
+    slope, gain = lax.stop_gradient(slope), lax.stop_gradient(gain)
+    # The last Newton step carries the derivative of the implicit function.
+    grip = value - slope * rest / jnp.where(gain > 0, gain, 1)
+    return sign * grip, jnp.where(chosen, sign, 0)
+
+
+def _sticking(missing, switch: Switch, size: FloatArray) -> FloatArray:
+    """The balance in a stick, by Newton's method from below: the rise to static friction is concave."""
+    inside = switch.width * (1 - 1e-7)
+    _, _, _, steepest = missing(jnp.full_like(size, 1e-9) * switch.width)
+    sigma = jnp.minimum(size / steepest, inside)
+    for _ in range(_RISE):
+        _, _, rest, gain = missing(sigma)
+        sigma = jnp.clip(sigma - rest / jnp.maximum(gain, 1), 0, inside)
+    return sigma
+
+
+def _sliding(missing, width, size: FloatArray, tolerance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The fastest balance beyond the `width`, by Newton's method from above, and whether there is one."""
+    low, high = jnp.minimum(jnp.full_like(size, width), size), size
+    sigma = size
+    for _ in range(_FALL):
+        _, _, rest, gain = missing(sigma)
+        low, high = jnp.where(rest > 0, low, sigma), jnp.where(rest > 0, sigma, high)
+        following = sigma - rest / jnp.where(gain > 0, gain, 1)
+        sigma = jnp.where((gain > 0) & (following > low) & (following < high), following, (low + high) / 2)
+    _, _, rest, gain = missing(sigma)
+    return sigma, (jnp.abs(rest) <= tolerance) & (gain > 0) & (sigma > width)
