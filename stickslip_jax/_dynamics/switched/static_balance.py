@@ -5,16 +5,21 @@ or it slides. Which one holds follows from what the mass did before: a sliding m
 sticks does so as long as it can.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from ..._systems.friction import FrictionLaw
-from ..._types import FloatArray
+from ..._types import BoolArray, FloatArray, Scalar
 from ..regularized.switch import Switch
 
 _RISE, _FALL = 7, 10  # iterations
 _BALANCED = 1e-6  # of the largest friction: as good as equal
+
+# Of a relative velocity: the friction coefficient, its slope, what is missing from a balance, and the slope of that.
+_Missing = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray, FloatArray]]
 
 
 def balance_with_static(
@@ -43,7 +48,7 @@ def balance_with_static(
     return sign * grip, jnp.where(chosen, sign, 0)
 
 
-def _sticking(missing, switch: Switch, size: FloatArray) -> FloatArray:
+def _sticking(missing: _Missing, switch: Switch, size: FloatArray) -> FloatArray:
     """The balance in a stick, by Newton's method from below: the rise to static friction is concave."""
     inside = switch.width * (1 - 1e-7)
     _, _, _, steepest = missing(jnp.full_like(size, 1e-9) * switch.width)
@@ -54,7 +59,9 @@ def _sticking(missing, switch: Switch, size: FloatArray) -> FloatArray:
     return sigma
 
 
-def _sliding(missing, width, size: FloatArray, tolerance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _sliding(
+    missing: _Missing, width: Scalar, size: FloatArray, tolerance: FloatArray
+) -> tuple[FloatArray, BoolArray]:
     """The fastest balance beyond the `width`, by Newton's method from above, and whether there is one."""
     low, high = jnp.minimum(jnp.full_like(size, width), size), size
     sigma = size
@@ -62,6 +69,6 @@ def _sliding(missing, width, size: FloatArray, tolerance: FloatArray) -> tuple[F
         _, _, rest, gain = missing(sigma)
         low, high = jnp.where(rest > 0, low, sigma), jnp.where(rest > 0, sigma, high)
         following = sigma - rest / jnp.where(gain > 0, gain, 1)
-        sigma = jnp.where((gain > 0) & (following > low) & (following < high), following, (low + high) / 2)
+        sigma = jnp.where((gain > 0) & (following >= low) & (following <= high), following, (low + high) / 2)
     _, _, rest, gain = missing(sigma)
     return sigma, (jnp.abs(rest) <= tolerance) & (gain > 0) & (sigma > width)
