@@ -59,8 +59,8 @@ def sensitivity(
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
       "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
       ambiguous. One pass over the trajectories gives all derivatives.
-    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`; the law
-      or `y0` must be random. The result does not depend on `threads`, nor, except for the order of summation, on
+    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`; the
+      law or `y0` must be random. The result does not depend on `threads`, nor, except for the order of summation, on
       `chunk`. Of regularised dynamics there are differences only; a threshold that is not given follows the parameter.
     - `elasticity`: whether to give ``d log statistic / d log parameter``.
     - `estimator`: "corrected", or "finite-difference": central differences with common random numbers. By default the

@@ -207,9 +207,7 @@ def differenced_ensembles(problem: Problem, steps: np.ndarray) -> tuple[Accumula
         for length in steps * (abs(parameter.value) or 1.0):
             pairs.append((length, *(simulated(problem, end) for end in ends_of(model, parameter, length))))
     per_task = samples_per_task(problem)
-    return _differences(
-        problem, simulated(problem, model), pairs, lambda values, *task: values(*task), per_task, None
-    )
+    return _differences(problem, simulated(problem, model), pairs, lambda values, *task: values(*task), per_task, None)
 
 
 def _differences(

@@ -10,7 +10,6 @@ from ..._numerics.roots import look_ahead
 from ..._status import Ending
 from ..._types import BoolArray, FloatArray, Scalar
 
-
 _AT_LIMIT = 1e-5  # of the largest friction
 
 

@@ -1,8 +1,8 @@
 """The balance of forces in a stage of an implicit step where static friction exceeds kinetic friction.
 
-Friction then falls off where a stick ends, and a step that does not resolve this fall has two balances: the mass sticks,
-or it slides. Which one holds follows from what the mass did before: a sliding mass slides as long as it can, one that
-sticks does so as long as it can.
+Friction then falls off where a stick ends, and a step that does not resolve this fall has two balances: the mass
+sticks, or it slides. Which one holds follows from what the mass did before: a sliding mass slides as long as it can,
+and one that sticks does so as long as it can.
 """
 
 from collections.abc import Callable
@@ -59,9 +59,7 @@ def _sticking(missing: _Missing, switch: Switch, size: FloatArray) -> FloatArray
     return sigma
 
 
-def _sliding(
-    missing: _Missing, width: Scalar, size: FloatArray, tolerance: FloatArray
-) -> tuple[FloatArray, BoolArray]:
+def _sliding(missing: _Missing, width: Scalar, size: FloatArray, tolerance: FloatArray) -> tuple[FloatArray, BoolArray]:
     """The fastest balance beyond the `width`, by Newton's method from above, and whether there is one."""
     low, high = jnp.minimum(jnp.full_like(size, width), size), size
     sigma = size

@@ -2,7 +2,6 @@
 
 from functools import cache
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,7 +50,7 @@ def orders(widths, errors):
     return np.polyfit(np.log(widths), np.log(np.abs(errors)), 1)[0]
 
 
-QUICK = [shape if shape in ("linear", "tanh") else pytest.param(shape, marks=pytest.mark.slow) for shape in PHI]
+QUICK = [shape if shape == "linear" else pytest.param(shape, marks=pytest.mark.slow) for shape in PHI]
 
 
 @pytest.mark.parametrize("shape", QUICK)
@@ -90,8 +89,8 @@ def by_radau(shape, width, mu=MU, mu_static=MU_STATIC):
 
 def test_the_field_is_that_of_the_documentation():
     """Steps that resolve a wide switch agree with Radau on the documented field."""
-    found, _, _ = program("tanh")(jnp.array([0.03, 0.03, 0.03, 0.03, 0.03]), MU, MU_STATIC)
-    np.testing.assert_allclose(found[0], by_radau("tanh", 0.03), atol=2e-4)
+    found, _, _ = program("linear")(jnp.array([0.03, 0.03, 0.03, 0.03, 0.03]), MU, MU_STATIC)
+    np.testing.assert_allclose(found[0], by_radau("linear", 0.03), atol=2e-4)
 
 
 @pytest.mark.slow
@@ -119,7 +118,7 @@ def strong(width, step, ratio=8.0):
     return ss.simulate(system, base, t1=8.0, y0=(-7.0, 0.0), method=method)
 
 
-@pytest.mark.parametrize("ratio", [8.0, pytest.param(1000.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("ratio", [8.0, 1000.0])
 def test_no_step_jumps_over_a_stick(ratio):
     exact = strong(None, None, ratio)
     assert exact.sticks.count == 1
@@ -129,13 +128,6 @@ def test_no_step_jumps_over_a_stick(ratio):
         assert one.sticks.count == 1
         np.testing.assert_allclose(one.sticks.start[0], exact.sticks.start[0], atol=2e-3)
         np.testing.assert_allclose(one.final_state, exact.final_state, atol=8 * width + 0.3 * step)
-
-
-def test_too_few_steps_are_reported():
-    system = ss.MassSpring(MASS, STIFFNESS, NORMAL, ss.Coulomb(0.25, 2.0))
-    method = ss.Regularized(1e-3, step=1e-3, max_steps=2130)  # spent in shortened steps before the arrival at 2.119 s
-    one = ss.simulate(system, ss.Harmonic(2.0, 2.0, 1.0), t1=8.0, y0=(-7.0, 0.0), method=method)
-    assert one.status == ss.Status.OUT_OF_STEPS
 
 
 def test_derivatives_through_releases():
@@ -182,7 +174,8 @@ def curve(speed):
     return MU * jnp.ones_like(speed)
 
 
-@pytest.mark.parametrize("fixed", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("fixed", [True, False])
 def test_other_ways_to_write_the_same_system(fixed):
     """A curve with static friction, and a system of one's own: as the built-in law, and as the exact motion."""
     pace = {"step": 2e-3, "max_steps": 8000} if fixed else {"rtol": 1e-8}
@@ -193,6 +186,7 @@ def test_other_ways_to_write_the_same_system(fixed):
         np.testing.assert_allclose(told(one), instants(), atol=3e-3)
 
 
+@pytest.mark.slow
 def test_in_an_ensemble_and_in_float32():
     """Samples are simulations; in single precision the same sticks, at the same instants but for round-off."""
     method = ss.Regularized(1e-3, step=2e-3)
@@ -204,10 +198,12 @@ def test_in_an_ensemble_and_in_float32():
     exact, one = (
         ss.simulate(system, base, t1=T1, y0=y0, method=how) for how in (ss.Exact(), ss.Regularized(1e-3, step=2e-3))
     )
-    np.testing.assert_allclose(np.asarray(many.sticks.start)[3][: int(one.sticks.count)], one.sticks.start[: int(one.sticks.count)], atol=1e-9)
+    number = int(one.sticks.count)
+    of_sample = many.flat_sticks.sample == 3
+    np.testing.assert_allclose(many.flat_sticks.start[of_sample], one.sticks.start[:number], atol=1e-9)
     assert exact.sticks.count == one.sticks.count
     with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
         single = ss.simulate_ensemble(SYSTEM, law, **options)
     assert single.status_counts[ss.Status.FINISHED] == 6
-    np.testing.assert_array_equal(np.asarray(single.sticks.count), np.asarray(many.sticks.count))
+    np.testing.assert_array_equal(single.flat_sticks.count, many.flat_sticks.count)
     assert float(single.moments.mean[0]) == pytest.approx(float(many.moments.mean[0]), rel=1e-3)
