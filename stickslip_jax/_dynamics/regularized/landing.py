@@ -13,6 +13,7 @@ from .stick_detector import Step, hermite
 
 _SAME = 1e-6  # of the change of the needed friction in a step: so near to the limit counts as there
 _ULPS = 16
+_NEAR = 0.98  # of a step: a passage that soon is at its end
 
 
 def shortened(step: Step, band: FloatArray) -> tuple[BoolArray, FloatArray]:
@@ -35,10 +36,14 @@ def shortened(step: Step, band: FloatArray) -> tuple[BoolArray, FloatArray]:
     lowest = jnp.where(turns, hermite(lowest_at, step.h, step.r0, step.slope0, step.r1, step.slope1), step.r1)
     crosses = (before != 0) & ((before == -after) | turns) & (before * lowest < 0)
 
+    # Where more than static friction is needed, it only passes the band.
+    soon = jnp.abs(step.r0) / jnp.where(falls > 0, falls, 1)
+    passes = (before != 0) & (after == 0) & (held < -least) & (falls > 0) & (soon < _NEAR * step.h)
+
     until_release = step.h * _share(released, holds, -held)
     until_zero = lowest_at * _share(crosses, jnp.abs(step.r0), jnp.abs(lowest))
-    length = jnp.where(released, until_release, jnp.where(crosses, until_zero, step.h / 2))
-    return released | strays | crosses, length
+    length = jnp.where(passes, soon, jnp.where(crosses, until_zero, step.h / 2))
+    return released | strays | crosses | passes, jnp.where(released, until_release, length)
 
 
 def _side(speed: FloatArray, band: FloatArray) -> FloatArray:

@@ -32,12 +32,12 @@ class Switch(eqx.Module):
         """The signed friction coefficient at relative velocity `speed` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.
 
         Where ``static`` exceeds ``kinetic``, friction holds up to one width: it rises from 0 to exactly ``static``
-        there, the largest value, and falls off to the product above within a few widths more.
+        there, the largest value, and falls off to ``kinetic`` within a few widths more. The long tails of the smooth
+        shapes are left out: on them a mass would creep faster than at one width, and not stick.
         """
-        ratio = speed / self.width
-        rubbing = friction.kinetic(jnp.abs(speed)) * self(ratio)
+        ratio, kinetic = speed / self.width, friction.kinetic(jnp.abs(speed))
         if not friction.holds_more:
-            return rubbing
+            return kinetic * self(ratio)
         part, beyond = jnp.clip(ratio, -1, 1), jnp.maximum(jnp.abs(ratio) - 1, 0)
         # Concave on the rise, so that a step can find the balance of forces from below (`implicit_step.py`).
         if self.shape == "linear":
@@ -45,6 +45,7 @@ class Switch(eqx.Module):
             held, left = friction.static * part, jnp.exp(-beyond)
         else:
             held, left = friction.static * part * (3 - part * part) / 2, jnp.exp(-beyond * beyond)
+        rubbing = kinetic * part
         return jnp.where(jnp.abs(ratio) < 1, held, rubbing + (held - rubbing) * left)
 
     def creep(self, speed: Scalar) -> Scalar:

@@ -81,7 +81,7 @@ def test_the_friction_of_an_implicit_stage(shape, slides):
     def friction(w, v):
         if slides is None:
             return _balance(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness)), 0.0
-        return balance_with_static(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness), slides)
+        return balance_with_static(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness), jnp.asarray(slides))
 
     found, goes_on = (np.asarray(leaf) for leaf in jax.jit(jax.vmap(friction))(jnp.asarray(width), jnp.asarray(speed)))
 
