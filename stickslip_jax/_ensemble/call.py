@@ -209,10 +209,13 @@ class _Plan(NamedTuple):
 
     @classmethod
     def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        """The plan for adaptive steps, where every sample of a task has its own lane."""
-        most = _ADAPTIVE_LANES if chunk is None else _checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
-        lanes = min(most, -(-samples // threads) if chunk is None else samples)
-        return cls(lanes, 1, lanes, threads)
+        """The plan for adaptive steps, where every sample of a task has its own lane.
+
+        The number of lanes is always the same, though some may be idle: how the compiler orders the operations of a
+        lane, and so the last digits, depends on it, and errors of adaptive steps grow from there.
+        """
+        most = -(-samples // threads) if chunk is None else _checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
+        return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
 
 
 def _simulator(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
@@ -227,12 +230,12 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
     dtype, sizes = run.dtype, tuple(int(size) for size in batch.sizes)
     system, excitation, _, t1, y0, _ = as_arrays(batch._replace(sizes=()), dtype)
     arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0, ())
-    how = {"samples": plan.samples_per_task, "places": run.places, "sizes": sizes,
+    how = {"samples": plan.lanes, "places": run.places, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 
     def simulate(first: int, number: int) -> Part:
-        own = tuple(jnp.asarray(column) for column in run.own_leaves(first, plan.samples_per_task))
-        numbers = jnp.asarray(run.inputs.realization_numbers(first, plan.samples_per_task))
+        own = tuple(jnp.asarray(column) for column in run.own_leaves(first, plan.lanes))
+        numbers = jnp.asarray(run.inputs.realization_numbers(first, plan.lanes))
         results, records = solve_chunk(arrays, own, run.key_data, numbers, jnp.uint32(number), **how)
         results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
@@ -240,7 +243,7 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
         *numbers, ending = (np.asarray(column).T for column in records)
         sticks = StickCollector()
         sticks.restart(number)
-        sticks.add(np.stack(numbers, axis=1), ending, np.arange(plan.samples_per_task)[None, :])
+        sticks.add(np.stack(numbers, axis=1), ending, np.arange(plan.lanes)[None, :])
         return Part.of(results, sticks, run.t1, run.numbering, accumulator.wants_sticks, run.period)
 
     return simulate

@@ -7,14 +7,14 @@ from typing import Any, get_args
 import numpy as np
 
 from .. import _checks
-from .._dynamics.method import EXACT, Exact
+from .._dynamics.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._systems.system import System
 from .._types import Array
 from . import windows
 from .estimate import Estimator, Gradient, Sensitivities, Sensitivity
-from .estimators import Columns, counted, differenced, recorded
+from .estimators import Columns, counted, differenced, differenced_ensembles, recorded
 from .exactness import warn_at_special_speeds, warn_if_grazing
 from .first_look import (
     COUNTED_WINDOWS,
@@ -45,7 +45,7 @@ def sensitivity(
     estimator: Estimator | None = None,
     step: float | None = None,
     relative_bandwidth: float | None = None,
-    method: Exact = EXACT,
+    method: Exact | Regularized = EXACT,
     threads: int | None = None,
     chunk: int | None = None,
 ) -> Sensitivity | Sensitivities:
@@ -59,9 +59,9 @@ def sensitivity(
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
       "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
       ambiguous. One pass over the trajectories gives all derivatives.
-    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`, where
-      `method` must be exact; the law or `y0` must be random. The result does not depend on `threads`, nor, except for
-      the order of summation, on `chunk`.
+    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`; the
+      law or `y0` must be random. The result does not depend on `threads`, nor, except for the order of summation, on
+      `chunk`. Of regularised dynamics there are differences only; a threshold that is not given follows the parameter.
     - `elasticity`: whether to give ``d log statistic / d log parameter``.
     - `estimator`: "corrected", or "finite-difference": central differences with common random numbers. By default the
       one with the smaller error in the same time (the result's `estimator` names it): corrected for statistics of
@@ -87,6 +87,8 @@ def sensitivity(
     problem, pilot = problem_of(
         statistic, system, law, wrt, t1, samples, key, y0, method=method, threads=threads, chunk=chunk
     )
+    if isinstance(method, Regularized):
+        _require_differences(estimator or _asked_for(step, relative_bandwidth), method)
     if (estimator or _asked_for(step, relative_bandwidth) or _cheaper(problem)) == "finite-difference":
         results = _by_differences(problem, pilot, elasticity, step)
     else:
@@ -103,10 +105,22 @@ def _asked_for(step: float | None, relative_bandwidth: float | None) -> str | No
 
 def _cheaper(problem: Problem) -> str:
     """The estimator with the smaller error in the same time (measured: docs/sensitivity.md)."""
+    if isinstance(problem.method, Regularized):
+        return "finite-difference"
     if not problem.is_counted or problem.has_sudden_switches or not problem.can_be_corrected:
         return "finite-difference"
     by_steps = problem.is_blind_to_events and problem.dtype.itemsize == 8  # else `require_precision` refuses
     return "corrected" if problem.by_intervals or by_steps else "finite-difference"
+
+
+def _require_differences(estimator: str | None, method: Regularized) -> None:
+    """Raise ValueError where the corrected method is asked for, which looks for events that are exact."""
+    if estimator == "corrected":
+        raise ValueError(
+            "Argument estimator must be 'finite-difference' (the default here), and relative_bandwidth left out, with "
+            f"regularised dynamics, but method={_checks.show(method)} was given: a stick is a time below a threshold "
+            "there, and the corrected estimator knows the margins of exact events only. Take method=Exact() for it."
+        )
 
 
 def _corrected(
@@ -176,7 +190,10 @@ def _warn_of_torn(
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
     """Finite differences with the given `step`, or with the wider of two steps that agree."""
     steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(PAIRED_WINDOWS)
-    accumulator, columns = differenced(problem, pilot, steps, with_pathwise=False)
+    if isinstance(problem.method, Regularized):
+        accumulator, columns = differenced_ensembles(problem, steps)
+    else:
+        accumulator, columns = differenced(problem, pilot, steps, with_pathwise=False)
     results = {}
     for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
         got, chosen = windows.estimate(

@@ -12,6 +12,7 @@ from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
 from .._systems.own import is_own
 from .counting import IntervalCounting, Likelihood
+from .ensembles import ends_of, samples_per_task, simulated
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
 from .random_inputs import RandomEngine, inside, over, plain
 from .runs import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of, value_chunk
@@ -192,22 +193,49 @@ def differenced(
         for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
         for step in steps
     ]
+    pathwise = pathwise_of if with_pathwise else None
+    return _differences(problem, engine, pairs, values, per_task, pathwise)
+
+
+def differenced_ensembles(problem: Problem, steps: np.ndarray) -> tuple[Accumulator, tuple[Columns, ...]]:
+    """As `differenced`, of whole ensembles: of regularised dynamics."""
+    model = problem.model
+    assert model is not None
+    pairs = []
+    for parameter in problem.parameters:
+        for length in steps * (abs(parameter.value) or 1.0):
+            pairs.append((length, *(simulated(problem, end) for end in ends_of(model, parameter, length))))
+    per_task = samples_per_task(problem)
+    return _differences(problem, simulated(problem, model), pairs, lambda values, *task: values(*task), per_task, None)
+
+
+def _differences(
+    problem: Problem,
+    centre: Any,
+    pairs: list[tuple[Any, Any, Any]],
+    values: Callable[[Any, int, int], Any],
+    per_task: int,
+    pathwise_of: Callable[[int, int], np.ndarray] | None,
+) -> tuple[Accumulator, tuple[Columns, ...]]:
+    """Moments of the parts and their differences. `pairs`: length and both ends, for all parameters and steps."""
+    parameters = len(problem.parameters)
+    steps = len(pairs) // parameters
 
     def simulate(first: int, number: int) -> Rows:
-        def difference(length: float, *ends: Engine) -> Any:
+        def difference(length: float, *ends: Any) -> Any:
             (low, low_status, low_count), (high, high_status, high_count) = (values(end, first, number) for end in ends)
             return (high - low) / (2 * length), np.maximum(low_status, high_status), low_count != high_count
 
-        parts, status, _ = values(engine, first, number)
+        parts, status, _ = values(centre, first, number)
         differences, statuses, near = zip(*(difference(*pair) for pair in pairs), strict=True)
-        shape = (len(paths), len(steps), number)
+        shape = (parameters, steps, number)
         slopes = np.moveaxis(np.reshape(differences, (*shape, 2)), 2, 1)
-        pathwise = pathwise_of(first, number) if with_pathwise else np.zeros((len(paths), number, 2))
+        pathwise = np.zeros((parameters, number, 2)) if pathwise_of is None else pathwise_of(first, number)
         near = np.moveaxis(np.reshape(near, shape), 2, 1).astype(float)
         return Rows.of(np.max([status, *statuses], axis=0), parts, slopes, pathwise, near)
 
     accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
-    return accumulator, _columns(len(paths), len(steps), len(paths))
+    return accumulator, _columns(parameters, steps, parameters)
 
 
 # A function of an engine, a task's first sample and number of samples that gives the statistic's parts, status and

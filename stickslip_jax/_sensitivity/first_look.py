@@ -5,8 +5,8 @@ from typing import Any
 import jax.numpy as jnp
 
 from .. import _checks
-from .._dynamics.method import EXACT, Exact
-from .._dynamics.validation import state_of
+from .._dynamics.method import EXACT, Exact, Regularized
+from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._excitation.excitation import GivenSteps, is_random, key_data_for
@@ -43,8 +43,7 @@ def problem_of(
     statistic = statistic_of(statistic)
     threads = cores() if threads is None else _checks.whole_number("threads", threads)
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
-    if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
+    check_method(method)
     number = _checks.whole_number("samples", samples, minimum=2)
     inputs = Inputs.of(Model(system, law, y0), number, key)
     dtype = jnp.result_type(float)
@@ -53,7 +52,8 @@ def problem_of(
     first = first._replace(y0=state_of(require_system(first.system), first.y0))
     inputs = inputs.with_start(first.y0)
     _require_chance(first.law, inputs)
-    keep: Keep = "totals" if statistic.is_of_totals else "sticks"
+    smoothed = isinstance(method, Regularized)
+    keep: Keep = "totals" if statistic.is_of_totals and not smoothed else "sticks"
     pilot = _pilot(inputs, t1, key, method, keep, threads)
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
     law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
@@ -62,7 +62,7 @@ def problem_of(
         statistic, first.system, law, float(t1), first.y0, method, key_data, parameters, samples, threads, size,
         dtype,
     )  # fmt: skip
-    return problem.with_inputs(inputs), pilot
+    return problem._replace(model=inputs.model) if smoothed else problem.with_inputs(inputs), pilot
 
 
 def require_precision(problem: Problem) -> None:
@@ -96,7 +96,7 @@ def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
     return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
 
 
-def _pilot(inputs: Inputs, t1: float, key: Any, method: Exact, keep: Keep, threads: int) -> Pilot:
+def _pilot(inputs: Inputs, t1: float, key: Any, method: Exact | Regularized, keep: Keep, threads: int) -> Pilot:
     """A pilot simulation, which also checks the arguments."""
     number = min(inputs.samples, _PILOT)
     system, law, y0 = inputs.head(number)

@@ -9,7 +9,7 @@ from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
 from .._excitation.excitation import place_in_excitation
 from .._excitation.merged import merged, place_in_merged
-from .._inputs.inputs import Inputs
+from .._inputs.inputs import Inputs, Model
 from .._inputs.numbers import Parameter, Path
 from .._types import AnyArray, Array
 from .random_inputs import RandomInputs
@@ -32,7 +32,7 @@ class Problem(NamedTuple):
     """The statistic of the system's motion under the law, the parameters to vary, and how to simulate.
 
     `system`, `law`, `y0`: those of the first sample. `random`: the numbers that differ from sample to sample; None if
-    there are none.
+    there are none. `model`: of regularised dynamics, which ensembles simulate; else None.
     """
 
     statistic: StickStatistic
@@ -48,6 +48,7 @@ class Problem(NamedTuple):
     chunk: int | None
     dtype: Any
     random: RandomInputs | None = None
+    model: Model | None = None
 
     @property
     def fixed_start(self) -> bool:

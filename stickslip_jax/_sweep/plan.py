@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._dynamics.method import Exact
 from .._ensemble.parts import Keep
 from .._ensemble.run import MOST_SAMPLES, Run
 from .._inputs.numbers import parameters_of
@@ -109,11 +108,6 @@ class Plan:
             self.setting_at(point)
         for _, wrt in self.derivatives:
             parameters_of(self.setting_at(0).model._asdict(), wrt)
-        if self.derivatives and not isinstance(self.setting.method, Exact):
-            raise ValueError(
-                "Argument method must be Exact(...) where sensitivities are asked for, but "
-                f"{_checks.show(self.setting.method)} was given."
-            )
         try:
             self.run_at(0)
         except ValueError as error:

@@ -28,7 +28,7 @@ from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Num
 from .friction import FrictionLaw
 from .resonance import check_no_resonance
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
-from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
+from .system import PERIOD, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)

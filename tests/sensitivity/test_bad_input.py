@@ -37,7 +37,7 @@ BAD = {
     ),
     "elasticity": ({"elasticity": 1}, "Argument elasticity must be True or False"),
     "samples": ({"samples": 1}, "Argument samples must be a whole number of at least 2"),
-    "method": ({"method": ss.Regularized(1e-3)}, "Argument method must be Exact"),
+    "method": ({"method": "exact"}, "Argument method must be Exact"),
     "system": ({"system": 3}, "Argument system must be"),
     "bandwidth, static friction": (
         {"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9, mu_static=0.9)), "wrt": "mu_static"},

@@ -32,14 +32,14 @@ SOLVERS = {"tanh": TSIT, "linear": None, "arctan": TSIT, "rational": None}
 
 
 def grip(shape, law, r, width):
-    """The friction coefficient as documented: ``kinetic phi``, and a hump that is the static one at two widths."""
+    """The friction coefficient as documented: ``kinetic phi``, or a rise to the static one at one width and a fall."""
     _, kinetic, static = LAWS[law]
-    rubbing = kinetic(np.abs(r)) * PHI[shape](r / width)
     if static is None:
-        return rubbing
-    part = np.abs(r) / (2 * width)
-    weight = np.where(part < 1, part * (2 - part), np.exp(-((np.maximum(part, 1) - 1.0) ** 2)))
-    return (1 - weight) * rubbing + weight * static * np.sign(r)
+        return kinetic(np.abs(r)) * PHI[shape](r / width)
+    s, beyond = np.clip(r / width, -1, 1), np.maximum(np.abs(r / width) - 1, 0)
+    held = static * (s if shape == "linear" else s * (3 - s * s) / 2)
+    left = np.exp(-beyond) if shape == "linear" else np.exp(-(beyond**2))
+    return np.where(np.abs(r) < width, held, left * held + (1 - left) * kinetic(np.abs(r)) * np.sign(r))
 
 
 class Case(NamedTuple):

@@ -111,10 +111,6 @@ BAD = [
         r"must hold pairs .* but \('mean_slip_count', 'mu'\)",
     ),
     ({"sensitivities": [("stick_fraction", "nope")]}, r"wrt must name one of .*, but 'nope' was given"),
-    (
-        {"sensitivities": [("stick_fraction", "mu")], "method": ss.Regularized(0.1)},
-        r"method must be Exact\(...\) where sensitivities are asked for, but Regularized",
-    ),
     ({"samples": 0}, r"samples must be a whole number of at least 1, but 0 was given"),
     ({"keep": "sticks"}, r"keep must be one of 'totals', 'statistics', but 'sticks' was given; .*ensemble_at"),
     ({"standard_error": {"mu": 1.0}}, r"standard_error must name statistics out of .*, but 'mu' was given"),

@@ -8,16 +8,21 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
 from ..._numerics.sharing import sharing
-from ..._systems.switched_model import State, SwitchedModel
+from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
 from ..._types import FloatArray, IntArray
 from ..switched.engine import SegmentLaws, following_segments, is_spent
 from ..switched.implicit_step import implicit_step
+from .landing import shortened
 from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
 from .switch import Switch
+
+_TIME_ULPS = 4  # the round-off of the time, in units in the last place
+_GROWTH = 8  # of a step that was shortened
 
 
 class Field(NamedTuple):
@@ -33,13 +38,23 @@ class Field(NamedTuple):
 
     def need(self, inputs: object, tau: FloatArray, y: State) -> FloatArray:
         """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
+        free, held = self._pulls(inputs, tau, y)
+        return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
+
+    def band(self, inputs: object, t: FloatArray, y: State) -> FloatArray:
+        """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off."""
+        _, held = self._pulls(inputs, jnp.zeros_like(t), y)
+        scale = NOISE_ULPS * self.model.guard_scale(inputs, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
+        return self.switch.width + lax.stop_gradient(jnp.finfo(t.dtype).eps * scale)
+
+    def _pulls(self, inputs: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
+        """The relative acceleration without friction, and the largest one that friction causes, m/s^2."""
         zero = jnp.zeros_like(tau)
         free, per_grip = (
             self.model.relative_acceleration(inputs, tau, y, self.model.rates_under(inputs, tau, y, grip))
             for grip in (zero, zero + 1)
         )
-        held = jnp.abs(per_grip - free) * self.model.friction.static
-        return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
+        return free, jnp.abs(per_grip - free) * self.model.friction.static
 
     def seen(
         self, inputs: object, t: FloatArray, h: FloatArray, before: State, after: State
@@ -60,13 +75,17 @@ class Field(NamedTuple):
 
 
 class FixedLane(NamedTuple):
-    """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too."""
+    """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too.
+
+    `limit`: of the next step, s, where static friction exceeds kinetic friction; else None.
+    """
 
     t: FloatArray
     y: State
     steps: IntArray
     detector: StickDetector
     segment_states: tuple[SegmentState, ...]
+    limit: FloatArray | None
 
 
 class Passage(NamedTuple):
@@ -96,7 +115,9 @@ def start_fixed(
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     speed = field.model.relative_velocity(field.model.inputs(zero, segment_laws.segments(segment_states)), zero, y)
-    return FixedLane(zero, y, jnp.zeros((), jnp.int32), start_detector(criterion, speed, y[0]), segment_states)
+    limit = jnp.full((), jnp.inf, dtype) if field.model.friction.holds_more else None
+    detector = start_detector(criterion, speed, y[0])
+    return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
 
 @sharing
@@ -109,17 +130,22 @@ def advance_fixed(
     most_steps: IntArray,
     lane: FixedLane,
 ) -> tuple[FixedLane, StickRecord, Passage]:
-    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`."""
+    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`.
+
+    Where static friction exceeds kinetic friction, the step may be rejected: the lane stays, and tries a shorter one.
+    """
     inputs = field.model.inputs(lane.t, segment_laws.segments(lane.segment_states))
     live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
     stop = t1
     for segment_state in lane.segment_states:
         stop = jnp.minimum(stop, segment_state.segment.end)
     left = jnp.where(live, stop - lane.t, 0)
+    longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
     # A little more than one step, so that no last step of a few units in the last place remains.
-    to_stop = step * (1 + 1e-6) >= left
-    h = jnp.where(to_stop, left, step)
-    y = implicit_step(field.model, field.switch, inputs, lane.y, h)
+    to_stop = longest * (1 + 1e-6) >= left
+    h = jnp.where(to_stop, left, longest)
+    band = None if lane.limit is None else field.band(inputs, lane.t, lane.y)
+    y = implicit_step(field.model, field.switch, inputs, lane.y, h, band)
     seen, rates, end_rates = field.seen(inputs, lane.t, h, lane.y, y)
     # A base acceleration that is NaN would hide sticks, although the motion does not need it: `NOT_FINITE`.
     y = (jnp.where(jnp.isnan(seen.slope1), jnp.nan, y[0]), *y[1:])
@@ -130,7 +156,14 @@ def advance_fixed(
         field.model.inputs(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
     )
     detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
-    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states)
+    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
+    accepted = live
+    if band is not None:
+        again, length = shortened(seen, band)
+        accepted = live & ~again
+        stays = lane._replace(steps=lane.steps + 1, limit=length)
+        moved = moved._replace(limit=jnp.minimum(_GROWTH * lax.stop_gradient(longest), step))
+        moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
-    record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
+    record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
     return moved, record, Passage(lane.t, lane.y, rates, end_rates)

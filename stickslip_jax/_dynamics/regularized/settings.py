@@ -19,6 +19,7 @@ from .solve import table_sizes
 from .switch import Switch
 
 _MOST_ADAPTIVE_STEPS = 16384
+_TRIES, _FEW = 2, 256  # of shortened steps where static friction exceeds kinetic friction
 
 
 def resolved(system: System, excitation: Excitation, method: Regularized, dtype) -> Regularized:
@@ -28,13 +29,17 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
     """
     width = jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales
-    for name, known in {"threshold": speed, "minimum_duration": deceleration}.items():
+    # Static friction above kinetic friction holds a mass up to one width.
+    scales = {"threshold": width if system.holds_more else speed, "minimum_duration": deceleration}
+    for name, known in scales.items():
         if getattr(method, name) is None and known is None:
             raise ValueError(
                 f"Argument method must give the {name}, Regularized(..., {name}=...), because the velocities of a "
                 f"{type(system).__name__} are not known; or give it the properties speed_scale and shortest_time."
             )
-    threshold = Switch(width, method.shape).creep(jnp.asarray(speed)) if method.threshold is None else method.threshold
+    threshold = method.threshold
+    if threshold is None:
+        threshold = width if system.holds_more else Switch(width, method.shape).creep(jnp.asarray(speed))
     duration = method.minimum_duration
     if duration is None:
         # Without friction nothing sticks, however slowly the mass passes through.
@@ -71,7 +76,8 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
     shortest time scale.
     """
     horizon, shortest = largest(t1), smallest(step_for(system, excitation, method))
-    return math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
+    steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
+    return _TRIES * steps + _FEW if system.holds_more else steps
 
 
 def _state_scales(system: System, excitation: Excitation, dtype) -> Array:

@@ -13,6 +13,8 @@ from ..._numerics.roots import look_ahead
 from ..._status import Ending
 from ..._types import BoolArray, FloatArray, Scalar
 
+_AT_LIMIT = 1e-5  # of the largest friction
+
 
 class Criterion(NamedTuple):
     """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s)."""
@@ -187,7 +189,7 @@ def _late_exit(threshold: FloatArray, step: Step, resolved: FloatArray) -> Float
     After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
     relative velocity with its square.
     """
-    here = (step.need0 < 1) & (step.need1 > 1)
+    here = (step.need0 < jnp.minimum(step.need1, 1)) & (step.need1 > 1 - _AT_LIMIT)  # a step may end at the release
     gain = jnp.where(here, step.need1 - step.need0, 1)
     released = step.h * jnp.clip((1 - step.need0) / gain, 0, 1)
     rest, rise = step.h - released, _sign(step.r1) * step.slope1

@@ -16,7 +16,6 @@ _SMOOTH = {
     "rational": lambda s: s / jnp.sqrt(1 + s * s),
 }
 SHAPES = tuple(_SMOOTH)
-_PEAK = 2.0  # widths; relative velocity at which friction reaches `static` for laws with static > kinetic
 
 
 class Switch(eqx.Module):
@@ -32,18 +31,22 @@ class Switch(eqx.Module):
     def grip(self, friction: FrictionLaw, speed: FloatArray) -> FloatArray:
         """The signed friction coefficient at relative velocity `speed` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.
 
-        Where ``static`` exceeds ``kinetic``, it is a weighted mean of this and ``static``. The weight of ``static``
-        rises to one at two widths, so that the largest friction is exactly ``static``, and falls off beyond.
+        Where ``static`` exceeds ``kinetic``, friction holds up to one width: it rises from 0 to exactly ``static``
+        there, the largest value, and falls off to ``kinetic`` within a few widths more. The long tails of the smooth
+        shapes are left out: on them a mass would creep faster than at one width, and not stick.
         """
-        ratio = speed / self.width
-        rubbing = friction.kinetic(jnp.abs(speed)) * self(ratio)
+        ratio, kinetic = speed / self.width, friction.kinetic(jnp.abs(speed))
         if not friction.holds_more:
-            return rubbing
-        part = jnp.abs(ratio) / _PEAK
-        beyond = jnp.maximum(part - 1, 0)
+            return kinetic * self(ratio)
+        part, beyond = jnp.clip(ratio, -1, 1), jnp.maximum(jnp.abs(ratio) - 1, 0)
         # Concave on the rise, so that a step can find the balance of forces from below (`implicit_step.py`).
-        weight = jnp.where(part < 1, part * (2 - part), jnp.exp(-beyond * beyond))
-        return rubbing * (1 - weight) + weight * jnp.sign(speed) * friction.static
+        if self.shape == "linear":
+            # A corner: from a smooth summit a mass would part as slowly as ``width^(2/3)``.
+            held, left = friction.static * part, jnp.exp(-beyond)
+        else:
+            held, left = friction.static * part * (3 - part * part) / 2, jnp.exp(-beyond * beyond)
+        rubbing = kinetic * part
+        return jnp.where(jnp.abs(ratio) < 1, held, rubbing + (held - rubbing) * left)
 
     def creep(self, speed: Scalar) -> Scalar:
         """The approximate relative velocity (m/s) of a mass at its release from a stick.

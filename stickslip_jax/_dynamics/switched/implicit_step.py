@@ -9,31 +9,35 @@ linearised friction would overshoot it to and fro.
 
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 
-from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.primal import without_derivatives
 from ..._systems.friction import FrictionLaw
 from ..._systems.switched_model import State, SwitchedModel
 from ..._types import FloatArray
 from ..regularized.switch import Switch
+from .balance_root import balance_root
+from .static_balance import balance_with_static
 
 _GAMMA = 1 - 1 / math.sqrt(2)
-_LEAST_STEEP = 1e-6  # of the balance of forces, 1 without friction; not above it at the edge of a jump
 _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
-def implicit_step(model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray) -> State:
-    """The state after one step of length `h` (s) from the state `y`."""
-    grip = switch.grip(model.friction, model.relative_velocity(inputs, jnp.zeros_like(h), y))
-    start = model.rates_under(inputs, jnp.zeros_like(h), y, grip)
+def implicit_step(
+    model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray, band: FloatArray | None = None
+) -> State:
+    """The state after one step of length `h` (s) from the state `y`.
+
+    `band`: where static friction exceeds kinetic friction, the relative speed above which the mass slides (m/s).
+    """
+    speed = model.relative_velocity(inputs, jnp.zeros_like(h), y)
+    slides = None if band is None else jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
+    start = model.rates_under(inputs, jnp.zeros_like(h), y, switch.grip(model.friction, speed))
     expected = _moved(y, _GAMMA * h, start)
-    _, first = _stage(model, switch, inputs, _GAMMA * h, y, expected, _GAMMA * h)
+    _, first, slides = _stage(model, switch, inputs, _GAMMA * h, y, expected, _GAMMA * h, slides)
     base, expected = _moved(y, (1 - _GAMMA) * h, first), _moved(y, h, first)
-    end, _ = _stage(model, switch, inputs, h, base, expected, _GAMMA * h)
+    end, _, _ = _stage(model, switch, inputs, h, base, expected, _GAMMA * h, slides)
     return end
 
 
@@ -45,8 +49,12 @@ def _stage(
     base: State,
     expected: State,
     weight: FloatArray,
-) -> tuple[State, State]:
-    """Solve the stage ``Y = base + weight f(tau, Y)``, linear at `expected` but for friction; returns Y, f(tau, Y)."""
+    slides: FloatArray | None,
+) -> tuple[State, State, FloatArray | None]:
+    """Solve the stage ``Y = base + weight f(tau, Y)``, linear at `expected` but for friction; returns Y, f(tau, Y).
+
+    `slides`: None, or the sign of the relative velocity before the stage, 0 in a stick; and the same after it.
+    """
 
     def free(state):
         return model.rates_under(inputs, tau, state, jnp.zeros_like(tau))
@@ -64,19 +72,22 @@ def _stage(
     speed, per_grip = jax.jvp(
         lambda state: model.relative_velocity(inputs, tau, state), (_moved(expected, 1.0, without),), (by_grip,)
     )
-    grip = _balance(switch, model.friction, speed, -per_grip)
+    if slides is None:
+        grip = _balance(switch, model.friction, speed, -per_grip)
+    else:
+        grip, slides = balance_with_static(switch, model.friction, speed, -per_grip, slides)
     change = tuple(a + grip * b for a, b in zip(without, by_grip, strict=True))
     _, turned = jax.jvp(free, (expected,), (change,))
     end_rates = tuple(r + t + grip * p for r, t, p in zip(rates, turned, push, strict=True))
-    return _moved(expected, 1.0, change), end_rates
+    return _moved(expected, 1.0, change), end_rates, slides
 
 
 def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:
     """The signed friction coefficient ``grip(sigma)`` at the root of ``sigma + stiffness grip(sigma) = speed``.
 
     Newton's method from below, on the magnitude: `grip` is concave up to its largest value, so that no iterate
-    overshoots. With ``mu_static > mu`` a long step may have several roots: the one found is the stick. The derivatives
-    are those of the implicit function (`_root`).
+    overshoots. With ``mu_static > mu``: `static_balance.py`. The derivatives are those of the implicit function
+    (`balance_root`).
     """
     given, sign = (switch, friction, jnp.abs(speed), stiffness), jnp.where(speed < 0, -1.0, 1.0)
     switch, friction, size, stiffness = without_derivatives(given)
@@ -92,32 +103,9 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
     value, slope = grip(sigma)
     residual = sigma + stiffness * value - size
     last = slope * residual / jnp.maximum(1 + stiffness * slope, 1)  # one more Newton step
-    (sigma,) = _root(*given, sigma)
+    (sigma,) = balance_root(*given, sigma)
     switch, friction, *_ = given
     return sign * (switch.grip(friction, sigma) - last)
-
-
-@OwnDerivative
-def _root(
-    switch: Switch, friction: FrictionLaw, size: FloatArray, stiffness: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, ...]:
-    """The root `sigma` of ``sigma + stiffness grip(sigma) = size``, with its derivatives of every order."""
-    return (sigma,)
-
-
-@_root.def_jvp
-def _root_jvp(primals, tangents):
-    *given, sigma = primals
-    (sigma,) = _root(*given, lax.stop_gradient(sigma))
-
-    def residual(switch, friction, size, stiffness):
-        return sigma + stiffness * switch.grip(friction, sigma) - size
-
-    _, change = eqx.filter_jvp(residual, tuple(given), tuple(tangents[:-1]))
-    switch, friction, _, stiffness = given
-    _, slope = jax.jvp(lambda value: switch.grip(friction, value), (sigma,), (jnp.ones_like(sigma),))
-    steep = 1 + stiffness * slope
-    return (sigma,), (-change / jnp.where(steep > _LEAST_STEEP, steep, 1),)
 
 
 def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:

@@ -31,6 +31,7 @@ from support.regularized import (
 import stickslip_jax as ss
 from stickslip_jax._dynamics.regularized.switch import Switch
 from stickslip_jax._dynamics.switched.implicit_step import _balance
+from stickslip_jax._dynamics.switched.static_balance import balance_with_static
 
 # Each shape and each law once; `test_grip` looks at all of them together.
 PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]
@@ -70,22 +71,40 @@ def test_grip(shape, law):
 
 
 @pytest.mark.parametrize("shape", PHI)
-@pytest.mark.parametrize("law", ["coulomb", "static"])
-def test_the_friction_of_an_implicit_stage(shape, law):
-    """For any width, against bisection; of several solutions the first, in which the mass sticks."""
-    grids = np.meshgrid(np.geomspace(1e-12, 1e2, 29), [1e-9, 1e-3, 0.03, 0.1, 0.11, 2.0])
+@pytest.mark.parametrize("slides", [None, 0.0, 1.0])
+def test_the_friction_of_an_implicit_stage(shape, slides):
+    """For any width, against bisection; with static friction (`slides`) a stick sticks while it can, a slip slides."""
+    grids = np.meshgrid(np.geomspace(1e-12, 1e2, 29), [1e-9, 1e-3, 0.03, 0.099, 0.11, 0.139, 0.2, 2.0])
     (width, speed), stiffness = (grid.ravel() for grid in grids), 0.2
-    solve = jax.vmap(lambda w, v: _balance(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness)))
-    found = jax.jit(solve)(jnp.asarray(width), jnp.asarray(speed))
-    low, high = np.full_like(speed, 1e-40), speed
-    if law == "static":
-        rises = speed <= 2 * width + stiffness * 0.7  # then the hump holds it, below two widths
-        low, high = np.where(rises, low, 2 * width), np.where(rises, np.minimum(2 * width, speed), speed)
-    for _ in range(100):
+    law = "coulomb" if slides is None else "static"
+
+    def friction(w, v):
+        if slides is None:
+            return _balance(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness)), 0.0
+        return balance_with_static(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness), jnp.asarray(slides))
+
+    found, goes_on = (np.asarray(leaf) for leaf in jax.jit(jax.vmap(friction))(jnp.asarray(width), jnp.asarray(speed)))
+
+    def missing(at):
+        return at + stiffness * grip(shape, law, at, width) - speed
+
+    low, high, sliding = np.full_like(speed, 1e-40), speed, np.zeros_like(speed, bool)
+    if slides is not None:
+        # The fastest balance beyond the width lies behind the last point of a fine grid where friction is too weak.
+        grid = np.geomspace(np.maximum(width, 1e-13), np.maximum(speed, width * (1 + 1e-9)), 20_001)
+        weak = missing(grid) < 0
+        last = len(grid) - 1 - np.argmax(weak[::-1], axis=0)
+        slow, fast = (np.take_along_axis(grid, np.minimum(last + k, 20_000)[None], 0)[0] for k in (0, 1))
+        breaks = speed > width + stiffness * 0.7
+        sliding = np.any(weak, axis=0) & (breaks | (slides == 1)) & (speed > width)
+        low, high = np.where(sliding, slow, low), np.where(sliding, fast, np.minimum(width, speed))
+        np.testing.assert_array_equal(goes_on, sliding)
+    for _ in range(200):
         middle = np.sqrt(low) * np.sqrt(high)
-        above = middle + stiffness * grip(shape, law, middle, width) > speed
+        above = missing(middle) > 0
         low, high = np.where(above, low, middle), np.where(above, middle, high)
-    np.testing.assert_allclose(found, grip(shape, law, high, width), rtol=1e-10)
+    expected = grip(shape, law, high, width)
+    np.testing.assert_allclose(found, expected, rtol=1e-10 if slides is None else 1e-5)
 
 
 def test_fixed_steps_are_stable_for_any_width():
