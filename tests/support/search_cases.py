@@ -1,0 +1,138 @@
+"""Random set-ups of the search, by kind (what program follows them) and family (what is special about their numbers)."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from support.switched import Case, Jumping, Line, Rub, Shaking, Steps, Tones, coulomb, random_case
+
+
+def _rescaled(part: Any, factor: float) -> Any:
+    """A motion or force of `factor` times the size."""
+    if part is None or factor == 1:
+        return part
+    if isinstance(part, Tones):
+        return part._replace(amplitudes=tuple(factor * a for a in part.amplitudes), offset=factor * part.offset)
+    if isinstance(part, Steps):
+        return part._replace(velocities=tuple(factor * v for v in part.velocities))
+    if isinstance(part, Jumping):
+        return Jumping(_rescaled(part.motion, factor), _rescaled(part.steps, factor))
+    return part._replace(values=tuple(factor * value for value in part.values))
+
+
+def _base_start(case: Case) -> float:
+    return case.base.value(0.0, 1e-9 * case.t1)
+
+
+def everyday(source: np.random.Generator, case: Case) -> Case:
+    """As `random_case` draws them."""
+    return case
+
+
+def damped(source: np.random.Generator, case: Case) -> Case:
+    """Damping ratios of 0.01 to 10,000; half of the time with friction and force as large as the damping force."""
+    ratio = 10 ** source.uniform(-2, 4)
+    grown = max(1.0, ratio / 3) if source.random() < 0.5 else 1.0
+    if isinstance(case.base, Shaking):
+        base = _rescaled(case.base, grown)
+    else:
+        base = case.base
+    damping = 2 * math.sqrt(case.mass * case.stiffness) * ratio
+    force = _rescaled(case.force, grown)
+    return case._replace(damping=damping, normal_force=case.normal_force * grown, base=base, force=force)
+
+
+def frictionless(source: np.random.Generator, case: Case) -> Case:
+    """Friction coefficients of zero; starts with the velocity of the base, at the place where no force is needed, or any."""
+    static = None
+    if case.rub.law.mu_static is not None:
+        static = float(source.choice([0.0, float(case.rub.law.mu_static)]))
+    y0 = case.y0
+    if source.random() < 0.5:
+        y0 = (0.0 if source.random() < 0.5 else y0[0], _base_start(case))
+    return case._replace(rub=coulomb(0.0, static), y0=y0)
+
+
+def clinging(source: np.random.Generator, case: Case) -> Case:
+    """Static friction up to 1000 times kinetic friction; the drive is up to as strong as the static one."""
+    ratio = 10 ** source.uniform(0, 3)
+    mu = float(case.rub.law.mu)
+    grown = ratio ** source.uniform(0, 1)
+    base, force = _rescaled(case.base, grown), _rescaled(case.force, grown)
+    return case._replace(rub=coulomb(mu, mu * ratio), base=base, force=force)
+
+
+def _on(value: float, unit: float) -> float:
+    return round(value / unit) * unit
+
+
+def _lattice_line(source: np.random.Generator, line: Line, unit: float, tick: float) -> Line:
+    """A record whose times and values lie on lattices, with flat, triangular or random pieces."""
+    count, largest = len(line.times), max(max(map(abs, line.values)), unit)
+    times = np.cumsum(np.concatenate([[0], np.maximum(np.round(np.diff(line.times) / tick), 1)])) * tick
+    top = _on(largest * source.uniform(0.3, 1), unit) or unit
+    pattern = source.integers(3)
+    values = np.array(line.values)
+    if pattern == 0:
+        values = np.resize([0.0, top, 0.0, -top], count)
+    elif pattern == 1:
+        values = np.repeat(values, 2)[:count]
+    # The record must last as long as before.
+    times[-1] = max(times[-1], _on(line.times[-1], tick) + tick, times[-2] + tick)
+    return line._replace(times=tuple(times.tolist()), values=tuple(np.round(values / unit).dot(1.0).tolist()
+                         if values.ndim == 0 else (np.round(values / unit) * unit).tolist()))  # fmt: skip
+
+
+def lattice(source: np.random.Generator, case: Case) -> Case:
+    """All numbers are multiples of 2^-2 to 2^-6; records are flat or triangular in part; half of the starts at rest."""
+    unit = tick = 2.0 ** -source.integers(2, 7)
+
+    def whole(part: Any) -> Any:
+        if part is None:
+            return None
+        if isinstance(part, Tones):
+            on = lambda values, least: tuple(max(_on(v, unit), least) for v in values)  # noqa: E731
+            return Tones(on(part.amplitudes, 0.0), on(part.frequencies, unit), on(part.phases, 0.0), _on(part.offset, unit))
+        if isinstance(part, Steps):
+            durations = tuple(max(_on(d, tick), tick) for d in part.durations)
+            last = max(durations[-1], tick * math.ceil((case.t1 * 1.05 - sum(durations[:-1])) / tick))
+            return Steps((*durations[:-1], last), tuple(_on(v, unit) for v in part.velocities))
+        if isinstance(part, Jumping):
+            return Jumping(whole(part.motion), whole(part.steps))
+        return _lattice_line(source, part, unit, tick)
+
+    mass, stiffness, normal = (max(_on(v, unit), unit) for v in (case.mass, case.stiffness, case.normal_force))
+    mu = max(_on(float(case.rub.law.mu), unit), unit)
+    static = case.rub.law.mu_static
+    rub = coulomb(mu, None if static is None else mu + unit * int(source.integers(0, 4)))
+    damping = case.damping if case.damping is None else _on(case.damping, unit)
+    base, force, t1 = whole(case.base), whole(case.force), max(_on(case.t1, tick) - tick, tick)
+    made = Case(mass, stiffness, normal, rub, base, t1, (_on(case.y0[0], unit), _on(case.y0[1], unit)), damping, force)
+    if source.random() < 0.5:
+        made = made._replace(y0=(made.y0[0], _base_start(made)))
+    if source.random() < 0.25:  # on an edge of the band
+        made = made._replace(y0=(float(source.choice([-1, 1])) * made.half_width, made.y0[1]))
+    return made
+
+
+def slow(source: np.random.Generator, case: Case) -> Case:
+    """Base and forces of 2^-12 to 2^6 of the usual size."""
+    size = 2.0 ** source.uniform(-12, 6)
+    return case._replace(base=_rescaled(case.base, size), force=_rescaled(case.force, min(size, 1.0)))
+
+
+FAMILIES: dict[str, Callable[[np.random.Generator, Case], Case]] = {
+    family.__name__: family for family in (everyday, damped, frictionless, clinging, lattice, slow)
+}
+
+
+def drawn(kind: str, family: str, number: int, first: int = 0, damping: bool = True) -> list[Case]:
+    """`number` set-ups of a kind and family; with `damping`, zero where there is none, so that all share a program."""
+    cases = []
+    for seed in range(first, first + number):
+        source = np.random.default_rng([seed, *kind.encode(), *family.encode()])
+        case = random_case(kind, seed + 10_000)
+        cases.append(FAMILIES[family](source, case))
+    return cases
