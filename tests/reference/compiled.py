@@ -151,6 +151,7 @@ def collocate(of, piece, t, x, v, side, h):
     m, k, c, n = of.mass, of.stiffness, of.damping, of.normal_force
     rates, matrix, rest = np.zeros(STAGES), np.empty((STAGES, STAGES)), np.empty(STAGES)
     for turn in range(12):
+        size = 0.0
         for i in range(STAGES):
             base, _, _, force, _ = driven(of, piece, t + NODES[i] * h)
             p, y = v, x + h * NODES[i] * v
@@ -159,6 +160,7 @@ def collocate(of, piece, t, x, v, side, h):
                 y += h * h * TWICE[i, j] * rates[j]
             mu, slope = friction(of.law, of.coefficients, side * (p - base))
             rest[i] = force - c * p - k * y - side * n * mu - m * rates[i]
+            size = max(size, (abs(force) + c * abs(p) + k * abs(y) + n * mu) / m)
             for j in range(STAGES):
                 matrix[i, j] = h * (c + n * slope) * ONCE[i, j] + h * h * k * TWICE[i, j] + (m if i == j else 0.0)
         for i in range(STAGES):  # elimination with pivots
@@ -174,14 +176,14 @@ def collocate(of, piece, t, x, v, side, h):
                 rest[j] -= share * rest[i]
                 for l in range(i, STAGES):
                     matrix[j, l] -= share * matrix[i, l]
-        change, size = 0.0, 0.0
+        change = 0.0
         for i in range(STAGES - 1, -1, -1):
             for j in range(i + 1, STAGES):
                 rest[i] -= matrix[i, j] * rest[j]
             rest[i] /= matrix[i, i]
             rates[i] += rest[i]
-            change, size = max(change, abs(rest[i])), max(size, abs(rates[i]))
-        if change <= 1e-14 * size or (turn > 3 and change <= 1e-11 * size):
+            change = max(change, abs(rest[i]))
+        if change <= 1e-15 * size or (turn > 2 and change <= 1e-14 * size):
             y, p = x + h * v, v
             for j in range(STAGES):
                 p += h * ONCE[STAGES - 1, j] * rates[j]
@@ -274,6 +276,9 @@ def zero(of, piece, t, x, v, side, right):
 def follow(of, piece, t, end, x, v, side, longest):
     """Follow one mode up to its event or to `end`: time, state, whether there was an event, least distance from one."""
     h, close = FIRST * longest, math.inf
+    # All rates together: what fades is resolved by steps of this length.
+    slope = abs(friction(of.law, of.coefficients, 0.0)[1])
+    least = 0.02 / (1 / longest + (of.damping + of.normal_force * slope) / of.mass)
     g0, d0, scale = gap(of, piece, t, x, v, side)
     while t < end:
         h = min(h, longest, end - t)
@@ -284,7 +289,7 @@ def follow(of, piece, t, end, x, v, side, longest):
             omega = math.sqrt(of.stiffness / of.mass)
             size = abs(v) + abs(p2) + omega * (abs(x) + abs(y2)) + 1e-3 * scale
             error = (abs(p2 - p) + omega * abs(y2 - y)) / size
-            if not error <= GOOD and h > 1e-12 * longest:
+            if not error <= GOOD and h > least:
                 h *= max(0.2, 0.8 * (GOOD / error) ** 0.1) if error < 1 else 0.2
                 continue
             y, p = y2, p2

@@ -68,6 +68,13 @@ def _on(value: float, unit: float) -> float:
     return round(value / unit) * unit
 
 
+def _different(values: list[float], unit: float) -> tuple[float, ...]:
+    """Neighbours that are equal moved apart by `unit`: `VelocitySteps` takes no others."""
+    for i in range(1, len(values)):
+        values[i] += unit * (values[i] == values[i - 1])
+    return tuple(values)
+
+
 def _lattice_line(source: np.random.Generator, line: Line, unit: float, tick: float) -> Line:
     """A record whose times and values lie on lattices, with flat, triangular or random pieces."""
     count, largest = len(line.times), max(max(map(abs, line.values)), unit)
@@ -81,8 +88,7 @@ def _lattice_line(source: np.random.Generator, line: Line, unit: float, tick: fl
         values = np.repeat(values, 2)[:count]
     # The record must last as long as before.
     times[-1] = max(times[-1], _on(line.times[-1], tick) + tick, times[-2] + tick)
-    return line._replace(times=tuple(times.tolist()), values=tuple(np.round(values / unit).dot(1.0).tolist()
-                         if values.ndim == 0 else (np.round(values / unit) * unit).tolist()))  # fmt: skip
+    return line._replace(times=tuple(times.tolist()), values=tuple((np.round(values / unit) * unit).tolist()))
 
 
 def lattice(source: np.random.Generator, case: Case) -> Case:
@@ -98,7 +104,7 @@ def lattice(source: np.random.Generator, case: Case) -> Case:
         if isinstance(part, Steps):
             durations = tuple(max(_on(d, tick), tick) for d in part.durations)
             last = max(durations[-1], tick * math.ceil((case.t1 * 1.05 - sum(durations[:-1])) / tick))
-            return Steps((*durations[:-1], last), tuple(_on(v, unit) for v in part.velocities))
+            return Steps((*durations[:-1], last), _different([_on(v, unit) for v in part.velocities], unit))
         if isinstance(part, Jumping):
             return Jumping(whole(part.motion), whole(part.steps))
         return _lattice_line(source, part, unit, tick)
