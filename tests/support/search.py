@@ -61,10 +61,15 @@ def _follow(systems, bases, t1s, starts, method):
     return jax.vmap(one)(systems, bases, t1s, starts)
 
 
+def _system(case: Case) -> ss.MassSpring:
+    """With a damping of zero as an array, not none, so that it shares the program of the others."""
+    return case.system if case.damping != 0 else case._replace(damping=np.zeros(())).system
+
+
 def follow(cases: list[Case], method=None, dtype=np.float64) -> Batch:
     """All set-ups, which share their structure, through one compiled program."""
     method = ss.Exact(max_steps=4096) if method is None else method
-    parts = [(case.system, case.base.package, case.t1, case.y0) for case in cases]
+    parts = [(_system(case), case.base.package, case.t1, case.y0) for case in cases]
     return Batch(*map(np.asarray, _follow(*stacked(parts, dtype), method=method)))
 
 
