@@ -141,7 +141,7 @@ class Verdict(NamedTuple):
     sticks: int
 
 
-def deviation(case: Case, one: np.ndarray, state: np.ndarray, exact: Found) -> float:
+def deviation(case: Case, one: np.ndarray, state: np.ndarray | None, exact: Found) -> float:
     """The worst relative deviation of sticks and end state from the reference; infinite for another sequence of sticks.
 
     Times against ``max(t, 1 / omega)``, positions and velocities against the largest of the motion.
@@ -152,7 +152,7 @@ def deviation(case: Case, one: np.ndarray, state: np.ndarray, exact: Found) -> f
     times = np.abs(one[:, :2] - exact.sticks[:, :2]) / clock
     size = motion_size(case, exact)
     places = np.abs(one[:, 2] - exact.sticks[:, 2]) / size
-    ends = np.abs(state - exact.state) * [1, 1 / case.omega] / size
+    ends = np.zeros(1) if state is None else np.abs(state - exact.state) * [1, 1 / case.omega] / size
     worst = float(max(np.max(values, initial=0.0) for values in (times, places, ends)))
     return worst if math.isfinite(worst) else math.inf
 
@@ -195,12 +195,18 @@ def single(value: Any) -> Any:
 
 def judged(case: Case, batch: Batch, i: int, least: float, dtype=np.float64) -> Verdict:
     """Set-up `i` of a batch against the reference; `least`: the bound where nothing amplifies errors."""
+    return compared(case, batch.sticks(i), batch.state[i], batch.tells(i), least, dtype)
+
+
+def compared(
+    case: Case, sticks: np.ndarray, state: np.ndarray | None, told: bool, least: float, dtype=np.float64
+) -> Verdict:
+    """What the package found of one set-up against the reference."""
     exact = compiled.run(numbers_of(case, dtype))
     if not np.all(np.isfinite(exact.state)):
         raise ArithmeticError(f"the reference could not follow {case}")
-    error, told = deviation(case, batch.sticks(i), batch.state[i], exact), batch.tells(i)
-    unit = float(np.finfo(dtype).eps) * (64 + 2 * math.pi * case.t1 / case.shortest_time)
-    bound = max(least, unit)
+    error = deviation(case, sticks, state, exact)
+    bound = max(least, float(np.finfo(dtype).eps) * (64 + 2 * math.pi * case.t1 / case.shortest_time))
     if error > bound:
         bound *= amplification(case, exact, 1e-9 if dtype == np.float64 else 1e-6, dtype)
     return Verdict(error > bound and not told, told, error, bound, exact.close, len(exact.sticks))

@@ -134,11 +134,17 @@ FAMILIES: dict[str, Callable[[np.random.Generator, Case], Case]] = {
 }
 
 
-def drawn(kind: str, family: str, number: int, first: int = 0, damping: bool = True) -> list[Case]:
-    """`number` set-ups of a kind and family; with `damping`, zero where there is none, so that all share a program."""
+def drawn(kind: str, family: str, number: int, first: int = 0) -> list[Case]:
+    """`number` set-ups of a kind and family. Damping is a number, zero where there is none: all share a program."""
     cases = []
     for seed in range(first, first + number):
         source = np.random.default_rng([seed, *kind.encode(), *family.encode()])
-        case = random_case(kind, seed + 10_000)
-        cases.append(FAMILIES[family](source, case))
+        case = FAMILIES[family](source, random_case(kind, seed + 10_000))
+        cases.append(case._replace(damping=case.damping or 0.0))
     return cases
+
+
+def switching(family: str, number: int) -> list[Case]:
+    """Set-ups whose base switches between constant velocities, for the engine of whole intervals."""
+    return [case._replace(damping=None, force=None, rub=coulomb(case.rub.law.mu))
+            for case in drawn("steps", family, number)]  # fmt: skip

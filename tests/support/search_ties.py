@@ -84,9 +84,10 @@ def tie(kind: str, seed: int) -> Case:
         2: np.resize([top, -top], POINTS),
         3: unit * source.integers(-4, 5, POINTS),
     }[pattern]
-    gaps = np.full(POINTS - 1, unit * int(source.integers(1, 9)))
+    # Powers of two: slopes, and so the forces and the limit, are then numbers that a float holds exactly.
+    gaps = np.full(POINTS - 1, unit * 2.0 ** source.integers(0, 4))
     if source.random() < 0.5:
-        gaps = unit * source.integers(1, 9, POINTS - 1)
+        gaps = unit * 2.0 ** source.integers(0, 4, POINTS - 1)
     line = Line(tuple(np.concatenate([[0.0], np.cumsum(gaps)]).tolist()), tuple(map(float, values)))
     mass, stiffness = unit * int(source.integers(1, 33)), unit * int(source.integers(1, 33))
     damping = 0.0 if kind == "ground" else unit * int(source.integers(0, 5))
