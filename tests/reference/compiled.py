@@ -331,7 +331,7 @@ def side_of(of, piece, t, x, v, end, longest):
         margin, slope, _ = gap(of, piece, t + h, x + travel(of, piece, t, h), 0.0, 0)
     _, a, _, force, _ = driven(of, piece, t)
     needed = of.mass * a + of.damping * base + of.stiffness * x - force
-    return (0 if margin > 0 else (-1 if needed > 0 else 1)), apart
+    return (0 if margin >= -FLOOR * band else (-1 if needed > 0 else 1)), apart
 
 
 @compiled

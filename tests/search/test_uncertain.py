@@ -56,11 +56,11 @@ def case_of(many: ss.Ensemble, i: int, base: Tones | Steps) -> Case:
 def test_distributions_in_time_steps():
     """The numbers that `realization` says are those that were simulated; draws reach far into the tails."""
     system = ss.MassSpring(
-        ss.LogNormal(0.0, 0.5),
-        ss.LogNormal(0.5, 1.0),
+        ss.LogNormal(1.0, 0.5),
+        ss.LogNormal(1.6, 1.0),
         ss.Uniform(0.5, 2.0),
         ss.Coulomb(ss.Uniform(0.0, 0.6), ss.Uniform(0.6, 3.0)),
-        ss.LogNormal(0.0, 3.0),
+        ss.LogNormal(1.0, 3.0),
         ss.Harmonic(ss.Uniform(0.0, 1.5), ss.Uniform(0.2, 2.0), ss.Uniform(0.0, 6.0)),
     )
     base = ss.Harmonic(ss.Uniform(0.1, 1.0), ss.Uniform(0.2, 2.0), ss.Uniform(0.0, 6.0), ss.Normal(0.0, 0.5))
@@ -79,7 +79,7 @@ def test_distributions_in_time_steps():
 @pytest.mark.slow
 def test_distributions_over_whole_intervals():
     system = ss.MassSpring(
-        ss.LogNormal(0.0, 0.5), ss.LogNormal(0.5, 1.0), ss.Uniform(0.5, 2.0), ss.Coulomb(ss.Uniform(0.0, 2.0))
+        ss.LogNormal(1.0, 0.5), ss.LogNormal(1.6, 1.0), ss.Uniform(0.5, 2.0), ss.Coulomb(ss.Uniform(0.0, 2.0))
     )
     law = ss.PoissonSwitching(speed=ss.Uniform(0.05, 2.0), rate=ss.Uniform(0.2, 2.0))
     many = ss.simulate_ensemble(

@@ -44,15 +44,30 @@ def damped(source: np.random.Generator, case: Case) -> Case:
     return case._replace(damping=damping, normal_force=case.normal_force * grown, base=base, force=force)
 
 
+def _quiet(part: Any) -> Any:
+    """The motion or force changed so that it begins without a rate, and a force or ground acceleration with zero."""
+    if isinstance(part, Tones):
+        return part._replace(phases=(0.0,) * len(part.phases))
+    if isinstance(part, Jumping):
+        return Jumping(_quiet(part.motion), part.steps)
+    if isinstance(part, Shaking):
+        return part._replace(values=(0.0, *part.values[1:]))
+    return part._replace(values=(part.values[1], *part.values[1:])) if isinstance(part, Line) else part
+
+
 def frictionless(source: np.random.Generator, case: Case) -> Case:
-    """Friction coefficients of zero; starts with the velocity of the base, at the place where no force is needed, or any."""
+    """Friction coefficients of zero; starts with the velocity of the base, some where no force is needed, or any."""
     static = None
     if case.rub.law.mu_static is not None:
         static = float(source.choice([0.0, float(case.rub.law.mu_static)]))
-    y0 = case.y0
-    if source.random() < 0.5:
-        y0 = (0.0 if source.random() < 0.5 else y0[0], _base_start(case))
-    return case._replace(rub=coulomb(0.0, static), y0=y0)
+    case = case._replace(rub=coulomb(0.0, static))
+    start = source.integers(3)
+    if start == 0:
+        return case
+    if start == 1:
+        return case._replace(y0=(case.y0[0], _base_start(case)))
+    case = case._replace(base=_quiet(case.base), force=_rescaled(case.force, 0.0), damping=0.0)
+    return case._replace(y0=(0.0, _base_start(case)))
 
 
 def clinging(source: np.random.Generator, case: Case) -> Case:

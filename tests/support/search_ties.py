@@ -84,10 +84,11 @@ def tie(kind: str, seed: int) -> Case:
         2: np.resize([top, -top], POINTS),
         3: unit * source.integers(-4, 5, POINTS),
     }[pattern]
-    # Powers of two: slopes, and so the forces and the limit, are then numbers that a float holds exactly.
-    gaps = np.full(POINTS - 1, unit * 2.0 ** source.integers(0, 4))
+    # On a base slopes count, which are numbers that a float holds exactly where the gaps are powers of two.
+    choices = unit * np.array([1.0, 2.0, 4.0, 8.0] if kind == "base" else range(1, 9))
+    gaps = np.full(POINTS - 1, source.choice(choices))
     if source.random() < 0.5:
-        gaps = unit * 2.0 ** source.integers(0, 4, POINTS - 1)
+        gaps = source.choice(choices, POINTS - 1)
     line = Line(tuple(np.concatenate([[0.0], np.cumsum(gaps)]).tolist()), tuple(map(float, values)))
     mass, stiffness = unit * int(source.integers(1, 33)), unit * int(source.integers(1, 33))
     damping = 0.0 if kind == "ground" else unit * int(source.integers(0, 5))
