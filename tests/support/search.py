@@ -50,15 +50,18 @@ def stacked(trees: list[Any], dtype=np.float64) -> Any:
 
 
 @partial(jax.jit, static_argnames="method")
-def _follow(systems, bases, t1s, starts, method):
-    def one(system, base, t1, y0):
-        found = ss.simulate(system, base, t1=t1, y0=y0, method=method)
+def _follow(systems, bases, t1s, starts, scales, method):
+    def one(system, base, t1, y0, scale):
+        used = method
+        if isinstance(method, ss.Regularized):
+            used = ss.Regularized(scale[0], method.shape, step=scale[1], max_steps=method.max_steps)
+        found = ss.simulate(system, base, t1=t1, y0=y0, method=used)
         sticks = found.sticks
         first = [values[:ROOM] for values in (sticks.start, sticks.end, sticks.position, sticks.ending)]
         state = jnp.stack(found.final_state)
         return Batch(*first, jnp.sum(sticks.mask), state, found.status, found.near_grazing_count)
 
-    return jax.vmap(one)(systems, bases, t1s, starts)
+    return jax.vmap(one)(systems, bases, t1s, starts, scales)
 
 
 def _system(case: Case) -> ss.MassSpring:
@@ -66,11 +69,15 @@ def _system(case: Case) -> ss.MassSpring:
     return case.system if case.damping != 0 else case._replace(damping=np.zeros(())).system
 
 
-def follow(cases: list[Case], method=None, dtype=np.float64) -> Batch:
-    """All set-ups, which share their structure, through one compiled program."""
+def follow(cases: list[Case], method=None, dtype=np.float64, scales: np.ndarray | None = None) -> Batch:
+    """All set-ups, which share their structure, through one compiled program.
+
+    `scales`: rows (width, step) of a `Regularized` method, one for each set-up.
+    """
     method = ss.Exact(max_steps=4096) if method is None else method
     parts = [(_system(case), case.base.package, case.t1, case.y0) for case in cases]
-    return Batch(*map(np.asarray, _follow(*stacked(parts, dtype), method=method)))
+    scales = np.zeros((len(cases), 2)) if scales is None else scales
+    return Batch(*map(np.asarray, _follow(*stacked(parts, dtype), scales.astype(dtype), method=method)))
 
 
 def _rows(part: Any) -> list[tuple[float, float, float]]:
