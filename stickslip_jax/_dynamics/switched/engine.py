@@ -170,11 +170,10 @@ def advance(
     touched, race = _close_calls(stretch, taken, landed & ~at_once, taken & to_stop)
 
     # The event: a Newton step from the end of the step.
-    delta = jnp.where(landed & ~at_once, delta, 0)
-    stays = again | at_once
+    stays, delta = again | at_once, jnp.where(landed & ~at_once, delta, 0)
     tau = jnp.where(stays, 0, h + delta)
-    rates = model.rates(inputs, h, y1, lane.sign)
-    y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in zip(y1, rates, strict=True)))
+    moving = zip(y1, model.rates(inputs, h, y1, lane.sign), strict=True)
+    y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in moving))
     model, lane, ends = given[0], before, HowItEnds(~stays, landed & ~at_once, taken & to_stop)
     tau, *y = carried(*given, time_left, lane.sign, ends, tau, y)
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
@@ -188,9 +187,9 @@ def advance(
     switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, brief, live & taken & to_stop, t1)
     near_grazing = touched | (race & abrupt) | _on_edge(edge)
     switched = switched._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
-    longest = model.step_limit(t - switched.event, step, switched.y, switched.sign)
     pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
-    target = jnp.where(again & ~rough, guess * h, jnp.minimum(longest, pace))
+    longest = jnp.minimum(model.step_limit(t - switched.event, step, switched.y, switched.sign), pace)
+    target = jnp.where(again & ~rough, guess * h, longest)
     switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
