@@ -174,8 +174,12 @@ class _Own(ss.SwitchedSystem):
 @pytest.mark.slow
 def test_a_system_of_ones_own_leaves_its_sticks(tmp_path):
     law = ss.Harmonic(amplitude=1.0, angular_frequency=1.3)
-    many = ss.simulate_ensemble(_Own(), ss.RandomPhase(law), t1=6.0, samples=8, key=KEY, keep="sticks")
+    spread = ss.Uniform(3.9, 4.1)
+    many = ss.simulate_ensemble(_Own(spread), ss.RandomPhase(law), t1=6.0, samples=8, key=KEY, keep="sticks")
     back = ss.load(many.save(tmp_path / "own.nc"))
+    assert list(many.input_values) == ["stiffness"]
+    with pytest.raises(ValueError, match=r"does not know its system .*_Own"):  # and not the inputs without it
+        _ = back.input_values
     assert back.statistics.position.unit == "rad"
     assert back.statistics.position.mean == many.statistics.position.mean
     assert back.law == many.law

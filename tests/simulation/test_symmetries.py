@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import stickslip_jax as ss
 
 SPRING = (1.3, 2.0, 1.5, ss.Coulomb(0.4, 0.5), 0.3)
-BELT = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3))
+BELT = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8))
 JUMPS, SPEEDS = np.array([0.0, 1.1, 2.7, 4.0]), np.array([0.5, -0.3, 0.8, -0.5])
 MOTOR = ss.MotorCart(mu=0.5)
 # A set-up with its start, the same in a mirror, what that does to positions (None: half a turn) and to forces.
@@ -38,6 +38,7 @@ MIRRORS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MIRRORS)
 def test_symmetries(name):
     """Sticks, friction force, energies and the stick band."""

@@ -281,6 +281,10 @@ def test_only_the_packages_own_functions_are_compiled_for_wide_vectors():
         assert is_own(engine(friction, base))
     for friction, motion in ((ss.FrictionCurve(lambda speed: 0.5 + 0 * speed), base), (law, Swing())):
         assert not is_own(engine(friction, motion))
+    for spectrum in (lambda w: jnp.exp(-w), ss.VelocitySpectrum(lambda w: w**2 * jnp.exp(-w))):
+        assert not is_own(engine(law, ss.GaussianProcess(spectrum, cutoff=3.0, harmonics=4)))
+    layer = ss.KanaiTajimiSpectrum(ground_frequency=1.0)
+    assert is_own(engine(law, ss.GaussianProcess(layer, cutoff=3.0, harmonics=4)))
 
 
 @pytest.mark.slow
@@ -297,3 +301,17 @@ def test_a_users_functions_are_compiled_as_written():
         count = int(one.sticks.count)
         assert count == many.flat_sticks.count[number] > 0
         np.testing.assert_allclose(many.sticks.end[number, :count], one.sticks.end[:count], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_users_spectrum_is_compiled_as_written():
+    """The harmonics are drawn where an ensemble simulates: they were those of a wrong arctan."""
+    law = ss.GaussianProcess(
+        lambda w: jnp.exp(-(w**2) / 4) * (1.6 + jnp.arctan(3 * (w - 1.5))), cutoff=6.0, harmonics=16
+    )
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.6))
+    many = ss.simulate_ensemble(system, law, t1=10.0, samples=16, key=jax.random.key(0), keep="sticks")
+    for number in range(4):
+        _, base, y0 = many.realization(number)
+        one = ss.simulate(system, base, t1=10.0, y0=y0)
+        assert float(many.totals.stick_time[number]) == pytest.approx(float(one.stick_time), abs=1e-9)
