@@ -28,6 +28,7 @@ _FAR = 0.5  # of the guard's scale: beyond the width of any kernel
 # Search along a flow: the first and last of `SwitchedModel.steps_to_turn` increments in time steps, then a number of
 # refinements between the last two places.
 _STEPS, _TRIES = (0.5, 1.5), 5
+_SETTLED = 1e-4  # time steps: sides as close as this are not refined, so that two are left for the slope between them
 _JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
 
 
@@ -243,8 +244,13 @@ def _places(
             value = goal(to, *model.approach(inputs, to - before.tau, ahead, sign, y0))
             # A goal that is positive at the first place has no zero after it.
             new, is_before = _Side(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
-            before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
-            return (before, after, _either(is_before, ahead, y)), None
+            unsettled = ~(before.found & after.found & (after.tau - before.tau < _SETTLED * step))
+            after = _replaced(after, new, unsettled & ~is_before)
+            return (
+                _replaced(before, new, unsettled & is_before),
+                after,
+                _either(unsettled & is_before, ahead, y),
+            ), None
 
         none, no, yes = jnp.zeros_like(step), jnp.zeros((), bool), jnp.ones((), bool)
         inside = one_step.dips & ~is_across

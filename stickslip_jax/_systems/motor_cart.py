@@ -213,7 +213,7 @@ class CartModel(SwitchedModel):
     """A `MotorCart` under a `SourceVoltage`."""
 
     # Steps are short beside the mechanical time constant; how near the motor stops follows the slower voltage.
-    steps_to_turn: ClassVar[int] = 96
+    steps_to_turn: ClassVar[int] = 48
     system: MotorCart
     smooth: SourceVoltage
 
