@@ -188,11 +188,11 @@ def differenced(
     engine, paths = problem.engine(), problem.paths()
     units = units_of(engine, paths)
     values, per_task, pathwise_of = _by_totals(problem, pilot) if problem.is_counted else _by_sequences(problem, pilot)
-    pairs = [
-        (step * unit, *_ends(engine, path, parameter, step * unit))
-        for path, parameter, unit in zip(paths, problem.parameters, units, strict=True)
-        for step in steps
-    ]
+    pairs: list[tuple[Any, Any, Any]] = []
+    for path, parameter, unit in zip(paths, problem.parameters, units, strict=True):
+        for length in steps * unit:
+            below, above = _ends(engine, path, parameter, length)
+            pairs.append((length, below, above))
     pathwise = pathwise_of if with_pathwise else None
     return _differences(problem, engine, pairs, values, per_task, pathwise)
 

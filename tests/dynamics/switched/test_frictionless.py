@@ -1,9 +1,9 @@
 """Contacts without friction: nothing sticks, and derivatives by the friction coefficient begin at the right side."""
 
 import math
+from itertools import pairwise
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -39,7 +39,7 @@ def test_a_ground_record_that_begins_at_zero(values):
     one = ss.simulate(system_of(), base, t1=12.0, method=METHOD)
     assert (one.status, int(one.sticks.count)) == (ss.Status.FINISHED, 0)
     y = np.zeros(2)
-    for begin, end in zip(TIMES, TIMES[1:], strict=False):
+    for begin, end in pairwise(TIMES):
         leg = solve_ivp(
             lambda t, y: [y[1], -y[0] - np.interp(t, TIMES, values)], (begin, end), y, rtol=1e-12, atol=1e-13
         )
@@ -63,7 +63,7 @@ def test_a_cart_without_friction_starts_either_way(mean):
         return [speed, torque / (cart.motor_inertia + inertia * math.sin(angle) ** 2), rise]
 
     right = solve_ivp(rates, (0, 0.2), (0.7, 0.0, 0.0), "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(one.final_state, right, rtol=1e-7)
+    np.testing.assert_allclose(one.final_state, right, rtol=2e-6)  # of the cart's default step
 
 
 def test_the_derivative_by_friction_at_none_is_that_from_above():
@@ -72,11 +72,11 @@ def test_the_derivative_by_friction_at_none_is_that_from_above():
         return ss.simulate(system, ss.Harmonic(0.5, 0.25), t1=20.0, y0=(0.0, 0.5), method=METHOD).final_state[0]
 
     small = 1e-7
-    assert jax.grad(position)(0.0) == pytest.approx((position(small) - position(0.0)) / small, rel=1e-5)
+    assert jax.grad(position)(0.0) == pytest.approx(float(position(small) - position(0.0)) / small, rel=1e-5)
 
 
 def test_ensembles_and_intervals_do_not_stick():
     law, run = ss.PoissonSwitching(0.5, 1.0), {"t1": 20.0, "y0": (0.0, 0.5)}
     for method in (ss.Exact(), ss.Exact(step=0.1)):
         many = ss.simulate_ensemble(system_of(), law, samples=16, key=jax.random.key(0), method=method, **run)
-        assert (many.finished, int(jnp.sum(many.sticks.count))) == (16, 0)
+        assert (many.finished, float(many.mean_number_of_sticks.value)) == (16, 0)

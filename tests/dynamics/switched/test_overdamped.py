@@ -1,6 +1,7 @@
 """Heavy damping, by a damper or by viscous friction: steps as short as it asks for, and no digits lost."""
 
 from functools import partial
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ WEAKENING, START = ss.VelocityWeakening(0.5, 0.25), (-1.5, -2.0)
 def slid(rates, t1, y0, changes=()):
     """The state at `t1` by an implicit solver; `rates` takes time, state and the number of the segment."""
     y, times = np.array(y0), [0.0, *changes, t1]
-    for segment, (begin, end) in enumerate(zip(times, times[1:], strict=False)):
+    for segment, (begin, end) in enumerate(pairwise(times)):
         found = solve_ivp(rates, (begin, end), y, "Radau", args=(segment,), rtol=1e-12, atol=1e-14)
         y = found.y[:, -1]
     return y
