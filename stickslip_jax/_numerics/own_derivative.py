@@ -155,7 +155,8 @@ def _jvp_of_tangent(primals: Sequence[Any], tangents: Sequence[Any], **params: A
         some = iter(some)
         return _run_tangent(*(next(some) if c else v for v, c in zip(primals, changed, strict=True)), **params)
 
-    return jax.jvp(of, *([v for v, c in zip(values, changed, strict=True) if c] for values in (primals, tangents)))
+    points, slopes = ([v for v, c in zip(values, changed, strict=True) if c] for values in (primals, tangents))
+    return jax.jvp(of, points, slopes)
 
 
 def _transposed(cotangents: Sequence[Any], *both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]):
