@@ -138,15 +138,7 @@ def advance(
     (model, inputs, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
     h = jnp.where(to_stop, left, lane.target)
-    sticking = lane.sign == 0
-    # A slip over a stick's long step may overflow.
-    slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
-    held, error_held = model.stick_and_error(inputs, lane.y, h)
-    y1, error = _where(sticking, held, slid), _chosen(sticking, error_held, error)
-
-    s0, d0 = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
-    s1, d1 = model.guard(inputs, h, y1, lane.sign)
-    scale = model.guard_scale(inputs, y1, lane.sign)
+    y1, error, (s0, d0), (s1, d1), scale = _tried(model, inputs, lane, h)
     # Round-off of the guard itself, and of the time at which it is evaluated.
     clock = _CLOCK_ULPS * jnp.finfo(dtype).eps * (lane.t + h)
     noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
@@ -156,7 +148,8 @@ def advance(
     stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
     # A released mass leaves its stick with no relative velocity and nearly no relative acceleration: a step that ends
     # after it has stuck again cannot show whether it slipped at all. Shorter steps show it.
-    hidden = look.falls & ~sticking & (s0 <= noise) & (jnp.abs(d0) * h <= _GRAZING * noise) & (look.where < _EARLY)
+    slow = jnp.abs(d0) * h <= _GRAZING * noise
+    hidden = look.falls & (lane.sign != 0) & (s0 <= noise) & slow & (look.where < _EARLY)
     early = (look.where < _AT_ONCE) & ~hidden
     at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
     # An event at the very end of a segment is decided there, where all is known.
@@ -166,7 +159,7 @@ def advance(
     rough = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[dtype.itemsize])
     landed, again = landed & ~rough, again | rough
     taken = ~landed & ~again
-    stretch = _Stretch(sticking, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
+    stretch = _Stretch(lane.sign == 0, s0, s1, d1, look.lowest, noise, scale, step, lane.t + h - lane.event)
     touched, race = _close_calls(stretch, taken, landed & ~at_once, taken & to_stop)
 
     # The event: a Newton step from the end of the step.
@@ -181,7 +174,6 @@ def advance(
     moved = lane._replace(
         t=t, y=_known(tuple(y), s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
     )
-
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     brief = at_once | (t - lane.event <= _LANDED[dtype.itemsize] * step + clock)
     switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, brief, live & taken & to_stop, t1)
@@ -193,6 +185,27 @@ def advance(
     switched = switched._replace(target=lax.stop_gradient(target), pace=lax.stop_gradient(pace))
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), switched, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+class _Tried(NamedTuple):
+    """A step of some length: the state after it, its error, the guard and its rate before and after, and its scale."""
+
+    reached: State
+    error: FloatArray | None
+    before: tuple[FloatArray, FloatArray]
+    after: tuple[FloatArray, FloatArray]
+    scale: FloatArray
+
+
+def _tried(model: SwitchedModel, inputs: Any, lane: Lane, h: FloatArray) -> _Tried:
+    sticking = lane.sign == 0
+    # A slip over a stick's long step may overflow.
+    slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
+    held, error_held = model.stick_and_error(inputs, lane.y, h)
+    y1, error = _where(sticking, held, slid), _chosen(sticking, error_held, error)
+    before = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
+    after = model.guard(inputs, h, y1, lane.sign)
+    return _Tried(y1, error, before, after, model.guard_scale(inputs, y1, lane.sign))
 
 
 def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
