@@ -51,14 +51,12 @@ def sensitivity(
 ) -> Sensitivity | Sensitivities:
     """The derivative of a stick statistic's expectation with respect to parameters, with its standard error.
 
-    Sticks appear and vanish as parameters change, so the derivative of the simulated mean is biased; this one is
-    corrected.
+    Sticks appear and vanish as parameters change: the derivative of the simulated mean is biased, this one corrected.
 
     - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
       `StickStatistic`: `RealizationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
     - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
-      "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several names; "law.speed" where a name alone is
-      ambiguous. One pass over the trajectories gives all derivatives.
+      "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several; "law.speed" where a name is ambiguous.
     - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`; the
       law or `y0` must be random. The result does not depend on `threads`, nor, except for the order of summation, on
       `chunk`. Of regularised dynamics there are differences only; a threshold that is not given follows the parameter.
@@ -67,29 +65,28 @@ def sensitivity(
       one with the smaller error in the same time (the result's `estimator` names it): corrected for statistics of
       totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of zero
       length do not change (`stick_fraction`); else differences. The other one is an independent check.
-    - `step`: step of the central differences, relative to the parameter's value; by default that of
-      `relative_bandwidth`, or a quarter of it, where the two disagree. The bias is of order ``step^2``.
+    - `step`: that of the differences, relative to the parameter's value; by default `relative_bandwidth`, or a quarter
+      of it where the two disagree. The bias is of order ``step^2``.
     - `relative_bandwidth`: width of the corrected estimator's kernel, as a relative change of the parameter: a stick
       counts as about to appear or vanish if that change, to first order, moves its margin through zero. By default
       ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
 
-    The method: docs/sensitivity.md. Where static friction exceeds kinetic friction (`mu_static`), a stick that appears
-    changes all later motion; there the event part comes from pairs of trajectories with the parameter changed up and
-    down by `relative_bandwidth`, and the same random numbers.
+    The method: docs/sensitivity.md. With `mu_static` a stick that appears changes all later motion; there the event
+    part comes from pairs of trajectories with the parameter changed up and down by `relative_bandwidth`.
 
     Returns a `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the
     event part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
-    speeds w = 1, 2, 3, 8 and 15, and where every trajectory begins with an arc that exactly grazes the base velocity:
-    the derivative does not exist there, and is NaN. Raises ValueError for invalid arguments, in single precision also
-    where there is no closed form.
+    speeds w = 1, 2, 3, 8 and 15, and where all first arcs graze the base velocity exactly (no derivative exists: NaN).
+    Raises ValueError for invalid arguments, in single precision also where there is no closed form.
     """
     _check_options(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(
         statistic, system, law, wrt, t1, samples, key, y0, method=method, threads=threads, chunk=chunk
     )
+    asked = estimator or _asked_for(step, relative_bandwidth)
     if isinstance(method, Regularized):
-        _require_differences(estimator or _asked_for(step, relative_bandwidth), method)
-    if (estimator or _asked_for(step, relative_bandwidth) or _cheaper(problem)) == "finite-difference":
+        _require_differences(asked, method)
+    if (asked or _cheaper(problem)) == "finite-difference":
         results = _by_differences(problem, pilot, elasticity, step)
     else:
         results = _corrected(problem.in_closed_form(), pilot, elasticity, relative_bandwidth)

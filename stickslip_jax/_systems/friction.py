@@ -205,6 +205,24 @@ class FrictionCurve(FrictionLaw):
         return self.curve(speed)
 
 
+def times_of_slips(
+    friction: FrictionLaw, mass: Number, normal_force: Number, damping: Number | None
+) -> tuple[Any, Any]:
+    """Two times, s, that steps of a slip must be short against; infinity where there is none.
+
+    The first: that in which the largest friction force changes the speed by the speed scale of the law. The second: the
+    time constant of the speed under damping and viscous friction alone.
+    """
+    scale, held = friction.speed_scale, friction.static * normal_force
+    drag = friction.viscous_slope * normal_force + (0.0 if damping is None else damping)
+    passes = not (scale is None or _is(scale, math.inf) or _is(held, 0))
+    return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0) else mass / drag
+
+
+def _is(number: Any, value: Any) -> bool:
+    return not _checks.is_traced(number) and bool(number == value)
+
+
 def _static_at_least(name: str, kinetic: Scalar, static: Scalar | None) -> None:
     """Check that `mu_static`, if given, is at least the `kinetic` coefficient, called `name`."""
     if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):

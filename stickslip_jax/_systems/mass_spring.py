@@ -18,15 +18,14 @@ from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
-from .._excitation.smooth import Signal, added_up, angle
+from .._excitation.smooth import Signal
 from .._fields import Quantity
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
-from .._numerics.sharing import sincos
 from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
-from .friction import FrictionLaw
-from .resonance import check_no_resonance
+from .friction import FrictionLaw, times_of_slips
+from .resonance import check_no_resonance, steady_response
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import PERIOD, Coordinate, StepCount, System, TimeScale, shortest_period
 
@@ -129,31 +128,16 @@ class MassSpring(System):
         steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED
         natural = 2 * math.pi * (self.mass / self.stiffness) ** 0.5
         force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
+        passing, decay = times_of_slips(self.friction, self.mass, self.normal_force, self.damping)
         return {
             "natural period": TimeScale(natural, steps),
-            "time in which the slip speed passes the scale of the friction law": TimeScale(
-                self._passing_time(), _PASSED
-            ),
+            "time in which the slip speed passes the scale of the friction law": TimeScale(passing, _PASSED),
             "decay time of the slip speed by damping and viscous friction": TimeScale(
-                math.inf if steps is PERIOD else self._decay_time(), _DECAYED
+                math.inf if steps is PERIOD else decay, _DECAYED
             ),
             "shortest period of the force": TimeScale(force, steps),
             "shortest period of the base motion": TimeScale(shortest_period(excitation), steps),
         }
-
-    def _passing_time(self) -> Scalar:
-        """Time in which the largest friction force changes the speed by the speed scale of the friction law, s."""
-        scale, held = self.friction.speed_scale, self.friction.static * self.normal_force
-        if scale is None or _is(scale, math.inf) or _is(held, 0):
-            return math.inf
-        return scale * self.mass / held
-
-    def _decay_time(self) -> Scalar:
-        """Time constant of the slip speed under damping and viscous friction alone, s."""
-        drag = self.friction.viscous_slope * self.normal_force + (0.0 if self.damping is None else self.damping)
-        if _is(drag, 0):
-            return math.inf
-        return self.mass / drag
 
     @property
     def contact_scales(self) -> tuple[Scalar, Scalar]:
@@ -232,8 +216,7 @@ class OscillatorModel(SwitchedModel):
         free = free_motion(beta, omega_squared, h)
         x = after[0] + free.kept * u + free.carried * w
         p = after[1] + free.slowed * w - omega_squared * free.carried * u
-        # The response to a load that grows, from rest at its first value: its steady part lags by c / k, far more than
-        # the response itself under heavy damping.
+        # A load that grows, from rest at its first value: the steady part lags by c / k, which may be far more.
         lag = free.carried if c is None else free.carried + c / k * free.settled
         slope = inputs.load_slope / k
         return x + slope * (h - lag), p + slope * free.settled
@@ -351,22 +334,13 @@ class OscillatorModel(SwitchedModel):
         return m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(inputs, tau)
 
     def _response(self, inputs: OscillatorInputs, tau: FloatArray, rub: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A particular solution, position and velocity, for the load at the beginning of the step, the friction force
-        and a harmonic force.
-        """
+        """A particular solution: position and velocity under the load as the step begins, friction, harmonic forces."""
         m, k, c = self._constants()
         c = 0 if c is None else c
         x, p = (inputs.load - rub) / k, jnp.zeros_like(tau)
         force: Any = self.system.force if isinstance(self.system.force, Signal) else None
         if force is not None:  # a sum of harmonics: there were no closed form otherwise
-
-            def answer(amplitude, w, phase):
-                elastic, viscous = k - m * w * w, c * w
-                gain = amplitude / (elastic * elastic + viscous * viscous)
-                sine, cosine = sincos(angle(w, inputs.t + tau, phase))
-                return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
-
-            position, velocity = added_up(answer, force.tones)
+            position, velocity = steady_response(force.tones, m, k, c, inputs.t + tau)
             x, p = x + force.mean / k + position, p + velocity
         return x, p
 
@@ -409,7 +383,3 @@ def _times(c: Any, value: Any) -> Any:
 
 def _is_zero(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
-
-
-def _is(number: Any, value: Any) -> bool:
-    return not _checks.is_traced(number) and bool(number == value)

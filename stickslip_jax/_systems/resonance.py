@@ -1,13 +1,27 @@
-"""Forces at the natural frequency of an undamped system."""
+"""Steady responses to harmonic forces, and their absence at the natural frequency of an undamped system."""
 
 from typing import Any
 
 import numpy as np
 
+from .._excitation.smooth import added_up, angle
 from .._numerics.known import bounds_of, values_of
-from .._types import Scalar
+from .._numerics.sharing import sincos
+from .._types import FloatArray, Scalar
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
+
+
+def steady_response(tones: Any, mass: Any, stiffness: Any, damping: Any, t: FloatArray) -> tuple[Any, Any]:
+    """Position (m) and velocity (m/s) of the steady vibration under harmonic forces of amplitude, frequency, phase."""
+
+    def answer(amplitude, w, phase):
+        elastic, viscous = stiffness - mass * w * w, damping * w
+        gain = amplitude / (elastic * elastic + viscous * viscous)
+        sine, cosine = sincos(angle(w, t, phase))
+        return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
+
+    return added_up(answer, tones)
 
 
 def check_no_resonance(force: Any, omega: Scalar) -> None:

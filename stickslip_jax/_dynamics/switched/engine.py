@@ -263,16 +263,13 @@ def _switch(model, segment_laws, lane, landed, brief, at_stop, t1) -> tuple[Lane
     holds = model.can_stick(inputs, on_base)
     resting = model.at_rest(inputs, lane.y)
     guard, guard_rate = _stick_guard(model, inputs, on_base)
-    # A mass that is not at rest at the event slips on, and friction reverses; so does one whose slip is over as it
-    # begins, because without friction no force told its direction.
-    direction_known = was_stick | (resting & ~brief)
-    turned = jnp.where(direction_known, model.release_sign(inputs, on_base), -lane.sign)
+    # A mass that is not at rest at the event slips on, and friction reverses; so it does if a slip ends as it begins.
+    turned = jnp.where(was_stick | (resting & ~brief), model.release_sign(inputs, on_base), -lane.sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
     goes_on = was_stick & ~jumped
-    eps = jnp.finfo(lane.t.dtype).eps
-    at_limit = goes_on & (guard >= -(2 * NOISE_ULPS * eps + _CLOCK_ULPS * eps * lane.t * jnp.abs(guard_rate)))
+    at_limit = goes_on & _is_not_below(guard, guard_rate, lane.t)
     resolved_y, resolved_sign = _resolve_mode(model, inputs, lane.y, resting | goes_on, at_limit)
     resolve = ended & ~slipping
     sign = jnp.where(resolve, resolved_sign, sign)
@@ -334,6 +331,11 @@ def _stick_guard(model, inputs, on_base) -> tuple[FloatArray, FloatArray]:
     """The guard of a stick, and its time derivative, now."""
     none = jnp.zeros_like(on_base[0])
     return model.guard(inputs, none, on_base, none)
+
+
+def _is_not_below(guard: FloatArray, guard_rate: FloatArray, t: FloatArray) -> BoolArray:
+    """Whether the guard of a stick is not below zero, but for its own round-off and that of the time."""
+    return guard >= -jnp.finfo(t.dtype).eps * (2 * NOISE_ULPS + _CLOCK_ULPS * t * jnp.abs(guard_rate))
 
 
 def _on_edge(edge: FloatArray) -> BoolArray:

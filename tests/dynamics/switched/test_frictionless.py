@@ -79,4 +79,4 @@ def test_ensembles_and_intervals_do_not_stick():
     law, run = ss.PoissonSwitching(0.5, 1.0), {"t1": 20.0, "y0": (0.0, 0.5)}
     for method in (ss.Exact(), ss.Exact(step=0.1)):
         many = ss.simulate_ensemble(system_of(), law, samples=16, key=jax.random.key(0), method=method, **run)
-        assert (many.finished, float(many.mean_number_of_sticks.value)) == (16, 0)
+        assert (many.finished, float(many.statistics.stick_count.mean)) == (16, 0)
