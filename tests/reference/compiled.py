@@ -2,8 +2,8 @@
 
 ``m x'' + c x' + k x = F(t) - side n mu(|v_rel|)`` with any damping. Base velocity and force are sums of tones and of
 parts that are linear between breaks. Slips under constant friction are written by the two roots of the characteristic
-polynomial, and the response to a tone by its complex stiffness; under other laws each step is one of Radau IIA with five
-stages (order 9, stiffly accurate), halved until two half steps agree with the whole to 1e-13. Events: a step's
+polynomial, and the response to a tone by its complex stiffness; under other laws each step is one of Radau IIA with
+five stages (order 9, stiffly accurate), shortened until two half steps agree with the whole to 1e-13. Events: a step's
 ends are no more than a 40th of the shortest period apart and crowd towards the beginning of each arc; between them
 lies an event where the gap changes its sign, or where its slope does and the minimum found by bisection is negative.
 
@@ -13,8 +13,12 @@ lies an event where the gap changes its sign, or where its slope does and the mi
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
+
+try:
+    import numba
+except ImportError:  # there is none for the newest versions of Python: the loops then run, slowly, as they are written
+    numba = None
 
 RELEASED, BASE_SWITCHED, HORIZON = 0, 1, 2  # as the codes of `ss.Ending`
 CONSTANT, WEAKENING, STRIBECK, HUMP = range(4)
@@ -67,7 +71,7 @@ class Found(NamedTuple):
     crossings: int
 
 
-compiled = numba.njit(cache=True, error_model="numpy")
+compiled = (lambda function: function) if numba is None else numba.njit(cache=True, error_model="numpy")
 
 
 @compiled
@@ -129,7 +133,7 @@ def answer(of, t):
 
 @compiled
 def rotation(of, h):
-    """Cosine and sine of a free vibration that is damped, ``x = cosine x0 + sine v0``; ``1 - cosine``, and ``sine'``."""
+    """Of a free vibration ``x = cosine x0 + sine v0`` that is damped: cosine, sine, ``1 - cosine``, and ``sine'``."""
     beta, square = of.damping / (2 * of.mass), of.stiffness / of.mass
     inside = (beta - math.sqrt(square)) * (beta + math.sqrt(square))
     if inside > 0:
@@ -146,7 +150,7 @@ def rotation(of, h):
 
 
 @compiled
-def collocate(of, piece, t, x, v, side, h):
+def collocate(of, piece, t, x, v, side, h):  # noqa: PLR0912 - elimination written out
     """One step of Radau IIA under any friction law; a velocity that is not finite where Newton's iteration fails."""
     m, k, c, n = of.mass, of.stiffness, of.damping, of.normal_force
     rates, matrix, rest = np.zeros(STAGES), np.empty((STAGES, STAGES)), np.empty(STAGES)
@@ -174,8 +178,8 @@ def collocate(of, piece, t, x, v, side, h):
             for j in range(i + 1, STAGES):
                 share = matrix[j, i] / matrix[i, i]
                 rest[j] -= share * rest[i]
-                for l in range(i, STAGES):
-                    matrix[j, l] -= share * matrix[i, l]
+                for column in range(i, STAGES):
+                    matrix[j, column] -= share * matrix[i, column]
         change = 0.0
         for i in range(STAGES - 1, -1, -1):
             for j in range(i + 1, STAGES):
@@ -321,14 +325,14 @@ def follow(of, piece, t, end, x, v, side, longest):
 def side_of(of, piece, t, x, v, end, longest):
     """The sign of ``x' - v`` in what follows, 0 for a stick; and how far the force is from its limit, relatively."""
     base = driven(of, piece, t)[0]
-    relative, slope, scale = gap(of, piece, t, x, v, 1)
+    relative, _, scale = gap(of, piece, t, x, v, 1)
     if abs(relative) > FLOOR * scale:
         return (1 if v > base else -1), math.inf
-    margin, slope, band = gap(of, piece, t, x, base, 0)
+    margin, _, band = gap(of, piece, t, x, base, 0)
     apart = abs(margin) / band if band > 0 else math.inf
     if abs(margin) <= FLOOR * band:  # on the edge, a little later decides
         h = min(end - t, 1e-6 * longest)
-        margin, slope, _ = gap(of, piece, t + h, x + travel(of, piece, t, h), 0.0, 0)
+        margin = gap(of, piece, t + h, x + travel(of, piece, t, h), 0.0, 0)[0]
     _, a, _, force, _ = driven(of, piece, t)
     needed = of.mass * a + of.damping * base + of.stiffness * x - force
     return (0 if margin >= -FLOOR * band else (-1 if needed > 0 else 1)), apart
@@ -341,7 +345,7 @@ def noted(sticks, number, start, end, position, ending):
 
 
 @compiled
-def simulate(of, room):
+def simulate(of, room):  # noqa: PLR0912 - one loop over the events
     """All sticks, and the state at t1. `room`: the largest number of sticks, and of events."""
     sticks, number, crossings, close = np.empty((room, 4)), 0, 0, math.inf
     fastest = math.sqrt(of.stiffness / of.mass)

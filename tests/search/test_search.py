@@ -6,7 +6,7 @@ What that means: `support/search.py`. About 10,000 set-ups in all, in batches th
 import jax
 import numpy as np
 import pytest
-from support.search import Batch, Case, compared, follow, judged, single
+from support.search import Batch, Case, follow, judged, single
 from support.search_cases import FAMILIES, drawn, switching
 from support.search_scales import in_units, random_units, same_in_units
 from support.search_ties import first_release, tie

@@ -1,13 +1,13 @@
 """The random search: set-ups in batches through the package, one by one through the reference, and the comparison.
 
 A result is *silently wrong* where it differs from the reference by more than its bound although its status is FINISHED
-and its near-grazing count is 0. The bound is what round-off may do: `ULPS` units in the last place of every number of
-the set-up and of every event, times how much the reference itself moves when the start does (`_amplification`). Where
-the reference is so near another outcome (`Found.close`) that such round-off decides, the package must still be right or tell.
+and its near-grazing count is 0. The bound is a least error, or some units in the last place where these are more, times
+how far the reference itself moves when start, load and stiffness do (`amplification`). Where the reference is so near
+another outcome that round-off decides (`Found.close`), the package must still be right, or tell.
 """
 
 import math
-from functools import lru_cache, partial
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from reference import compiled
 from reference.compiled import Found, Numbers
 
 import stickslip_jax as ss
-from support.switched import Case, Jumping, Line, Shaking, Steps, Tones
+from support.switched import Case, Jumping, Line, Shaking, Tones
 
 ROOM = 128  # sticks of one set-up
 
@@ -108,13 +108,16 @@ def _coefficients(law: Any) -> np.ndarray:
         "VelocityWeakening": ("mu_static", "weakening"),
         "Stribeck": ("mu", "mu_static", "stribeck_speed", "viscous"),
     }
-    holder, fields = (law, names.get(type(law).__name__)) if type(law).__name__ in names else (
-        law.curve, ("low", "fall", "scale", "rise"))
+    holder, fields = (
+        (law, names.get(type(law).__name__))
+        if type(law).__name__ in names
+        else (law.curve, ("low", "fall", "scale", "rise"))
+    )
     return np.array([float(getattr(holder, name)) for name in fields])
 
 
 def numbers_of(case: Case, dtype=np.float64) -> Numbers:
-    """The set-up as the compiled reference takes it; a start within round-off of the base velocity is made equal to it."""
+    """The set-up as the compiled reference takes it; a start within round-off of the base velocity is put on it."""
     edges = [0.0, *case.breaks, case.t1]
     pieces = []
     for t, end in pairwise(edges):

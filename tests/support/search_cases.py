@@ -1,4 +1,4 @@
-"""Random set-ups of the search, by kind (what program follows them) and family (what is special about their numbers)."""
+"""Random set-ups of the search, by kind (what program follows them) and family (what is special in their numbers)."""
 
 import math
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from support.switched import Case, Jumping, Line, Rub, Shaking, Steps, Tones, coulomb, random_case
+from support.switched import Case, Jumping, Line, Shaking, Steps, Tones, coulomb, random_case
 
 
 def _rescaled(part: Any, factor: float) -> Any:
@@ -35,10 +35,7 @@ def damped(source: np.random.Generator, case: Case) -> Case:
     """Damping ratios of 0.01 to 10,000; half of the time with friction and force as large as the damping force."""
     ratio = 10 ** source.uniform(-2, 4)
     grown = max(1.0, ratio / 3) if source.random() < 0.5 else 1.0
-    if isinstance(case.base, Shaking):
-        base = _rescaled(case.base, grown)
-    else:
-        base = case.base
+    base = _rescaled(case.base, grown) if isinstance(case.base, Shaking) else case.base
     damping = 2 * math.sqrt(case.mass * case.stiffness) * ratio
     force = _rescaled(case.force, grown)
     return case._replace(damping=damping, normal_force=case.normal_force * grown, base=base, force=force)
@@ -92,7 +89,7 @@ def _different(values: list[float], unit: float) -> tuple[float, ...]:
 
 def _lattice_line(source: np.random.Generator, line: Line, unit: float, tick: float) -> Line:
     """A record whose times and values lie on lattices, with flat, triangular or random pieces."""
-    count, largest = len(line.times), max(max(map(abs, line.values)), unit)
+    count, largest = len(line.times), max(*map(abs, line.values), unit)
     times = np.cumsum(np.concatenate([[0], np.maximum(np.round(np.diff(line.times) / tick), 1)])) * tick
     top = _on(largest * source.uniform(0.3, 1), unit) or unit
     pattern = source.integers(3)
@@ -108,14 +105,16 @@ def _lattice_line(source: np.random.Generator, line: Line, unit: float, tick: fl
 
 def lattice(source: np.random.Generator, case: Case) -> Case:
     """All numbers are multiples of 2^-2 to 2^-6; records are flat or triangular in part; half of the starts at rest."""
-    unit = tick = 2.0 ** -source.integers(2, 7)
+    unit = tick = 2.0 ** -int(source.integers(2, 7))
 
     def whole(part: Any) -> Any:
         if part is None:
             return None
         if isinstance(part, Tones):
             on = lambda values, least: tuple(max(_on(v, unit), least) for v in values)  # noqa: E731
-            return Tones(on(part.amplitudes, 0.0), on(part.frequencies, unit), on(part.phases, 0.0), _on(part.offset, unit))
+            return Tones(
+                on(part.amplitudes, 0.0), on(part.frequencies, unit), on(part.phases, 0.0), _on(part.offset, unit)
+            )
         if isinstance(part, Steps):
             durations = tuple(max(_on(d, tick), tick) for d in part.durations)
             last = max(durations[-1], tick * math.ceil((case.t1 * 1.05 - sum(durations[:-1])) / tick))

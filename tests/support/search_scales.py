@@ -9,7 +9,7 @@ import numpy as np
 
 import stickslip_jax as ss
 from support.search import Batch
-from support.switched import Case, Jumping, Line, Rub, Steps, Tones, coulomb, hump, stribeck, weakening
+from support.switched import Case, Jumping, Rub, Steps, Tones, coulomb, hump, stribeck, weakening
 
 
 class Units(NamedTuple):
@@ -24,7 +24,10 @@ def random_units(source: np.random.Generator, dtype=np.float64) -> Units:
     """Powers of two from 2^-30 to 2^20; where numbers have 8 bits for the exponent, products must stay within 2^126."""
     while True:
         mass, length, time = source.integers(-30, 21, 3).tolist()
-        if dtype == np.float64 or max(abs(mass + n * length + q * time) for n in (0, 1, 2) for q in (0, -1, -2, -4)) < 50:
+        if (
+            dtype == np.float64
+            or max(abs(mass + n * length + q * time) for n in (0, 1, 2) for q in (0, -1, -2, -4)) < 50
+        ):
             return Units(2.0**mass, 2.0**length, 2.0**time)
 
 

@@ -1,8 +1,8 @@
 """Ties with the friction limit in exact arithmetic: sticks on records whose numbers are multiples of 2^-k.
 
 In a stick the force that friction must give is a quadratic function of time between two vertices of the record, with
-rational coefficients. The limit is put exactly on the largest force that is needed at a vertex up to some instant: so at
-that vertex the force touches the limit and turns back, which is no release, or goes through it.
+rational coefficients. The limit is put exactly on the largest force that is needed at a vertex up to some instant: so
+at that vertex the force touches the limit and turns back, which is no release, or goes through it.
 """
 
 from fractions import Fraction
