@@ -1,7 +1,8 @@
 """The random search over derivatives of the first three orders, in exact motion with events.
 
 The first derivative is compared with differences of the compiled reference, each further one with differences of the
-one before. Differences are taken at two distances: how far they disagree is the bound, and a share for round-off. Where the sequence of events changes in between there is no derivative to compare.
+one before. Differences are taken at two distances: how far they disagree is the bound, and a share for round-off.
+Where the sequence of events changes in between there is no derivative to compare.
 """
 
 from functools import partial
@@ -72,7 +73,7 @@ def differences(function, size: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "orders"), [("harmonic", 3), ("steps", 2), ("record", 2), ("weakening", 2)])
+@pytest.mark.parametrize(("kind", "orders"), [("harmonic", 3), ("steps", 2), ("record", 2)])
 def test_orders(kind, orders):
     cases = [case._replace(t1=case.t1 / 3) for case in drawn(kind, "everyday", NUMBER)]
     kept = []
@@ -87,12 +88,11 @@ def test_orders(kind, orders):
     def evaluated(order, theta):
         return np.asarray(by_order[order](parts, np.tile(theta, (len(kept), 1))))
 
-    lower = [
-        lambda theta: np.stack([_exact(case, theta)[0] for case in kept]),
-        partial(evaluated, 1),
-        partial(evaluated, 2),
-    ]
-    for order in (1, 2, 3):
+    def by_reference(theta):
+        return np.stack([_exact(case, theta)[0] for case in kept])
+
+    lower = [by_reference, partial(evaluated, 1), partial(evaluated, 2)]
+    for order in range(1, orders + 1):
         found = evaluated(order, np.zeros(3))
         near, far = (differences(lower[order - 1], size) for size in (FAR / 4, FAR / 2))
         better = (4 * near - far) / 3
