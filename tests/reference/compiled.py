@@ -7,11 +7,13 @@ five stages (order 9, stiffly accurate), shortened until two half steps agree wi
 ends are no more than a 40th of the shortest period apart and crowd towards the beginning of each arc; between them
 lies an event where the gap changes its sign, or where its slope does and the minimum found by bisection is negative.
 
-`event_driven.py` is slower and shares nothing with this file; `test_compiled.py` compares them.
+`event_driven.py` is slower and shares nothing with this file; `tests/search/test_quick.py` compares them.
 """
 
 import math
-from typing import NamedTuple
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,7 +73,11 @@ class Found(NamedTuple):
     crossings: int
 
 
-compiled = (lambda function: function) if numba is None else numba.njit(cache=True, error_model="numpy")
+def compiled(function: Any) -> Any:
+    """`function` compiled by Numba; where there is none, for the newest Python, it runs slowly as it is written."""
+    if find_spec("numba") is None:
+        return function
+    return import_module("numba").njit(cache=True, error_model="numpy")(function)
 
 
 @compiled

@@ -73,7 +73,7 @@ def differences(function, size: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "orders"), [("harmonic", 3), ("steps", 2), ("record", 2), ("weakening", 2)])
+@pytest.mark.parametrize(("kind", "orders"), [("harmonic", 3), ("steps", 2), ("record", 2)])
 def test_orders(kind, orders):
     cases = [case._replace(t1=case.t1 / 3) for case in drawn(kind, "everyday", NUMBER)]
     kept = []
