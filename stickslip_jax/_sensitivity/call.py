@@ -74,8 +74,9 @@ def sensitivity(
       ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
 
     The method: docs/sensitivity.md. Where static friction exceeds kinetic friction (`mu_static`), a stick that appears
-    changes all later motion; there the event part comes from pairs of trajectories with the parameter changed up and
-    down by `relative_bandwidth`, and the same random numbers.
+    changes all later motion, and a `MotorCart` that nearly stops may creep on or run away; there the event part comes
+    from pairs of trajectories with the parameter changed up and down by `relative_bandwidth`, and the same random
+    numbers.
 
     Returns a `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the
     event part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
@@ -115,7 +116,7 @@ def _corrected(
     require_precision(problem)
     require_correctable(problem)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
-    if problem.has_sudden_switches:
+    if problem.is_paired:
         bandwidths = widest * np.array(PAIRED_WINDOWS)
         accumulator, columns = differenced(problem, pilot, bandwidths, with_pathwise=True)
     elif problem.is_counted:
