@@ -210,7 +210,7 @@ def test_corrected_at_twelve_points():
 
 @pytest.mark.slow
 def test_cart_that_nearly_stops(monkeypatch):
-    """At mu = 0.45 sticks a tenth of a second long are born within 0.05 % of mu. Count and pooled duration by mu against
+    """At mu = 0.45 sticks of a tenth of a second are born within 0.05 % of mu. Count and pooled duration by mu against
     plain differences of ensembles with other random numbers, at two steps, with the guard against windows that disagree
     switched off.
     """
