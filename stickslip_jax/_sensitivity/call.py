@@ -68,11 +68,12 @@ def sensitivity(
     - `step`: that of the differences, relative to the parameter's value; by default `relative_bandwidth`, or a quarter
       of it where the two disagree. The bias is of order ``step^2``.
     - `relative_bandwidth`: width of the corrected estimator's kernel, as a relative change of the parameter: a stick
-      counts as about to appear or vanish if that change, to first order, moves its margin through zero. By default
-      ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
+      counts as about to appear or vanish if it moves its margin through zero. By default ``0.005 (sticks /
+      10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
 
-    The method: docs/sensitivity.md. With `mu_static` a stick that appears changes all later motion; there the event
-    part comes from pairs of trajectories with the parameter changed up and down by `relative_bandwidth`.
+    The method: docs/sensitivity.md. With `mu_static` a stick that appears changes all later motion, and a `MotorCart`
+    that nearly stops may run away: there the event part comes from pairs of trajectories with the parameter changed up
+    and down by `relative_bandwidth`.
 
     Returns a `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the
     event part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
@@ -84,8 +85,7 @@ def sensitivity(
         statistic, system, law, wrt, t1, samples, key, y0, method=method, threads=threads, chunk=chunk
     )
     asked = estimator or _asked_for(step, relative_bandwidth)
-    if isinstance(method, Regularized):
-        _require_differences(asked, method)
+    _require_differences(asked, method)
     if (asked or _cheaper(problem)) == "finite-difference":
         results = _by_differences(problem, pilot, elasticity, step)
     else:
@@ -110,9 +110,9 @@ def _cheaper(problem: Problem) -> str:
     return "corrected" if problem.by_intervals or by_steps else "finite-difference"
 
 
-def _require_differences(estimator: str | None, method: Regularized) -> None:
-    """Raise ValueError where the corrected method is asked for, which looks for events that are exact."""
-    if estimator == "corrected":
+def _require_differences(estimator: str | None, method: Exact | Regularized) -> None:
+    """Raise ValueError where the corrected method is asked of regularised dynamics: it looks for events that are exact."""
+    if isinstance(method, Regularized) and estimator == "corrected":
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here), and relative_bandwidth left out, with "
             f"regularised dynamics, but method={_checks.show(method)} was given: a stick is a time below a threshold "
@@ -126,7 +126,7 @@ def _corrected(
     require_precision(problem)
     require_correctable(problem)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
-    if problem.has_sudden_switches:
+    if problem.is_paired:
         bandwidths = widest * np.array(PAIRED_WINDOWS)
         accumulator, columns = differenced(problem, pilot, bandwidths, with_pathwise=True)
     elif problem.is_counted:

@@ -55,7 +55,7 @@ def differentiable(
     require_correctable(problem)
     rows, bandwidth = -(-problem.samples // _LANES), relative_bandwidth_of(problem, pilot)
     means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, rows)
-    estimate = _ratio(means, bandwidth if problem.has_sudden_switches else None)
+    estimate = _ratio(means, bandwidth if problem.is_paired else None)
     number = len(problem.parameters)
 
     def of(values: Any) -> Array:
@@ -112,7 +112,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
     """Means by the engines that count sticks."""
     assert isinstance(problem.statistic, OfTotals)
     # One window, the widest: comparing several is not possible inside a compiled function.
-    engine = counting_engine(problem, pilot, np.array([] if problem.has_sudden_switches else [bandwidth]))
+    engine = counting_engine(problem, pilot, np.array([] if problem.is_paired else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = counting_paths(problem)
     own = problem.own_leaves(0, rows * _LANES)
@@ -138,7 +138,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
 def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
     """Means by recorded stick sequences."""
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
-    buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.has_sudden_switches else 2 * buffer.edges)
+    buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.edges)
     bandwidths = np.array([bandwidth])
     own = tuple(jnp.asarray(column) for column in problem.own_leaves(0, rows * _LANES))
 

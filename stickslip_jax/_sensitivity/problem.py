@@ -92,6 +92,12 @@ class Problem(NamedTuple):
         return self.system.holds_more
 
     @property
+    def is_paired(self) -> bool:
+        """Whether the event part is a difference between pairs of trajectories, because kernels would not find it."""
+        by_kernels = self.is_blind_to_events or not self.system.stops_are_unstable
+        return self.has_sudden_switches or not by_kernels
+
+    @property
     def is_counted(self) -> bool:
         """Whether the totals of each realisation are enough, so that no stick need be recorded."""
         return self.statistic.is_of_totals

@@ -25,10 +25,8 @@ from .edges import Edges, Number
 
 _NOISE = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off
 _FAR = 0.5  # of the guard's scale: beyond the width of any kernel
-# Search along a flow: the first and last of `SwitchedModel.steps_to_turn` increments in time steps, then a number of
-# refinements between the last two places.
-_STEPS, _TRIES = (0.5, 1.5), 5
-_SETTLED = 1e-4  # time steps: sides as close as this are not refined, so that two are left for the slope between them
+# Search along a flow: increments in time steps, then a number of refinements between the last two places.
+_STEPS, _TRIES = np.linspace(0.5, 1.5, 12), 5
 _JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
 
 
@@ -88,17 +86,13 @@ class _Look(NamedTuple):
     slope: FloatArray
 
 
-def crossed_at(model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, moment: Moment) -> FloatArray:
+def crossed_at(segment_laws: SegmentLaws, t1: FloatArray, moment: Moment) -> FloatArray:
     """`Moment.crossed` for the step after `moment`."""
     ends = [
         (law.jumps, segment_state.segment.end)
         for law, segment_state in zip(segment_laws.all, moment.segment_states, strict=True)
     ]
     crosses = (moment.sign != 0) & (moment.sign_end == -moment.sign) & (moment.end < _stop(t1, moment))
-    inputs = model.inputs(moment.t, segment_laws.segments(moment.segment_states))
-    left, _ = model.approach(inputs, moment.end - moment.t, moment.y_end, moment.sign, moment.y)
-    noise = _NOISE[left.dtype.itemsize] * model.guard_scale(inputs, moment.y, moment.sign)
-    crosses = crosses & (jnp.abs(left) < noise)  # else friction reverses, and the motion goes on
     jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(moment.end >= end for jumps, end in ends if jumps)]))
     goes_on = (moment.sign_end == moment.sign) & ~jumped
     return jnp.where(crosses, moment.end, jnp.where(goes_on, moment.crossed, -1))
@@ -163,7 +157,7 @@ def _step_seen(
     inputs = model.inputs(moment.t, segment_laws.segments(moment.segment_states))
 
     def measured(tau, y):
-        s, d = model.approach(inputs, tau, y, moment.sign, moment.y)
+        s, d = model.guard(inputs, tau, y, moment.sign)
         return s, d, *_measure(s, d, tau + _lag(moment), _after_crossing(moment))
 
     s, d, q, dq = jax.vmap(measured)(*_stacked((jnp.zeros_like(tau), moment.y), (tau, moment.y_end)))
@@ -241,21 +235,16 @@ def _places(
             to = jnp.where(jnp.isnan(share), first, to)
             inputs = model.inputs(t0 + before.tau, segments)
             ahead = _flow(model, inputs, y, to - before.tau, sign)
-            value = goal(to, *model.approach(inputs, to - before.tau, ahead, sign, y0))
+            value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
             # A goal that is positive at the first place has no zero after it.
             new, is_before = _Side(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
-            unsettled = ~(before.found & after.found & (after.tau - before.tau < _SETTLED * step))
-            after = _replaced(after, new, unsettled & ~is_before)
-            return (
-                _replaced(before, new, unsettled & is_before),
-                after,
-                _either(unsettled & is_before, ahead, y),
-            ), None
+            before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
+            return (before, after, _either(is_before, ahead, y)), None
 
         none, no, yes = jnp.zeros_like(step), jnp.zeros((), bool), jnp.ones((), bool)
         inside = one_step.dips & ~is_across
         ends = _Side(none, -(none + 1), none + 1, no), _Side(one_step.tau, one_step.rise, none + 1, inside & yes)
-        shares = jnp.asarray([np.nan, *np.linspace(*_STEPS, model.steps_to_turn), *[0.0] * _TRIES], step.dtype)
+        shares = jnp.asarray([np.nan, *_STEPS, *[0.0] * _TRIES], step.dtype)
         (before, after, _), _ = lax.scan(go_on, (*ends, y0), shares)
         length = after.tau - before.tau
         rate = (after.value - before.value) / jnp.where(length > 0, length, 1)
@@ -290,7 +279,7 @@ def _replaced(side: _Side, new: _Side, by_new: BoolArray) -> _Side:
 def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -> _Look:
     """Time, state and guard at the places `tau` (2,) on both flows, with their derivatives."""
     # A solver must not be given steps longer than its limit.
-    steps = 1 if model.steps_may_be_long else model.steps_to_turn
+    steps = 1 if model.steps_may_be_long else len(_STEPS)
 
     def look(t0, y0, sign, tau):
         length = tau / steps
@@ -301,7 +290,7 @@ def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -
             return (t + length, _flow(model, model.inputs(t, segments), y, length, sign)), None
 
         (t, y), _ = lax.scan(go_on, (t0, y0), None, length=steps)
-        return _Look(t, y, *model.approach(model.inputs(t, segments), jnp.zeros_like(t), y, sign, y0))
+        return _Look(t, y, *model.guard(model.inputs(t, segments), jnp.zeros_like(t), y, sign))
 
     t0, y0, sign = start
     return jax.vmap(look)(t0, y0, sign, lax.stop_gradient(tau))

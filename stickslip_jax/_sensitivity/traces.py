@@ -111,7 +111,7 @@ class TracedSteps(Engine):
         if not self.with_edges:
             return StepMotion(moved, crossed), Trace(stick, None, None)
         moment = Moment.of(lane, moved, crossed)
-        following = crossed_at(model, shared.segment_laws, shared.t1, moment)
+        following = crossed_at(shared.segment_laws, shared.t1, moment)
         return StepMotion(moved, following), Trace(stick, moment, may_be_near(model, *shared, moment))
 
     def edges(self, samples: Sample, moments: Moment) -> Edges:

@@ -25,9 +25,10 @@ from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .friction import FrictionLaw, times_of_slips
+from .own import is_own
 from .resonance import check_no_resonance, steady_response
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
-from .system import PERIOD, Coordinate, StepCount, System, TimeScale, shortest_period
+from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
@@ -122,10 +123,12 @@ class MassSpring(System):
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
-        return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
+        # A solver of one's own takes the steps it is given, unless the friction law is one's own too.
+        controlled = solver is None or not is_own(self)
+        return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
-        steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED
+        steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED if solver is None else SOLVED
         natural = 2 * math.pi * (self.mass / self.stiffness) ** 0.5
         force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
         passing, decay = times_of_slips(self.friction, self.mass, self.normal_force, self.damping)
@@ -349,6 +352,7 @@ class SolverOscillatorModel(OscillatorModel):
     """An `OscillatorModel` whose slips are integrated by `solver`: any friction law, any smooth force."""
 
     solver: ExplicitSolver
+    controlled: bool = eqx.field(static=True)
     steps_may_be_long: ClassVar[bool] = False
 
     def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
@@ -358,6 +362,8 @@ class SolverOscillatorModel(OscillatorModel):
         self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
     ) -> tuple[State, FloatArray | None]:
         y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        if not self.controlled:
+            return y1, None
         m, k, c = self._constants()
         none = jnp.zeros_like(h)
         rub = self._coefficient(sign * self.relative_velocity(inputs, none, y)) * self.system.normal_force

@@ -12,7 +12,7 @@ a linear invariant, which a Runge-Kutta method conserves exactly and an exponent
 """
 
 import math
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -71,6 +71,11 @@ class MotorCart(System):
     equation: Annotated[
         str, Choice(("physical", "printed"), "physical, or as printed in the paper (its units do not match)")
     ] = eqx.field(static=True, default="physical")
+
+    @property
+    def stops_are_unstable(self) -> bool:
+        # Friction holds the less, the nearer to dead centre.
+        return True
 
     @property
     def largest_friction_torque(self) -> Scalar:
@@ -212,8 +217,6 @@ class CartInputs(NamedTuple):
 class CartModel(SwitchedModel):
     """A `MotorCart` under a `SourceVoltage`."""
 
-    # Steps are short beside the mechanical time constant; how near the motor stops follows the slower voltage.
-    steps_to_turn: ClassVar[int] = 48
     system: MotorCart
     smooth: SourceVoltage
 
@@ -269,18 +272,6 @@ class CartModel(SwitchedModel):
         sticking = sign == 0
         guard = jnp.where(sticking, 1 - share * share, sign * sine * y[1])
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
-
-    def approach(
-        self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray, start: State
-    ) -> tuple[FloatArray, FloatArray]:
-        # In a slip the angular velocity, positive in the direction in which the slip began: unlike the guard, it passes
-        # dead centre unchanged. There (sine 0) the velocity tells that direction; from rest (velocity 0) the sign does.
-        sine, _ = sincos(start[0])
-        fast = jnp.abs(start[1]) > self.guard_scale(inputs, (start[0], 0 * tau, start[2]), sign) * jnp.abs(sine)
-        ahead = jnp.sign(jnp.where(fast, start[1], sign * sine))
-        _, turn, _ = self.rates(inputs, tau, y, sign)
-        guard, slope = self.guard(inputs, tau, y, sign)
-        return jnp.where(sign == 0, guard, ahead * y[1]), jnp.where(sign == 0, slope, ahead * turn)
 
     def guard_scale(self, inputs: CartInputs, y: State, sign: FloatArray) -> FloatArray:
         ideal = (jnp.abs(self.smooth.mean) + jnp.abs(self.smooth.amplitude)) / self.system.motor_constant

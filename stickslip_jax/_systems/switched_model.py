@@ -36,11 +36,9 @@ class SwitchedModel(eqx.Module):
     """A system under its excitation. `inputs` is what `inputs(t, segments)` returned, `tau` (s) the time since that t.
 
     `steps_may_be_long`: whether `slip` and `stick` are as exact over a long time as over a short step.
-    `steps_to_turn`: in how many time steps a slip that is continued beyond its end turns round, where it hardly ended.
     """
 
     steps_may_be_long: ClassVar[bool] = False
-    steps_to_turn: ClassVar[int] = 12
 
     @abc.abstractmethod
     def inputs(self, t: FloatArray, segments: Segments) -> Any:
@@ -81,16 +79,6 @@ class SwitchedModel(eqx.Module):
         In a slip: ``sign`` times the relative velocity. In a stick (`sign` 0): ``1 - (f / f_max)^2``, where f is the
         friction force needed and f_max the largest one.
         """
-
-    def approach(
-        self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray, start: State
-    ) -> tuple[FloatArray, FloatArray]:
-        """The guard and its time derivative, of a slip in a form that is zero only at rest and else stays away from it.
-
-        Where the guard also passes zero as the direction of friction reverses with the motion going on, a slip that
-        nearly comes to rest shows no minimum of the guard; it shows one here. `start`: the state at `tau` 0.
-        """
-        return self.guard(inputs, tau, y, sign)
 
     @abc.abstractmethod
     def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:

@@ -115,6 +115,14 @@ class System(Checked):
         return False
 
     @property
+    def stops_are_unstable(self) -> bool:
+        """Whether friction changes with the position of a stop, so that a near stop may grow into motion of any size.
+
+        How near it was then follows a parameter too unevenly for first-order margins (docs/sensitivity.md).
+        """
+        return False
+
+    @property
     def recorded_loads(self) -> tuple[Recorded, ...]:
         """External forces that are piecewise linear in time."""
         return ()

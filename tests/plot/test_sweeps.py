@@ -78,7 +78,7 @@ def test_stick_fraction_curve_of_distributions_has_a_band_of_realizations(many, 
     own.sort()
     assert own[8] <= low <= own[11]
     assert own[-12] <= high <= own[-9]
-    assert texts(ax) == ["90 % of the realisations", "mean"]
+    assert texts(ax) == ["mean", "90 % of the realisations"]
 
 
 def test_stick_fraction_curve_of_estimates_has_a_band_of_the_mean(many, single):
@@ -87,7 +87,7 @@ def test_stick_fraction_curve_of_estimates_has_a_band_of_the_mean(many, single):
     for x, estimate in zip((1.0, 3.0), given, strict=True):
         assert band_of(ax)[x] == pytest.approx(100 * np.array(estimate.interval(0.8)))
     assert line(ax, "Poisson").get_ydata() == pytest.approx([100 * estimate.value for estimate in given])
-    assert texts(ax) == ["80 % confidence interval of the mean", "Poisson"]
+    assert texts(ax) == ["Poisson", "80 % confidence interval of the mean"]
     assert ax.get_xlabel() == "speed (m/s)"
     # A second curve has another colour. One sample has no interval, none at all no mean.
     nothing = Estimate("stick fraction", math.nan, math.nan, "1", 0)

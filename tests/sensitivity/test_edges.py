@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
 from stickslip_jax._inputs.numbers import with_numbers
@@ -19,7 +18,6 @@ from stickslip_jax._sensitivity.random_inputs import inside, over
 from stickslip_jax._sensitivity.runs import Accumulator, derivatives_of
 from stickslip_jax._sensitivity.statistic import StickSequence
 from stickslip_jax._sensitivity.traces import traced
-from stickslip_jax._systems.switched_model import Segments
 
 LANES = 512
 
@@ -160,51 +158,6 @@ def test_slip_of_no_length():
     np.testing.assert_allclose(sequences._jump_of_slip(parts, two, jnp.array(2.0), jnp.array(True)), joined)
     for time, exists in ((3.0, False), (7.0, True), (3.0, True)):
         np.testing.assert_array_equal(sequences._jump_of_slip(parts, two, jnp.array(time), jnp.array(exists)), 0)
-
-
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_cart_that_nearly_stops_before_dead_centre(way):
-    """Dead centre hides the minimum from the guard ``+-sin(angle) angular velocity``, which falls all the way there.
-    The margin's measure has it, at the time and of the size that Radau finds, and passes dead centre unchanged. The
-    mirror image of the motion has the same.
-    """
-    system, voltage = ss.MotorCart(mu=0.45), ss.SourceVoltage(way * 1.0, way * 0.5, 10.0, 3.8)
-    held, inertia = 0.45 * 5.0 * 9.81 * 0.01, 5.0 * 0.01**2
-
-    def rates(t, y):
-        sine, cosine = np.sin(y[0]), np.cos(y[0])
-        torque = 5.33e-2 * y[2] - 1.545e-4 * y[1] - way * held * abs(sine) - inertia * sine * cosine * y[1] ** 2
-        volts = way * (1.0 + 0.5 * np.sin(10.0 * t + 3.8))
-        return [
-            y[1],
-            torque / (1.21e-4 + inertia * sine**2),
-            (volts - 0.307 * y[2] - 5.33e-2 * y[1]) / 1.88e-4,
-        ]
-
-    found = solve_ivp(
-        rates, (0.0, 0.12), [-way * 0.143 * np.pi, way * 3.73, way * 1.718], "Radau", rtol=1e-9, atol=1e-11,
-        t_eval=np.linspace(0, 0.12, 241)[1:]
-    )  # fmt: skip
-    t, (angle, velocity, _) = found.t, found.y
-    sign = np.sign(way * np.sin(angle))
-    model, nothing = system.switched_model(voltage, None), Segments((), (), ())
-
-    def along(of):
-        return jax.vmap(lambda t, y, sign: of(model.inputs(t, nothing), jnp.zeros_like(t), tuple(y), sign))(
-            t, found.y.T, sign
-        )
-
-    value, slope = along(lambda inputs, tau, y, sign: model.approach(inputs, tau, y, sign, y))
-    guard, guard_slope = along(model.guard)
-    least, center = np.argmin(way * velocity), np.argmax(sign != sign[0])
-    assert 10 < least < center - 10
-    assert way * velocity[least] > 1
-    np.testing.assert_allclose(value, way * velocity)
-    np.testing.assert_allclose(slope, [way * rates(*at)[1] for at in zip(t, found.y.T, strict=True)], rtol=1e-6)
-    assert np.all(slope[: least - 1] < 0)
-    assert np.all(slope[least + 1 : center + 5] > 0)
-    assert np.all(guard_slope[:center] < 0)
-    assert np.all(np.asarray(guard) > 0)
 
 
 def test_fall_inside_a_step():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._sensitivity import windows
 from stickslip_jax._sensitivity.estimators import counted, recorded
 from stickslip_jax._sensitivity.first_look import problem_of
 
@@ -205,6 +206,47 @@ def test_corrected_at_twelve_points():
         scores.append(z_score(corrected, differences))
     assert max(map(abs, scores)) < 4, scores
     assert sum(abs(score) > 3 for score in scores) < 2, scores
+
+
+@pytest.mark.slow
+def test_cart_that_nearly_stops(monkeypatch):
+    """At mu = 0.45 sticks of a tenth of a second are born within 0.05 % of mu. Count and pooled duration by mu against
+    plain differences of ensembles with other random numbers, at two steps, with the guard against windows that disagree
+    switched off.
+    """
+    monkeypatch.setattr(windows, "_TORN", math.inf)
+    law, y0, mu, number = ss.RandomPhase(ss.SourceVoltage()), (ss.Uniform(0.0, 6.283), 0.0, 0.0), 0.45, 32_768
+
+    def totals(mu):
+        many = ss.simulate_ensemble(
+            ss.MotorCart(mu=mu),
+            law,
+            t1=1.5,
+            samples=number,
+            key=jax.random.key(2),
+            y0=y0,
+            keep="sticks",
+            progress=False,
+        )
+        sticks = many.require_sticks()
+        return np.stack([np.bincount(sticks.sample, sticks.duration, number), sticks.count], axis=1)
+
+    ends = {sign * step: totals(mu * (1 + sign * step)) for step in (0.004, 0.002) for sign in (-1, 1)}
+    for statistic in (ss.mean_stick_count, ss.mean_stick_duration):
+        found = ss.sensitivity(
+            statistic, ss.MotorCart(mu=mu), law, wrt="mu", t1=1.5, samples=16_384, key=jax.random.key(1), y0=y0,
+            estimator="corrected"
+        )  # fmt: skip
+        for step in (0.004, 0.002):
+            middle = (ends[step] + ends[-step]).mean(axis=0) / 2
+            slope = (ends[step] - ends[-step]) / (2 * step * mu)
+            if statistic is ss.mean_stick_duration:
+                slope = (slope[:, 0] - middle[0] / middle[1] * slope[:, 1]) / middle[1]
+            else:
+                slope = slope[:, 1]
+            error = math.hypot(found.standard_error, slope.std() / math.sqrt(number))
+            assert abs(found.derivative - slope.mean()) < 4 * error, (statistic, step)
+            assert error < 1.0 if statistic is ss.mean_stick_count else error < 0.1
 
 
 @pytest.mark.slow

@@ -176,4 +176,4 @@ def test_bases_too_short_and_not_finite_are_seen_in_their_lane_alone():
     many = jax.tree.map(lambda *leaves: jnp.stack(leaves), good, short, broken)
     system = ss.MassSpring(1.2, 4.0, 1.0, ss.Coulomb(0.8))
     status = jax.jit(jax.vmap(lambda base: ss.simulate(system, base, t1=T1, y0=(0.3, -0.4)).status))(many)
-    assert list(np.asarray(status)) == [ss.Status.FINISHED, ss.Status.BASE_TOO_SHORT, ss.Status.NOT_FINITE]
+    assert list(np.asarray(status)) == [ss.Status.FINISHED, ss.Status.BASE_TOO_SHORT, ss.Status.BASE_INVALID]
