@@ -111,7 +111,7 @@ def _cheaper(problem: Problem) -> str:
 
 
 def _require_differences(estimator: str | None, method: Exact | Regularized) -> None:
-    """Raise ValueError where the corrected method is asked of regularised dynamics: it looks for events that are exact."""
+    """Raise ValueError where the corrected method is asked of regularised dynamics: it needs exact events."""
     if isinstance(method, Regularized) and estimator == "corrected":
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here), and relative_bandwidth left out, with "

@@ -21,7 +21,8 @@ def steady_response(tones: Any, mass: Any, stiffness: Any, damping: Any, t: Floa
         sine, cosine = sincos(angle(w, t, phase))
         return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
 
-    return added_up(answer, tones)
+    position, velocity = added_up(answer, tones)
+    return position, velocity
 
 
 def check_no_resonance(force: Any, omega: Scalar) -> None:

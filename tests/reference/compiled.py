@@ -17,11 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-try:
-    import numba
-except ImportError:  # there is none for the newest versions of Python: the loops then run, slowly, as they are written
-    numba = None
-
 RELEASED, BASE_SWITCHED, HORIZON = 0, 1, 2  # as the codes of `ss.Ending`
 CONSTANT, WEAKENING, STRIBECK, HUMP = range(4)
 STAGES, PER_PERIOD, GROWTH, FIRST = 5, 40, 1.3, 1e-7
