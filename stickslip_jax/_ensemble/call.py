@@ -36,7 +36,7 @@ from .result import Ensemble
 from .run import MOST_SAMPLES, Run
 
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
-_ADAPTIVE_LANES = 256  # of a batch: enough to hide the cost of a call, few enough not to wait long for slow ones
+_ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 

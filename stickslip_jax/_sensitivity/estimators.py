@@ -212,7 +212,7 @@ def differenced_ensembles(problem: Problem, steps: np.ndarray) -> tuple[Accumula
 def _differences(
     problem: Problem,
     centre: Any,
-    pairs: list[tuple[Any, Any, Any]],
+    pairs: list[tuple[Any, ...]],
     values: Callable[[Any, int, int], Any],
     per_task: int,
     pathwise_of: Callable[[int, int], np.ndarray] | None,

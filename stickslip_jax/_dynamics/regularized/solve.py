@@ -15,6 +15,7 @@ from ..._systems.switched_model import Segments
 from ..._types import Array, BoolArray, FloatArray, IntArray
 from ..method import Regularized
 from ..switched.engine import SegmentLaws
+from .controller import step_control
 from .engine import Field, Passage
 from .stick_detector import Criterion, StickDetector, detect, start_detector
 
@@ -113,13 +114,11 @@ def solve_adaptive(
         inputs = field.model.inputs(t, tables.at(t))
         return jnp.stack(field.rates(inputs, zero, tuple(y)))
 
-    controller: Any = diffrax.PIDController(rtol=how.rtol, atol=how.atol)
-    if tables.times is not None:
-        controller = diffrax.ClipStepSizeController(controller, jump_ts=tables.times)
+    control = step_control(how.rtol, how.atol, tables.times)
     end = jnp.minimum(t1, tables.end)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), how.solver, zero, end, None, jnp.stack([jnp.asarray(v, dtype) for v in y0]),
-        saveat=diffrax.SaveAt(t0=True, steps=True), stepsize_controller=controller, max_steps=max_steps,
+        saveat=diffrax.SaveAt(t0=True, steps=True), stepsize_controller=control, max_steps=max_steps,
         adjoint=how.adjoint, throw=False,
     )  # fmt: skip
     t, y = jnp.asarray(solution.ts), jnp.asarray(solution.ys)

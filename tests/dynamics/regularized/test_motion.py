@@ -378,3 +378,19 @@ def test_carts():
         for values, expected in zip(sticks(many, number), alone, strict=True):
             np.testing.assert_allclose(values, expected, atol=1e-6)
     assert_is_the_cart_of_scipy(one, float(base.phase), start)
+
+
+@pytest.mark.slow
+def test_no_adaptive_sample_depends_on_its_neighbours():
+    """To the last bit: batches that are full, nearly empty, or made of other samples, in one thread or two."""
+    system, law = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.1)), ss.PoissonSwitching(1.0, 1.0)
+    method = ss.Regularized(1e-2, "tanh", max_steps=4096)
+    options = {"t1": 10.0, "key": jax.random.key(4), "y0": (0.0, 0.5), "method": method, "keep": "sticks"}
+
+    def times(samples, chunk, threads):
+        many = ss.simulate_ensemble(system, law, samples=samples, chunk=chunk, threads=threads, **options)
+        return many.totals.stick_time
+
+    whole = times(80, None, 1)
+    for samples, chunk, threads in ((80, None, 2), (80, 7, 2), (80, 1000, 1), (64, None, 1), (3, 1, 1)):
+        np.testing.assert_array_equal(times(samples, chunk, threads), whole[:samples])
