@@ -246,7 +246,7 @@ def test_nan_in_a_base_shows_in_the_status(which, index):
     base = {"durations": np.array([5.0, 6.0, 30.0]), "velocities": np.array([0.3, -0.3, 0.3])}
     assert int(from_steps(**base)) == ss.Status.FINISHED
     base[which][index] = np.nan
-    assert int(from_steps(**base)) == ss.Status.NOT_FINITE
+    assert int(from_steps(**base)) == ss.Status.BASE_INVALID
 
 
 def test_one_bad_lane_leaves_the_others_alone(keys):

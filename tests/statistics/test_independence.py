@@ -123,7 +123,7 @@ class TestPower:
         assert abs(square.effect - 2 / math.pi * math.asin(correlation)) < 4 / math.sqrt(samples)
         assert abs(serial.effect - spearman_of(correlation)) < 4 * serial.effect_error
         assert spearman.sizes == square.sizes == (samples,)
-        assert serial.sizes == (samples * (10 - lag), samples)
+        assert serial.sizes == (samples * (10 - lag - 2), samples)
 
     @pytest.mark.parametrize("lag", [1, 5])
     def test_factor_shared_within_a_sample(self, lag):
