@@ -1,16 +1,19 @@
 """One trajectory of regularised dynamics, in fixed or adaptive steps, and the state along it."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from ..._events.sticks import sticks_in_order
+from ..._events.sticks import StickRecord, sticks_in_order
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.known import NotKnown
+from ..._numerics.slopes import with_slopes
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, IntArray, Scalar
 from ..blocks import few_sizes, scan_in_blocks
@@ -18,12 +21,13 @@ from ..method import Regularized
 from ..path import Path, Run
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
 from ..time_scales import max_steps_advice, step_for
-from .engine import Passage, advance_fixed, nothing_seen, start_fixed
+from .engine import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
 from .lanes import criterion_of, field_of
 from .settings import as_arrays, fixed_steps, resolved
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, table_sizes
 from .stick_detector import StickDetector, hermite
 
+_MOST_SLOPES = 8  # by more numbers, going back over the steps takes less time
 _NO_KEY_DATA = np.zeros(2, np.uint32)  # a realisation draws nothing
 
 
@@ -110,8 +114,7 @@ def _fixed_steps(system: Any, excitation: Excitation, method: Regularized, t1: S
         ) from None
 
 
-@eqx.filter_jit
-def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
+def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRecord, Passage]]:
     system, excitation, method, t1, y0 = setting
     dtype = t1.dtype
     field, segment_laws, criterion = (
@@ -128,10 +131,19 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
         lane, record, passage = advance_fixed(field, segment_laws, criterion, t1, jnp.asarray(method.step), most, lane)
         return lane, (record, passage)
 
-    lane, (records, passages) = scan_in_blocks(
+    return scan_in_blocks(
         one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), lambda lane: nothing_seen(lane.y)
     )
-    tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, dtype)
+
+
+@eqx.filter_jit
+def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
+    system, excitation, method, t1, _ = setting
+    # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
+    method = dataclasses.replace(method, atol=None, minimum_duration=lax.stop_gradient(method.minimum_duration))
+    setting = setting._replace(method=method)
+    lane, (records, passages) = with_slopes(lambda setting: _fixed_loop(setting, steps), setting, most=_MOST_SLOPES)
+    tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
     path = CubicPath.of(excitation, tables, passages, lane.steps, lane.t, lane.y)
     return _run(records, lane.detector, status_of_lane(lane, t1), lane.t, lane.y, path)
 

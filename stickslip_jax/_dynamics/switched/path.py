@@ -11,6 +11,7 @@ from ..._events.sticks import sticks_in_order
 from ..._excitation.excitation import Excitation
 from ..._excitation.smooth import Signal
 from ..._numerics.known import NotKnown, largest
+from ..._numerics.slopes import with_slopes
 from ..._status import Status
 from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar
@@ -21,6 +22,7 @@ from ..validation import checked_step
 from .run import Beginnings, run_trajectory, state_at, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
+_MOST_SLOPES = 3  # by more numbers, going back over the steps takes less time
 _MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given up
 
 
@@ -80,7 +82,8 @@ def _is_short(run: Run) -> bool:
 
 @partial(jax.jit, static_argnames=("steps", "dtype"))
 def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> Run:
-    done = run_trajectory(system, excitation, solver, t1, y0, step, steps=steps, dtype=dtype)
+    run = partial(run_trajectory, steps=steps, dtype=dtype)
+    done = with_slopes(run, system, excitation, solver, t1, y0, step, most=_MOST_SLOPES)
     lane = done.lane
     path = StepPath(system, excitation, solver, done.beginnings)
     return Run(sticks_in_order(done.records), lane.totals, done.status, lane.t, lane.y, lane.near_grazing_count, path)
