@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 import stickslip_jax as ss
 
-from . import compiled
+from . import compiled, derivatives
 from .setups import ENSEMBLES, INTERVALS, LAW, RANDOM_PHASE, REGULARIZED, START, T1, system
 from .sizes import Sizes
 
@@ -246,9 +246,16 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
     for kind, entries in REGULARIZED.items():
         for label, samples, settings in entries:
             found[f"{kind}; {label}"] = partial(_regularized, samples, settings)
+    for engine in derivatives.ENGINES:
+        for mode in derivatives.MODES:
+            found[f"derivatives: {engine}, {mode}"] = partial(_derivative, engine, mode)
     for name, build in compiled.CASES.items():
         found[f"compiled: {name}"] = lambda sizes, build=build: _once(build(sizes))
     return found
+
+
+def _derivative(engine: str, mode: str, sizes: Sizes) -> Run:
+    return _once(derivatives.program(engine, mode, sizes))
 
 
 def _once(call: Callable[[int], Any]) -> Run:

@@ -12,6 +12,7 @@ import stickslip_jax as ss
 from .setups import LAW, RANDOM_PHASE, START, record, system
 from .sizes import Sizes
 
+MODES = "value", "reverse", "forward"
 _Simulate = Callable[[Any, Any], ss.Simulation]
 
 
@@ -37,7 +38,9 @@ class HardeningSpring(ss.SwitchedSystem):
 
 
 def _harmonic(moved: Callable[[Any], Any], sizes: Sizes) -> _Simulate:
-    return lambda mu, key: ss.simulate(moved(mu), RANDOM_PHASE.sample(key), t1=sizes.stepped_t1, y0=START)
+    return lambda mu, key: ss.simulate(
+        moved(mu), RANDOM_PHASE.sample(key, sizes.stepped_t1), t1=sizes.stepped_t1, y0=START
+    )
 
 
 def _recorded(sizes: Sizes) -> _Simulate:
@@ -51,12 +54,12 @@ def _recorded(sizes: Sizes) -> _Simulate:
 
 
 def _cart(sizes: Sizes) -> _Simulate:
-    setup = ss.papers.motor_cart()
+    law = ss.RandomPhase(ss.SourceVoltage())  # as in ss.papers.motor_cart
 
     def simulate(mu: Any, key: Any) -> ss.Simulation:
         phase, angle = jax.random.split(key)
         y0 = (jax.random.uniform(angle, maxval=2 * math.pi), 0.0, 0.0)
-        return ss.simulate(ss.MotorCart(mu=mu), setup.law.sample(phase), t1=sizes.cart_t1, y0=y0)
+        return ss.simulate(ss.MotorCart(mu=mu), law.sample(phase), t1=sizes.cart_t1, y0=y0)
 
     return simulate
 
@@ -81,6 +84,11 @@ ENGINES: dict[str, Callable[[Sizes], _Simulate]] = {
 }
 
 
+SLOW = tuple(engine for engine in ENGINES if engine.startswith("regularised"))
+FRICTION = {"time steps: motor and cart": 0.2}
+"""The friction coefficient where it is not 1."""
+
+
 def _of_totals(simulate: _Simulate, mu: Any, keys: Any) -> Any:
     """The mean stick duration by the sums that each simulation ends with."""
     totals = jax.vmap(lambda key: simulate(mu, key).totals)(keys)
@@ -93,20 +101,20 @@ def _of_sticks(simulate: _Simulate, mu: Any, keys: Any) -> Any:
     return jnp.where(sticks.mask, sticks.duration, 0.0).sum() / sticks.mask.sum()
 
 
-def program(engine: str, mode: str, sizes: Sizes) -> Callable[[Any, Any], Any]:
-    """A function of mu and the keys, compiled when first called: the value, or it and its derivative by mu.
+def program(engine: str, mode: str, sizes: Sizes) -> Callable[[int], Any]:
+    """A function of the round's number, compiled when first called: the value, or it and its derivative by mu.
 
     `mode`: "value", "reverse" (``value_and_grad``) or "forward" (``jvp``).
     """
-    simulate = ENGINES[engine](sizes)
-
-    of = _of_sticks if engine.endswith(EVERY_STICK) else _of_totals
+    simulate, of = ENGINES[engine](sizes), _of_sticks if engine.endswith(EVERY_STICK) else _of_totals
 
     def value(mu, keys):
         return of(simulate, mu, keys)
 
-    if mode == "value":
-        return jax.jit(value)
-    if mode == "reverse":
-        return jax.jit(jax.value_and_grad(value))
-    return jax.jit(lambda mu, keys: jax.jvp(lambda mu: value(mu, keys), (mu,), (jnp.ones_like(mu),)))
+    modes = {
+        "value": value,
+        "reverse": jax.value_and_grad(value),
+        "forward": lambda mu, keys: jax.jvp(lambda mu: value(mu, keys), (mu,), (jnp.ones_like(mu),)),
+    }
+    compiled, mu = jax.jit(modes[mode]), jnp.asarray(FRICTION.get(engine, 1.0))
+    return lambda number: compiled(mu, jax.random.split(jax.random.key(number), sizes.vmapped))

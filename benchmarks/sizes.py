@@ -12,6 +12,9 @@ class Sizes(NamedTuple):
     stepped: int
     stepped_t1: float
     carts: int
+    cart_t1: float
+    switched_t1: float
+    """Horizon on switching bases, of derivatives."""
     regularized_share: int
     """One of so many of the trajectories of regularised dynamics."""
     sensitivity: int
@@ -27,6 +30,8 @@ FULL = Sizes(
     stepped=1_000,
     stepped_t1=50.0,
     carts=10_000,
+    cart_t1=2.0,
+    switched_t1=200.0,
     regularized_share=1,
     sensitivity=100_000,
     harmonics=(8, 16, 64),
@@ -39,6 +44,8 @@ TINY = Sizes(
     stepped=16,
     stepped_t1=5.0,
     carts=16,
+    cart_t1=0.2,
+    switched_t1=5.0,
     regularized_share=1_000,
     sensitivity=1_000,
     harmonics=(2, 2, 2),

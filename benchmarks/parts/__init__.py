@@ -1,10 +1,11 @@
 """The parts of the benchmarks: each measures (`measure`) and writes its table (`table`)."""
 
-from . import compiling, composed, intervals, motor_cart, regularized, sensitivity, stepping, studies
+from . import compiling, composed, derivatives, intervals, motor_cart, regularized, sensitivity, stepping, studies
 
 PARTS = {
     "intervals": intervals,
     "composed": composed,
+    "derivatives": derivatives,
     "stepping": stepping,
     "compiling": compiling,
     "motor cart": motor_cart,

@@ -9,7 +9,7 @@ import pytest
 from support.interval import simulate_compiled
 
 import stickslip_jax as ss
-from benchmarks.baselines import c_yardstick, diffrax_events, numba_scalar, scipy_events
+from benchmarks.baselines import c_yardstick, diffrax_events, numba_regularized, numba_scalar, scipy_events
 from benchmarks.baselines.event_driver import switching_velocities
 
 SLOTS, LANES = 400, 6
@@ -37,6 +37,19 @@ def test_compiled_programs_agree_with_the_engine(program, w):
         assert c.stick_time[lane] == pytest.approx(float(one.stick_time), abs=1e-9)
         assert c.z[lane] == pytest.approx(float(one.final_state[0]), abs=1e-9)
         assert c.u[lane] == pytest.approx(float(one.final_state[1]), abs=1e-9)
+
+
+def test_scalar_loop_of_regularised_dynamics_takes_the_same_steps():
+    law = ss.PoissonSwitching(speed=2.0, rate=0.5, first_sign="positive")
+    system = ss.MassSpring(mass=1.0, stiffness=1.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    base = law.sample(jax.random.key(3), 60.0, capacity=SLOTS)
+    found = numba_regularized.follow(w=2.0, t1=60.0, gaps=base.durations, width=1e-2, step=0.02, y0=(0.3, 0.1))
+    method = ss.Regularized(1e-2, step=0.02, threshold=1e-2)
+    one = ss.simulate(system, base, t1=60.0, y0=(0.3, 0.1), method=method)
+    assert found.steps == int(np.sum(np.asarray(one.step_starts) < 60.0))
+    np.testing.assert_allclose((found.z, found.u), one.final_state, atol=1e-9)
+    # Each stick is measured in whole steps.
+    assert abs(found.slow_time - float(one.stick_time)) <= 2 * 0.02 * int(one.sticks.count)
 
 
 @pytest.mark.filterwarnings("ignore")
