@@ -63,7 +63,7 @@ def _with_rule(function: Callable[..., list[Any]], most: int) -> Callable[..., l
 
 def _slopes(function: Callable[..., list[Any]], points: list[Any]) -> tuple[list[Any], list[Any]]:
     """The results, and the slopes of each by every number: (numbers, ...)."""
-    directions = [jnp.eye(len(points), dtype=point.dtype)[k] for k, point in enumerate(points)]
+    directions = [jnp.eye(len(points), dtype=jnp.result_type(point))[k] for k, point in enumerate(points)]
     if len(points) == 1:
         results, slopes = jax.jvp(function, points, [direction[0] for direction in directions])
         return results, [slope[None] for slope in slopes]

@@ -23,6 +23,7 @@ class Simulation(WithMethods):
     """One simulated trajectory on ``[0, t1]``.
 
     - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).
+    - `totals`: their number (`sticks`), how many the horizon cut (`censored`), and their total time (`stick_time`, s).
     - `stick_time`, `slip_time`: total, s. `stick_fraction`: total stick time over ``t1``.
     - `final_state`: (position m, velocity m/s), for a `MotorCart` (angle rad, angular velocity rad/s, current A), at
       `time_reached` (s), which is ``t1`` if the trajectory is FINISHED.
