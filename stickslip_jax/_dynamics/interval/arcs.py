@@ -55,7 +55,7 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     mirror, x, p, q, span = mirrored(x, p, v, span)
     first = first_arc(x, p, q, a, span)
     first_side, first_offset, first_p, excess, first_h, angle, arrived_first = first
-    side, h, entered, arrived = follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
+    side, h, entered, arrived = _follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
     position, left, released, stuck = _stick(side, h, entered, arrived, q, a, span)
     center, offset, p_start, angle = _last_arc(
         side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p
@@ -157,7 +157,7 @@ def _angle_to_meeting(D, p, q, h, side):
 
 
 @jax.custom_jvp
-def follow_crossings(side, h, entered, arrived, q, a, span):
+def _follow_crossings(side, h, entered, arrived, q, a, span):
     """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval.
 
     Takes and returns: the side of the current arc, the distance h at which it meets the base velocity, the angle of the
@@ -174,7 +174,7 @@ def _cross_if_needed(state, q, a, span):
     return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), _cross(state, q, a, span), state)
 
 
-@follow_crossings.defjvp
+@_follow_crossings.defjvp
 def _follow_crossings_jvp(primals, tangents):
     side, h, entered, arrived, q, a, span = primals
     d_side, dh, d_entered, d_arrived, dq, da, _ = tangents

@@ -1,59 +1,125 @@
-"""Intervals of the base in which round-off decided whether there was an event (`near_grazing_count`).
+"""Whether round-off decided about an event in an interval of the base (`near_grazing_count`).
 
-They are found afterwards, from the states at which the intervals began, so that the loops over intervals, in which the
-count would cost as much as the motion, know nothing of it. With h, the distance from the centre at which an arc meets
-the base velocity, the last digits decide
+Found from the state in which the interval began, beside the motion. With h, the distance from the centre at which an
+arc meets the base velocity, the last digits decide
 
 - on an arc that is nearly tangent to the base velocity, whether it meets it;
 - at ``h = 2 a``, whether friction holds the mass, and at ``h = 0`` whether it does so for more than an instant;
-- where the arrival or the release falls on the end of the interval, whether there is one;
-- where the arrival falls on its beginning, whether there was a slip before.
+- where an arrival or a release falls on the end of the interval, whether there is one;
+- where an arrival falls on its beginning, whether there was a slip before.
 """
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import lax
 
 from ..._types import BoolArray, FloatArray
-from .arcs import first_arc, follow_crossings, mirrored, touch, twice_the_angle
+from .arcs import first_arc, mirrored, touch, twice_the_angle
 from .engine import Motion, Scales
 
 # How close is near, in units in the last place of the lengths involved: three times the error of the state after 10^4
-# intervals, which grows with the square root of their number (`_TOUCH_ULPS` of `arcs.py`). By chance, an interval
-# comes so close once in 10^13 (float32: once in 10^5).
+# intervals, which grows with the square root of their number (`_TOUCH_ULPS` of `arcs.py`). By chance,
+# 4 of 10^12 intervals of the default study come so close (float32: 4 of 10^4).
 _NEAR_ULPS = {8: 256, 4: 64}
+_CLOCK_ULPS = 4  # the round-off of the time at which an interval begins, in units in the last place
+
+
+class _Arc(NamedTuple):
+    """The first arc of an interval: `D`, its distance from the centre, and `p` at the beginning; where (`h`, `side`)
+    and when (`angle`) it meets the base velocity `q`, and whether it `meets` it; `excess` ``= R^2 - q^2``.
+
+    Errors: `of_x`, that of positions; `of_state`, that of the state on the arc; `of_h`, that of h.
+    """
+
+    D: FloatArray
+    p: FloatArray
+    q: FloatArray
+    span: FloatArray
+    excess: FloatArray
+    side: FloatArray
+    h: FloatArray
+    angle: FloatArray
+    meets: BoolArray
+    of_x: FloatArray
+    of_state: FloatArray
+    of_h: FloatArray
 
 
 def is_tie(scales: Scales, began: Motion, duration: FloatArray, velocity: FloatArray) -> BoolArray:
-    """Whether round-off decided about an event in the interval that began so."""
+    """Whether round-off decided about an event in the interval of the base that began so. No derivative."""
     scales, began, duration, velocity = lax.stop_gradient((scales, began, duration, velocity))
+    arc = _arc(scales, began, duration, velocity)
+    return (arc.span > 0) & (_ties_at_first(scales, began, arc) | _ties_later(scales, began, arc))
+
+
+def begins_with_tie(scales: Scales, start: Motion, duration: FloatArray, velocity: FloatArray) -> BoolArray:
+    """Whether round-off decided at the `start` of a trajectory, or where its first arc meets the base velocity. No
+    derivative; half the work of `is_tie`.
+    """
+    scales, start, duration, velocity = lax.stop_gradient((scales, start, duration, velocity))
+    return _ties_at_first(scales, start, _arc(scales, start, duration, velocity))
+
+
+def _arc(scales, began, duration, velocity) -> _Arc:
     omega, inverse_omega, a, t1 = scales
     span = omega * jnp.where(began.t + duration >= t1, t1 - began.t, duration)
     _, x, p, q, span = mirrored(began.x, began.p, velocity * inverse_omega, span)
-    side, offset, p, excess, first_h, angle, met = first_arc(x, p, q, a, span)
-    last_side, h, entered, arrived = follow_crossings(side, first_h, angle, met, q, a, span)
-
-    D, on_base = jnp.abs(offset), p == q
-    few = _NEAR_ULPS[x.dtype.itemsize] * jnp.finfo(x.dtype).eps
+    side, offset, p, excess, h, angle, _ = first_arc(x, p, q, a, span)
+    D = jnp.abs(offset)
+    meets = excess > jnp.where(p < q, touch(D, q, a), 0)
     size = D + jnp.abs(p) + q + a
-    of_x, of_state, of_angle = few * (D + 2 * a), few * size, few * (span + omega * began.t)
-    # h^2 = D^2 + p^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at D.
-    of_h = jnp.where(on_base, of_x, of_state * size / jnp.where(first_h > 0, first_h, 1))
+    of_x, of_state = _few(x) * (D + 2 * a), _few(x) * size
+    # h^2 = D^2 + p^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at h = D.
+    of_h = jnp.where(p == q, of_x, of_state * size / jnp.where(meets, h, 1))
+    return _Arc(D, p, q, span, excess, side, h, angle, meets, of_x, of_state, of_h)
 
+
+def _ties_at_first(scales, began, arc) -> BoolArray:
+    """Ties of the first arc: of the place where the mass begins on the base, of tangency, of the edge of the band."""
+    a, threshold = scales.half_width, touch(arc.D, arc.q, scales.half_width)
     # After a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
-    threshold = touch(D, q, a)
-    returns = (jnp.abs(began.slid_from) == a) & (jnp.abs(excess) <= threshold)
-    tangent = (p < q) & (jnp.abs(excess) <= 2 * threshold) & (angle <= span) & ~returns
+    released = (jnp.abs(began.slid_from) == a) & (began.t > 0)
+    returns = released & (jnp.abs(arc.excess) <= threshold)
+    tangent = (arc.p < arc.q) & (jnp.abs(arc.excess) <= 2 * threshold) & ~returns
+    at_edge = arc.meets & (jnp.abs(arc.h - 2 * a) <= arc.of_h)
+    return ((arc.angle < arc.span) & (tangent | at_edge)) | ((arc.p == arc.q) & (arc.D <= arc.of_x))
 
-    crossed = met & (h != first_h)
-    held = (met & arrived & (jnp.abs(h - 2 * a) <= of_h)) | (crossed & (h <= of_h)) | (on_base & (D <= of_x))
 
-    meets = jnp.where(p < q, excess > threshold, excess > 0)
-    after = entered + twice_the_angle(h, -last_side * q)
-    arrival = jnp.where(crossed & ~arrived, after, jnp.where(arrived, entered, angle))
-    # The relative velocity changes at the rate h.
-    when = of_state + of_angle * h
-    at_end = meets & (h <= 2 * a + of_h) & (jnp.abs(arrival - span) * h <= when)
-    at_start = arrived & ~crossed & (entered > 0) & (entered * h <= of_state)
-    lasts = (a - last_side * (a - h)) - q * (span - entered)
-    at_release = arrived & (q > 0) & (jnp.abs(lasts) <= of_h + of_x + q * when / jnp.where(h > 0, h, 1))
-    return (span > 0) & (tangent | held | at_end | at_start | at_release)
+def _ties_later(scales, began, arc) -> BoolArray:
+    """Ties after crossings, and of arrivals and releases with the ends of the interval."""
+    a, q, span = scales.half_width, arc.q, arc.span
+    side, h, arrival = _last_meeting(jnp.where(arc.meets, arc.h, 0), arc.side, arc.angle, q, a, span)
+    arrived, crossed = arc.meets & (arrival < span), arc.meets & (h < arc.h)
+    holds = crossed & ((arrived & (jnp.abs(h - 2 * a) <= arc.of_h)) | (h <= arc.of_h))
+    # The relative velocity changes at the rate h where it passes zero: times h, angles are lengths.
+    eps = float(jnp.finfo(h.dtype).eps)
+    when = arc.of_state + h * (_few(h) * span + _CLOCK_ULPS * eps * scales.omega * began.t)
+    at_end = arc.meets & (h <= 2 * a + arc.of_h) & (jnp.abs(arrival - span) * h <= when)
+    at_start = arrived & ~crossed & (arc.p != q) & (arrival * h <= arc.of_state)
+    beyond = side * (a - h) + q * (span - arrival) - a
+    at_release = arrived & (q > 0) & (jnp.abs(beyond) * h <= (arc.of_h + arc.of_x) * h + q * when)
+    return holds | at_end | at_start | at_release
+
+
+def _last_meeting(h, side, arrival, q, a, span):
+    """Side, distance h and angle of the first meeting with the base velocity that friction can hold or that lies after
+    the interval; all before it are crossings.
+    """
+
+    def crosses(state):
+        _, h, arrival = state
+        return (h > 2 * a) & (arrival < span)
+
+    def cross(state):
+        side, h, arrival = state
+        return -side, h - 2 * a, arrival + twice_the_angle(h - 2 * a, side * q)
+
+    state = side, h, arrival
+    state = jax.tree.map(lambda new, old: jnp.where(crosses(state), new, old), cross(state), state)
+    return lax.while_loop(crosses, cross, state)
+
+
+def _few(like: FloatArray) -> float:
+    return _NEAR_ULPS[like.dtype.itemsize] * float(jnp.finfo(like.dtype).eps)
