@@ -11,17 +11,15 @@ from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
 from ..lanes import Engine, LaneResults
 from .engine import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
-from .ties import begins_with_tie
+from .ties import starts_at_edge
 
 
 class _Sample(NamedTuple):
-    """Constants of a sample: its key data, whether it begins with a stick, and whether round-off decided about that or
-    about its first arrival.
-    """
+    """Constants of a sample: its key data, whether it begins with a stick, and whether it does so at an edge of the band."""
 
     key_data: tuple[Array, Array]
     at_start: BoolArray
-    tie: BoolArray
+    at_edge: BoolArray
 
 
 class _Lane(NamedTuple):
@@ -45,11 +43,11 @@ class IntervalEngine(Engine):
         x, velocity = self.y0
         motion = start_motion(scales, (x, velocity))
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
-        first = self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype)
-        duration, base, _ = self.law.next_interval(memory, first, dtype)
+        _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)
-        tie = begins_with_tie(scales, motion, duration, base)
-        return _Sample(key_data, at_start, tie), _Lane(memory, motion, start_totals(dtype))
+        return _Sample(key_data, at_start, starts_at_edge(scales, motion, base)), _Lane(
+            memory, motion, start_totals(dtype)
+        )
 
     def shared(self, dtype) -> Scales:
         return scales_of(self.system, self.t1, dtype)
@@ -72,8 +70,8 @@ class IntervalEngine(Engine):
             slips=count_slips(motion.totals, sample.at_start),
             stick_time=motion.totals.stick_time,
             status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
-            # Only the beginning is looked at: to look at every interval would cost a third of the time.
-            near_grazing_count=sample.tie.astype(jnp.int32),
+            # Only the start is looked at: to look at every interval (`is_tie`) would cost a third of the time.
+            near_grazing_count=sample.at_edge.astype(jnp.int32),
         )
 
 
