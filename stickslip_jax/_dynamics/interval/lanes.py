@@ -15,7 +15,7 @@ from .ties import starts_at_edge
 
 
 class _Sample(NamedTuple):
-    """Constants of a sample: its key data, whether it begins with a stick, and whether it does so at an edge of the band."""
+    """Constants of a sample: its key data, whether it begins with a stick, and whether at an edge of the band."""
 
     key_data: tuple[Array, Array]
     at_start: BoolArray
