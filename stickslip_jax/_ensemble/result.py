@@ -51,7 +51,8 @@ class Ensemble:
     - `moments`: number of finished samples, mean and covariance of their `TOTALS` (stick time in s, number of sticks,
       number of slips).
     - `near_grazing_samples`: number of samples in which round-off decided whether there was an event (see
-      `Simulation`); the statistics include them.
+      `Simulation`); the statistics include them. Where the motion is known in closed form, only the start is looked at
+      (the base's velocity at an edge of the stick band): `simulate` under ``vmap`` counts the rest.
     - `status_counts`: number of samples that ended with each `Status`; only those FINISHED count in the statistics.
     - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
     - `flat_sticks`: the same sticks one after the other, without padding; None unless ``keep="sticks"``.

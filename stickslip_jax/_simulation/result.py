@@ -31,7 +31,9 @@ class Simulation(WithMethods):
     - `near_grazing_count`: number of instants at which round-off decided whether there was an event: the relative
       velocity had an extremum near zero, or the force that a stick needs one near the friction limit; the mass came to
       rest where friction could just hold it; or a jump of the base or the horizon came just before or after an event.
-      Near means within about 1e-9 of the scale (float32: 1e-3). Counted by `Exact` in time steps only, else 0.
+      Near means within about 1e-9 of the scale (float32: 1e-3). Where the motion is known in closed form: the number
+      of intervals of the base in which so much as 256 units in the last place (float32: 64) would have decided; a
+      slip tangent to the base velocity from which it was released is none. Not counted by `Regularized` (0).
     - `evaluate(times)`: the state at any instants; `base_velocity(times)`: the base velocity there.
     - `friction_force(times)`: the friction force; `energies(times)`: what is stored, supplied, dissipated.
     - `step_starts`: the instants at which the steps of the simulation begin, s: time steps or, where the motion is

@@ -52,8 +52,8 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
 
     There is at most one stick: after a release the mass moves on a circle tangent to the base velocity from below.
     """
-    mirror, x, p, q, span = _mirrored(x, p, v, span)
-    first = _first_arc(x, p, q, a, span)
+    mirror, x, p, q, span = mirrored(x, p, v, span)
+    first = first_arc(x, p, q, a, span)
     first_side, first_offset, first_p, excess, first_h, angle, arrived_first = first
     side, h, entered, arrived = _follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
     position, left, released, stuck = _stick(side, h, entered, arrived, q, a, span)
@@ -68,7 +68,7 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
 
 
 @computed_once
-def _mirrored(x, p, v, span):
+def mirrored(x, p, v, span):
     mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
     return mirror, mirror * x, mirror * p, jnp.abs(v), jnp.where(span < _LONGEST_SPAN, span, jnp.nan)
 
@@ -113,7 +113,7 @@ def _rests(x, p, v, a):
     return (v == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
 
 
-def _first_arc(x, p, q, a, span):
+def first_arc(x, p, q, a, span):
     """The arc from the interval's first state.
 
     Returns its side, its offset from the centre and p; ``R^2 - q^2`` and its square root h, the distance from the
@@ -137,19 +137,23 @@ def _seen_from_center(x, p, q, a):
 @computed_once
 def _meeting(at_rest, D, p, q, a):
     excess = D * D + (p - q) * (p + q)  # R^2 - q^2, free of cancellation near p = q
-    ulp = _TOUCH_ULPS[D.dtype.itemsize] * jnp.finfo(D.dtype).eps
-    roundoff = ulp * (D * D + q * q + a * (jnp.abs(D) + q))
-    reaches = at_rest | (excess > jnp.where(p < q, roundoff, 0))
+    reaches = at_rest | (excess > jnp.where(p < q, touch(D, q, a), 0))
     positive = excess > 0
     h = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
     return excess, reaches, h
+
+
+def touch(D: FloatArray, q: FloatArray, a: FloatArray) -> FloatArray:
+    """``R^2 - q^2`` up to which an arc that begins below the base velocity is tangent to it."""
+    ulp = _TOUCH_ULPS[D.dtype.itemsize] * jnp.finfo(D.dtype).eps
+    return ulp * (D * D + q * q + a * (jnp.abs(D) + q))
 
 
 def _angle_to_meeting(D, p, q, h, side):
     # The clockwise angle from (D, p) to (-h, q) on the same circle, as twice its half. Each half-angle form is free of
     # cancellation where it is used, never negative, and 0 for a state already at the base velocity inside the band.
     before = D <= 0
-    return _twice_the_angle(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
+    return twice_the_angle(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
 
 
 @jax.custom_jvp
@@ -196,11 +200,11 @@ def _cross(state, q, a, span):
     _, side, h, entered, _ = state
     side = -side
     h = h - 2 * a
-    arrival = entered + _twice_the_angle(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
+    arrival = entered + twice_the_angle(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
     arrived = arrival < span
     return arrived & (h > 2 * a), side, h, jnp.where(arrived, arrival, entered), arrived
 
 
 @computed_once
-def _twice_the_angle(y, x):
+def twice_the_angle(y, x):
     return 2 * angle_of(y, x)

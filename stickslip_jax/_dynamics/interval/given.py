@@ -25,6 +25,7 @@ from ..._events.sticks import NUMBERS, StickRecord, Totals, closed_up, start_tot
 from ..._numerics.compiling import computed_once, native_loop, native_loops_work
 from ..._types import Array, IntArray
 from .engine import Motion, Scales, cross_live_interval, run_intervals, start_motion
+from .ties import is_tie
 
 _LANES = 256  # of a block
 _What = Literal["final", "sticks", "beginnings"]
@@ -43,13 +44,20 @@ class Given(NamedTuple):
 
 class _Block(NamedTuple):
     """Loop state of a block of lanes: the number of intervals crossed, the state and sums of each lane, and what is
-    kept of each interval: `StickRecord` (intervals, lanes), `Motion` (lanes, intervals) or nothing.
+    kept of each interval: `StickRecord` (intervals, lanes), `Beginnings` (lanes, intervals) or nothing.
     """
 
     crossed: IntArray
     motion: Motion
     totals: Totals
     kept: Any
+
+
+class Beginnings(NamedTuple):
+    """The state at the beginning of each interval, and the number of intervals in which round-off decided."""
+
+    motion: Motion
+    near_grazing_count: IntArray
 
 
 def final_motion(given: Given) -> tuple[Motion, Totals]:
@@ -62,8 +70,8 @@ def ordered_sticks(given: Given) -> StickRecord:
     return _follow("sticks", given)
 
 
-def beginnings(given: Given) -> Motion:
-    """The state at the beginning of each interval of one trajectory, (intervals,)."""
+def beginnings(given: Given) -> Beginnings:
+    """The state at the beginning of each interval of one trajectory, (intervals,), and what `is_tie` finds in them."""
     return _follow("beginnings", given)
 
 
@@ -77,7 +85,10 @@ def _plain(what: _What, given: Given) -> Any:
     motion, totals, records, began = run_intervals(given.scales, start, given.durations, given.velocities)
     if what == "final":
         return motion, totals
-    return began if what == "beginnings" else closed_up(records)
+    if what == "sticks":
+        return closed_up(records)
+    ties = jax.vmap(is_tie, (None, 0, 0, 0))(given.scales, began, given.durations, given.velocities)
+    return Beginnings(began, jnp.sum(ties, dtype=jnp.int32))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -204,9 +215,8 @@ def _run_block(what: _What, given: Given) -> Any:
     start = jax.vmap(start_motion)(given.scales, given.y0)
     totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, start.t.shape), start_totals(durations.dtype))
     buffer: Any = jnp.zeros_like(durations)
-    buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": Motion(*[buffer] * len(Motion._fields))}[
-        what
-    ]
+    began = Beginnings(Motion(*[buffer] * len(Motion._fields)), totals.sticks)
+    buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": began}[what]
     block = _Block(jnp.zeros((), jnp.int32), start, totals, buffer)
     block = _cross_all(given.scales, durations, given.velocities, block)
     if what == "final":
@@ -214,7 +224,8 @@ def _run_block(what: _What, given: Given) -> Any:
     if what == "sticks":
         return _close_up(block.kept, _no_sticks(jnp.full_like(durations, jnp.nan)), block.crossed)
     later = jnp.arange(durations.shape[1]) >= block.crossed
-    return jax.tree.map(lambda kept, last: jnp.where(later, last[:, None], kept), block.kept, block.motion)
+    began = jax.tree.map(lambda kept, last: jnp.where(later, last[:, None], kept), block.kept.motion, block.motion)
+    return block.kept._replace(motion=began)
 
 
 def _no_sticks(times: Array) -> StickRecord:
@@ -227,16 +238,17 @@ def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Bloc
 
     def cross(block):
         number = block.crossed
-        motion, totals, record = jax.vmap(cross_live_interval)(
-            scales, block.motion, block.totals, _column(durations, number), _column(velocities, number)
-        )
+        base = _column(durations, number), _column(velocities, number)
+        motion, totals, record = jax.vmap(cross_live_interval)(scales, block.motion, block.totals, *base)
         kept = block.kept
         if isinstance(kept, StickRecord):
             kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), kept, record)
-        elif isinstance(kept, Motion):
-            kept = jax.tree.map(
-                lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept, block.motion
+        elif isinstance(kept, Beginnings):
+            began = jax.tree.map(
+                lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept.motion, block.motion
             )
+            ties = jax.vmap(is_tie)(scales, block.motion, *base)
+            kept = Beginnings(began, kept.near_grazing_count + ties)
         return _Block(number + 1, motion, totals, kept)
 
     def goes_on(block):

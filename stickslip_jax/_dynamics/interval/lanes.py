@@ -11,13 +11,15 @@ from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
 from ..lanes import Engine, LaneResults
 from .engine import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
+from .ties import starts_at_edge
 
 
 class _Sample(NamedTuple):
-    """Constants of a sample: its key data, and whether it begins with a stick."""
+    """Constants of a sample: its key data, whether it begins with a stick, and whether at an edge of the band."""
 
     key_data: tuple[Array, Array]
     at_start: BoolArray
+    at_edge: BoolArray
 
 
 class _Lane(NamedTuple):
@@ -43,7 +45,9 @@ class IntervalEngine(Engine):
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
         _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)
-        return _Sample(key_data, at_start), _Lane(memory, motion, start_totals(dtype))
+        return _Sample(key_data, at_start, starts_at_edge(scales, motion, base)), _Lane(
+            memory, motion, start_totals(dtype)
+        )
 
     def shared(self, dtype) -> Scales:
         return scales_of(self.system, self.t1, dtype)
@@ -66,7 +70,8 @@ class IntervalEngine(Engine):
             slips=count_slips(motion.totals, sample.at_start),
             stick_time=motion.totals.stick_time,
             status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
-            near_grazing_count=jnp.zeros_like(motion.totals.sticks),
+            # Only the start is looked at: to look at every interval (`is_tie`) would cost a third of the time.
+            near_grazing_count=sample.at_edge.astype(jnp.int32),
         )
 
 
