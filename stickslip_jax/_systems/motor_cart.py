@@ -135,11 +135,10 @@ class MotorCart(System):
             "period of the voltage": TimeScale(shortest_period(excitation), SOLVED),
         }
 
-    def usual_step(self, excitation: Excitation, step: Scalar) -> Scalar:
+    def usual_step(self, excitation: Excitation) -> Scalar:
         voltage = voltage_of(excitation)
         assert isinstance(voltage, SourceVoltage)
-        turns = _LONGEST_TURN * self.angle_scale / self.ideal_speed(voltage)
-        return jnp.minimum(step, jnp.minimum(turns, self.longest_response(voltage)))
+        return 1 / (self.ideal_speed(voltage) / (_LONGEST_TURN * self.angle_scale) + voltage.angular_frequency)
 
     @property
     def contact_scales(self) -> tuple[Scalar, Scalar]:

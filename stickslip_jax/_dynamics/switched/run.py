@@ -1,6 +1,7 @@
 """One trajectory of the switched engine, and its state at any time."""
 
 import math
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
-from ..._numerics.known import largest, smallest
+from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, Scalar
 from ..blocks import few_sizes, scan_in_blocks
@@ -109,6 +110,8 @@ def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> 
     Raises NotKnown where a number that it depends on is traced, ValueError for more steps than 32 bits can count.
     """
     horizon, shortest = largest(t1), smallest(step)
+    with suppress(NotKnown):  # then more steps are given once they turn out to be too few
+        shortest = min(shortest, smallest(system.usual_step(excitation)))
     segments = sum(law.segments(horizon) for law in SegmentLaws.of(system, excitation).all)
     steps = 1.5 * (horizon / shortest) + 2 * segments + 96
     if steps > MOST_STEPS:
