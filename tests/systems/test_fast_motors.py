@@ -1,4 +1,4 @@
-"""Motors and carts at any speed: the default step against other integrators, to 1e-7 of the state's scale."""
+"""Motors and carts at any speed: the default step against other integrators."""
 
 import math
 from typing import Any
@@ -59,8 +59,8 @@ FAST = [
 def test_fast_motors_without_friction():
     """A turn of the motor within a step is short against the angle over which its inertia changes.
 
-    By default, and by the longest step that may be given: four electrical time constants, or a quarter of the mechanical
-    one.
+    By default, and by the longest step that may be given: four electrical time constants, or a quarter of the
+    mechanical one.
     """
     for changed, y0 in FAST:
         numbers = TABLE_1 | SLOW | changed
@@ -101,8 +101,9 @@ def reference(numbers: dict[str, Any], y0, t1: float, tolerance: float) -> tuple
 def test_the_references_agree():
     numbers = TABLE_1 | SLOW | {"mu": 0.5, "theta": 2.0}
     for changed, t1 in (({}, 3.0), ({"nu0": 6.0, "nu1": -8.0, "omega_v": 50.0}, 0.4), ({"equation": "printed"}, 1.0)):
-        known = numbers | changed
+        known: dict[str, Any] = numbers | changed
         run = simulate_motor_cart(alpha0=0.7, t1=t1, **known)
+        assert run.final_state is not None
         state, sticks = reference(known, (0.7, 0.0, 0.0), t1, 1e-14)
         assert sticks == len(run.sticks) > 0
         np.testing.assert_allclose(state, run.final_state, rtol=1e-9, atol=1e-9)
@@ -110,10 +111,10 @@ def test_the_references_agree():
 
 @pytest.mark.slow
 def test_random_set_ups_against_the_reference():
-    """To 1e-7 of the state's scale, where round-off is not amplified to 1e-9 on the way; no stick missed or invented.
+    """Angle and speed to 3e-8 of their scales, where round-off does not grow to 1e-9; no stick missed or invented.
 
-    Angle and speed are better than that. The current is reached by steps of up to three electrical time constants, in
-    which its own transient is damped, not followed: it is off by some 1e-7 for a few steps after friction reverses.
+    The current goes by steps of up to three electrical time constants, in which its own transient is damped, not
+    followed: it is off by some 1e-7 for a few steps after friction reverses.
     """
     worst, sticks, compared = np.zeros(3), 0, 0
     for numbers, y0, t1 in random_set_ups(200, 71):
@@ -127,5 +128,4 @@ def test_random_set_ups_against_the_reference():
         sticks, compared = sticks + count, compared + 1
     assert compared > 190
     assert sticks > 100
-    print(worst, sticks, compared)
-    assert np.all(worst < [1e-7, 1e-7, 3e-7]), worst
+    assert np.all(worst < [3e-8, 3e-8, 5e-7]), worst
