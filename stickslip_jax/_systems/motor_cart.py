@@ -33,7 +33,8 @@ from .friction import Coulomb, FrictionLaw
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
 
-_LONGEST_TURN = 0.4  # of the motor in a step, rad
+_LONGEST_TURN = 0.13  # of the motor in a step, in units of its `angle_scale`
+_LONGEST_RESPONSE = 0.85  # of the current in a step; with the values of the paper four electrical time constants
 _CONSTANT = StepCount(7.0, 4.0)  # the mechanical time constant is no period
 _DECAY = StepCount(1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
 
@@ -88,6 +89,29 @@ class MotorCart(System):
         return self.motor_inertia * self.resistance / self.motor_constant**2
 
     @property
+    def angle_scale(self) -> Scalar:
+        """The angle over which the inertia changes at dead centre, where it is least, rad; at most one.
+
+        The inertia ``motor_inertia + m d^2 sin^2`` is zero at a complex angle about as far away, where the motion has a
+        singularity: no Taylor series reaches further.
+        """
+        return (self.motor_inertia / (self.motor_inertia + self.cart_mass * self.eccentricity**2)) ** 0.5
+
+    def ideal_speed(self, voltage: SourceVoltage) -> Scalar:
+        """The speed at which the motor would balance the largest voltage, rad/s."""
+        return (abs(voltage.mean) + abs(voltage.amplitude)) / self.motor_constant
+
+    def longest_response(self, voltage: SourceVoltage) -> Scalar:
+        """The longest step (s) in which the current follows the torque and the voltage.
+
+        Over steps of several electrical time constants it follows changes with an error of low order, about the second,
+        times the eighth power of the step in these constants: hence a mean of these and of the time of the changes.
+        """
+        decay = self.inductance / self.resistance
+        changes = self.ideal_speed(voltage) / self.angle_scale + voltage.angular_frequency
+        return _LONGEST_RESPONSE * (decay / changes) ** 0.5
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         return (
             Coordinate("angle", "rad", r"\alpha", 2 * math.pi),
@@ -111,6 +135,11 @@ class MotorCart(System):
             "period of the voltage": TimeScale(shortest_period(excitation), SOLVED),
         }
 
+    def usual_step(self, excitation: Excitation) -> Scalar:
+        voltage = voltage_of(excitation)
+        assert isinstance(voltage, SourceVoltage)
+        return 1 / (self.ideal_speed(voltage) / (_LONGEST_TURN * self.angle_scale) + voltage.angular_frequency)
+
     @property
     def contact_scales(self) -> tuple[Scalar, Scalar]:
         torque, arm = self.largest_friction_torque, self.eccentricity
@@ -119,8 +148,8 @@ class MotorCart(System):
     def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
         voltage = voltage_of(excitation)
         assert isinstance(voltage, SourceVoltage)
-        most = abs(voltage.mean) + abs(voltage.amplitude)
-        return 1.0, most / self.motor_constant, most / self.resistance
+        speed = self.ideal_speed(voltage)
+        return 1.0, speed, speed * self.motor_constant / self.resistance
 
     def check_excitation(self, excitation: Excitation) -> None:
         voltage = voltage_of(excitation)
@@ -247,7 +276,8 @@ class CartModel(SwitchedModel):
         # After a jump of the torque the current has a transient, which needs shorter steps: in a slip for the
         # integrator, in a stick so that no step holds both the extremum of the transient and others.
         transient = self.system.inductance / self.system.resistance
-        slip = jnp.minimum(step, _LONGEST_TURN / jnp.maximum(jnp.abs(y[1]), 1e-9))
+        turn = _LONGEST_TURN * self.system.angle_scale / jnp.maximum(jnp.abs(y[1]), 1e-9)
+        slip = jnp.minimum(step, jnp.minimum(turn, self.system.longest_response(self.smooth)))
         slip = slip * jnp.minimum(1, 0.1 + age / (6 * transient))
         stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
         return jnp.where(sign == 0, stick, slip)
@@ -274,8 +304,7 @@ class CartModel(SwitchedModel):
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
 
     def guard_scale(self, inputs: CartInputs, y: State, sign: FloatArray) -> FloatArray:
-        ideal = (jnp.abs(self.smooth.mean) + jnp.abs(self.smooth.amplitude)) / self.system.motor_constant
-        return jnp.where(sign == 0, 2.0, ideal + jnp.abs(y[1]))
+        return jnp.where(sign == 0, 2.0, self.system.ideal_speed(self.smooth) + jnp.abs(y[1]))
 
     def on_base(self, inputs: CartInputs, y: State) -> State:
         return y[0], jnp.zeros_like(y[1]), y[2]

@@ -1,6 +1,7 @@
 """The interface of a system, which engines, statistics, sensitivities, studies and figures use."""
 
 import abc
+import math
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -90,6 +91,10 @@ class System(Checked):
     @abc.abstractmethod
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         """The time scales of the system and of its excitation, by name."""
+
+    def usual_step(self, excitation: Excitation) -> Scalar:
+        """The length (s) that most steps do not exceed, because the motion is fast, however long a step is allowed."""
+        return math.inf
 
     @property
     @abc.abstractmethod

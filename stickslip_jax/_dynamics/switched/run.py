@@ -10,13 +10,14 @@ import jax.numpy as jnp
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
-from ..._numerics.known import largest, smallest
+from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, Scalar
 from ..blocks import few_sizes, scan_in_blocks
 from .engine import Lane, SegmentLaws, advance, has_ended, start_lane, status_of_lane
 
 MOST_STEPS = 2**30  # steps are counted in 32 bits
+_SPARE = 4  # times as many steps where it is not known before the call how fast the motion is
 
 
 class Beginnings(NamedTuple):
@@ -109,6 +110,10 @@ def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> 
     Raises NotKnown where a number that it depends on is traced, ValueError for more steps than 32 bits can count.
     """
     horizon, shortest = largest(t1), smallest(step)
+    try:
+        shortest = min(shortest, smallest(system.usual_step(excitation)))
+    except NotKnown:
+        shortest /= _SPARE
     segments = sum(law.segments(horizon) for law in SegmentLaws.of(system, excitation).all)
     steps = 1.5 * (horizon / shortest) + 2 * segments + 96
     if steps > MOST_STEPS:
