@@ -56,8 +56,9 @@ class Merged(BangBangLaw):
             return self._following(drawn, following, dtype), total + following[2]
 
         following, total = lax.while_loop(repeats, join, (self._following(drawn, present, dtype), duration))
-        # What comes after the horizon is not looked at.
-        return jnp.where(began < self.t1, total, jnp.inf), velocity, (following, began + total)
+        # What comes after the horizon is not looked at: it may be impossible.
+        counts = began < self.t1
+        return jnp.where(counts, total, jnp.inf), jnp.where(counts, velocity, 0), (following, began + total)
 
     def _following(self, key_data: Any, present: Any, dtype) -> Any:
         """The law's memory, number, duration and velocity after the interval with the `present` ones."""

@@ -170,7 +170,7 @@ def advance(
     model, lane, ends = given[0], before, HowItEnds(~stays, landed & ~at_once, taken & to_stop)
     tau, *y = carried(*given, time_left, lane.sign, ends, tau, y)
     t = jnp.where(taken & to_stop, stop, lane.t + tau)
-    live = ~(lane.t >= t1) & ~is_spent(lane)
+    live = ~(lane.t >= t1) & ~is_spent(lane) & ~jnp.isnan(lane.y[0])
     moved = lane._replace(
         t=t, y=_known(tuple(y), s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
     )
@@ -360,10 +360,10 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     for value in lane.y:
         finite = finite & jnp.isfinite(value)
     unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
-    for segment_state in lane.segment_states:
-        unfinished = jnp.where(is_invalid(segment_state), Status.BASE_INVALID, unfinished)
-    code = jnp.where(lane.t < t1, unfinished, Status.FINISHED)
-    return jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8)
+    code = jnp.where(finite, jnp.where(lane.t < t1, unfinished, Status.FINISHED), Status.NOT_FINITE)
+    for segment_state in lane.segment_states:  # one that cannot be may have made the state infinite
+        code = jnp.where(is_invalid(segment_state) & ~(lane.t >= t1), Status.BASE_INVALID, code)
+    return code.astype(jnp.int8)
 
 
 def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
