@@ -197,9 +197,10 @@ class FrictionCurve(FrictionLaw):
 
     @property
     def speed_scale(self) -> Scalar | None:
-        """Speed at which the tangent to the curve at rest reaches zero or twice the value at rest, m/s."""
+        """Speed at which the tangent to the curve at rest reaches zero or twice the value at rest, m/s, or infinity."""
         at_rest, slope = jax.jvp(lambda speed: jnp.asarray(self.curve(speed)), (jnp.zeros(()),), (jnp.ones(()),))
-        return at_rest / jnp.maximum(jnp.abs(slope), 1e-9 * at_rest)
+        falls = slope != 0
+        return jnp.where(falls, at_rest / jnp.abs(jnp.where(falls, slope, 1)), jnp.inf)
 
     def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         return self.curve(speed)

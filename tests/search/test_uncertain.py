@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from support.search import compared, stacked
+from support.search import compared, stacked, system_of
 from support.search_cases import drawn
 from support.switched import Case, Steps, Tones, coulomb
 
@@ -36,7 +36,7 @@ def wrong_samples(many: ss.Ensemble, cases: list[Case], least: float) -> list[in
 def test_arrays_of_numbers(kind, family):
     """One array for every number; the zeros of frictionless and undamped samples among them."""
     cases = [case._replace(t1=T1) for case in drawn(kind, family, SAMPLES)]
-    system, base, y0 = stacked([(case.system, case.base.package, case.y0) for case in cases])
+    system, base, y0 = stacked([(system_of(case), case.base.package, case.y0) for case in cases])
     start = np.stack(y0, axis=1)
     many = ss.simulate_ensemble(system, base, t1=T1, samples=SAMPLES, key=KEY, y0=start, keep="sticks")
     assert wrong_samples(many, cases, CLOSED if kind == "harmonic" else INTEGRATED) == []

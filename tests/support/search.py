@@ -64,7 +64,7 @@ def _follow(systems, bases, t1s, starts, scales, method):
     return jax.vmap(one)(systems, bases, t1s, starts, scales)
 
 
-def _system(case: Case) -> ss.MassSpring:
+def system_of(case: Case) -> ss.MassSpring:
     """With a damping of zero as an array, not none, so that it shares the program of the others."""
     return case.system if case.damping != 0 else case._replace(damping=np.zeros(())).system
 
@@ -74,8 +74,8 @@ def follow(cases: list[Case], method=None, dtype=np.float64, scales: np.ndarray 
 
     `scales`: rows (width, step) of a `Regularized` method, one for each set-up.
     """
-    method = ss.Exact(max_steps=4096) if method is None else method
-    parts = [(_system(case), case.base.package, case.t1, case.y0) for case in cases]
+    method = ss.Exact(max_steps=2**15) if method is None else method
+    parts = [(system_of(case), case.base.package, case.t1, case.y0) for case in cases]
     scales = np.zeros((len(cases), 2)) if scales is None else scales
     return Batch(*map(np.asarray, _follow(*stacked(parts, dtype), scales.astype(dtype), method=method)))
 

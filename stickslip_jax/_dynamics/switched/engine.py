@@ -177,7 +177,8 @@ def advance(
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     brief = at_once | (t - lane.event <= _LANDED[dtype.itemsize] * step + clock)
     switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, brief, live & taken & to_stop, t1)
-    near_grazing = touched | (race & abrupt) | _on_edge(edge)
+    # No slip is that short but by round-off.
+    near_grazing = touched | (race & abrupt) | _on_edge(edge) | (brief & (lane.sign != 0) & (switched.sign == 0))
     switched = switched._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
     pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
     longest = jnp.minimum(model.step_limit(t - switched.event, step, switched.y, switched.sign), pace)
