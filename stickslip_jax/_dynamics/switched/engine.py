@@ -175,9 +175,8 @@ def advance(
         t=t, y=_known(tuple(y), s1 + noise, again), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1
     )
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
-    brief = at_once | (t - lane.event <= _LANDED[dtype.itemsize] * step + clock)
+    brief = at_once | (t - lane.event <= _LANDED[dtype.itemsize] * step + clock)  # a slip that only round-off makes
     switched, record, edge, abrupt = _switch(model, segment_laws, moved, landed, brief, live & taken & to_stop, t1)
-    # No slip is that short but by round-off.
     near_grazing = touched | (race & abrupt) | _on_edge(edge) | (brief & (lane.sign != 0) & (switched.sign == 0))
     switched = switched._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
     pace = lane.pace if error is None else _pace(lane.pace, h, error, taken, rough)
