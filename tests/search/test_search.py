@@ -20,9 +20,8 @@ EACH, SCALED = 70, 200
 def wrong_ones(cases: list[Case], least: float, dtype=np.float64) -> dict[int, object]:
     batch = follow(cases, dtype=dtype)
     verdicts = [judged(case, batch, i, least, dtype) for i, case in enumerate(cases)]
-    # The comparison must not be empty: most set-ups are not told about. (In float32 an instant is near-grazing within a
-    # thousandth of the scale, and nearly all long motions have one.)
-    assert np.mean([verdict.told for verdict in verdicts]) < (0.5 if dtype == np.float64 else 0.9)
+    # The comparison must not be empty: most set-ups are not told about.
+    assert np.mean([verdict.told for verdict in verdicts]) < (0.5 if dtype == np.float64 else 0.8)
     return {i: verdict for i, verdict in enumerate(verdicts) if verdict.wrong}
 
 
@@ -60,7 +59,9 @@ def test_single_precision(kind):
     families = ["everyday"] if kind == "weakening" else [name for name in FAMILIES if name != "clinging"]
     with jax.enable_x64(False):
         for family in families:
-            cases = [single(case) for case in drawn(kind, family, EACH)]
+            # In float32 an instant is near-grazing within a thousandth of the scale: long motions nearly all have one.
+            share = 0.3 if kind == "weakening" else 1.0
+            cases = [single(case._replace(t1=share * case.t1)) for case in drawn(kind, family, EACH)]
             assert not wrong_ones(cases, SINGLE, np.float32), family
         assert not in_other_units([single(case) for case in drawn(kind, "everyday", SCALED)], np.float32)
 

@@ -13,13 +13,13 @@ T1, SAMPLES, KEY = 40.0, 300, jax.random.key(25)
 CLOSED, INTEGRATED = 1e-10, 1e-7
 
 
-def wrong_samples(many: ss.Ensemble, cases: list[Case], least: float) -> list[int]:
-    """The samples that differ from the reference without being told; there must be sticks."""
+def wrong_samples(many: ss.Ensemble, cases: list[Case], least: float, sticks: float = 1.0) -> list[int]:
+    """The samples that differ from the reference without being told; there must be `sticks` in each on average."""
     flat, totals = many.flat_sticks, many.totals
     assert flat is not None
     ends = np.cumsum(flat.count)
     columns = np.stack([flat.start, flat.end, flat.position, flat.ending], axis=1)
-    assert ends[-1] > len(cases) / 2
+    assert ends[-1] > sticks * len(cases)
     wrong = []
     for i, case in enumerate(cases):
         told = int(totals.status[i]) != ss.Status.FINISHED or int(totals.near_grazing_count[i]) > 0
@@ -39,7 +39,9 @@ def test_arrays_of_numbers(kind, family):
     system, base, y0 = stacked([(system_of(case), case.base.package, case.y0) for case in cases])
     start = np.stack(y0, axis=1)
     many = ss.simulate_ensemble(system, base, t1=T1, samples=SAMPLES, key=KEY, y0=start, keep="sticks")
-    assert wrong_samples(many, cases, CLOSED if kind == "harmonic" else INTEGRATED) == []
+    # In most frictionless samples nothing sticks.
+    sticks = 0.5 if family == "frictionless" else 1.0
+    assert wrong_samples(many, cases, CLOSED if kind == "harmonic" else INTEGRATED, sticks) == []
 
 
 def case_of(many: ss.Ensemble, i: int, base: Tones | Steps) -> Case:
