@@ -322,11 +322,14 @@ def test_stopped_study_goes_on(capsys, tmp_path):
     assert (process.returncode, out) == (130, "")
     asked, stopped = err.strip().splitlines()
     assert asked.startswith("Stopping after the pieces under way")
-    assert re.fullmatch(  # the pieces under way may be the last of a point
-        "stickslip: Stopped with [01] of 4 points done; `stickslip resume study`, or the same call again, goes on from "
-        r"here\.",
+    done = re.fullmatch(  # the pieces under way may be the last of a point
+        "stickslip: Stopped with ([01]) of 4 points done; `stickslip resume study`, or the same call again, goes on "
+        r"from here\.",
         stopped,
     )
+    assert done
+    assert cli.main(["status", "study"]) == 0
+    assert f"{done[1]} of 4 points done" in capsys.readouterr().out
     stored = set(Path("study/pieces").iterdir())
     kept = "what is done is kept, and the same command goes on from there.\n"
     for code, said in ((143, f"stickslip: Terminated; {kept}"), (130, f"stickslip: Interrupted; {kept}")):
