@@ -15,4 +15,4 @@ for ax, ratio in ((left, 1.0), (right, 1.2)):
     one = ss.simulate(setup.system, setup.law, t1=setup.t1, y0=setup.y0)
     plot.phase_portrait(one, window=(setup.t1 - 3 * setup.law.period, setup.t1), ax=ax)
     ax.text(0.5, 0.5, f"$r = {ratio}$", transform=ax.transAxes, ha="center", va="center")
-plot.save((left, right), Path(__file__).with_name("phase_portrait.png"), dpi=110)
+plot.save((left, right), Path(__file__).with_name("phase_portrait.png"), dpi=110, overwrite=True)

@@ -289,7 +289,7 @@ def draw(results: dict[tuple[str, str], list[Errors]], path: Path) -> None:
     for axes, title in zip(grid[:, 0], KINDS.values(), strict=True):
         axes.set_ylabel(f"error: {title}")
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
-    plot.save(tuple(grid.flat), path, dpi=110)
+    plot.save(tuple(grid.flat), path, dpi=110, overwrite=True)
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from . import _starting  # before all that takes time
 from ._distributions.copula import GaussianCopula
 from ._distributions.random_number import RandomNumber, Truncated
 from ._dynamics.method import Exact, Regularized
@@ -123,6 +124,7 @@ def __getattr__(name: str):
 
 
 _draw_with(lambda result: import_module(f"{__name__}.plot._small").small_figure(result))
+_starting.end()
 
 
 def __dir__() -> list[str]:

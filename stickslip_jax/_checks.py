@@ -5,8 +5,10 @@ cause shows in the status of each trajectory.
 """
 
 import math
-import numbers
+import numbers as kinds_of_numbers
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -25,21 +27,83 @@ def is_traced(value: Any) -> bool:
     return isinstance(value, Tracer)
 
 
+def numbers(name: str, value: Any, ndim: int | None = None) -> np.ndarray:
+    """`value` as an array of real numbers, of ``ndim`` dimensions (None: any). Raises ValueError for anything else.
+
+    Truth values, complex numbers, words, and numbers that only objects can hold are no real numbers here, and neither
+    are arrays with masked entries: NumPy and JAX would make numbers of some of them, and let others fail later.
+    """
+    array = _array_of(value)
+    if array is None or (ndim == 0 and not isinstance(value, _SINGLE)):
+        random_key = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        shown = "a random key" if random_key else show(value)
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {shown} was given{_hint(value)}")
+    if ndim is not None and array.ndim != ndim:
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {array.shape} was given.")
+    return array
+
+
 def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
     """Check that ``value`` is a finite real number, or array of ``ndim`` dimensions (None: any)."""
-    if isinstance(value, (bool, str, bytes)) or value is None:
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {show(value)} was given.")
-    if ndim is not None and np.ndim(value) != ndim:
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given.")
     if is_traced(value):
+        if ndim is not None and np.ndim(value) != ndim:
+            raise ValueError(
+                f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given."
+            )
         return
-    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but a random key was given.")
-    array = np.asarray(value)
-    if array.dtype.kind not in "iuf":
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {show(value)} was given.")
-    if not np.all(np.isfinite(array)):
+    if not np.all(np.isfinite(numbers(name, value, ndim))):
         raise ValueError(f"Argument {name} must be finite, but {show(value)} was given.")
+
+
+_MOST = 2**28  # numbers in an array made of a range
+_SINGLE = (int, float, np.generic, np.ndarray, jax.Array, list, tuple)
+"""What may be a number for JAX too, and lists, which are none because of their shape."""
+
+
+def _array_of(value: Any) -> np.ndarray | None:
+    """`value` as an array of whole or floating-point numbers of at most 64 bits; None for anything else."""
+    if value is None or isinstance(value, (bool, str, bytes, type)) or np.ma.is_masked(value):
+        return None
+    if _is_long(value):
+        return None
+    listed = value if isinstance(value, (list, tuple)) else ()
+    if any(isinstance(one, (bool, np.bool_)) or one is np.ma.masked for one in listed):
+        return None
+    try:
+        array = np.asarray(value)
+    except Exception:  # rows of different lengths, keys, lists within too many others; the object is anybody's
+        return None
+    is_number = array.dtype.kind in "iuf" and array.dtype.itemsize <= 8
+    too_large = isinstance(value, int) and not -(2**63) <= value < 2**63
+    return array if is_number and not too_large else None
+
+
+def _hint(value: Any) -> str:
+    """The end of the sentence that refuses `value`: what to do, where that is known."""
+    if isinstance(value, type):
+        return f"; make an object of it: {value.__name__}(...)."
+    if np.ma.is_masked(value):
+        return "; leave the masked entries out, or fill them."
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**100:
+        return f"; write it as {float(value)!r}."
+    return "."
+
+
+def dimensions(value: Any) -> int:
+    """The number of dimensions of an array, or of lists in lists; 0 for what is no array, also for uneven lists."""
+    if isinstance(value, (list, tuple)) and any(one is np.ma.masked for one in value):
+        return 1  # of which NumPy would warn
+    if isinstance(value, range):
+        return 1
+    try:
+        return np.ndim(value)
+    except Exception:  # uneven lists; the object is anybody's
+        return 0
+
+
+def _is_long(value: Any) -> bool:
+    """Whether it is a range of more numbers than anything here holds."""
+    return isinstance(value, range) and bool(value[_MOST:])
 
 
 def bounded(
@@ -55,8 +119,7 @@ def bounded(
 ) -> None:
     """Check that ``value`` holds finite numbers within the bounds given.
 
-    A single number that must not be negative must also be of a size that can be computed with. `hint`: what to do
-    about a number outside the bounds.
+    All must be of a size that can be computed with. `hint`: what to do about a number outside the bounds.
     """
     numeric(name, value, ndim)
     if is_traced(value):
@@ -70,6 +133,8 @@ def bounded(
         demand = f"below {below:g}"
     elif ndim == 0 and 0 in (above, at_least) and low != 0 and not SMALLEST <= low <= LARGEST:
         demand, hint = f"between {SMALLEST} and {LARGEST}", "choose other units"
+    elif low < -LARGEST or (high > LARGEST and low <= high):
+        demand, hint = f"between -{LARGEST} and {LARGEST}", "choose other units"
     else:
         return
     shown = show(np.asarray(value) if ndim else value)
@@ -94,6 +159,11 @@ def positive(name: str, value: Any, unit: str = "") -> None:
 def non_negative(name: str, value: Any, unit: str = "") -> None:
     """Check that ``value`` is a finite number, zero or greater."""
     bounded(name, value, unit, at_least=0)
+
+
+def jax_array(name: str, values: Any) -> Any:
+    """``values`` as an array of JAX, of any dimensions. Raises ValueError for what holds no real numbers."""
+    return values if is_traced(values) else jnp.asarray(numbers(name, values))
 
 
 def real_array(name: str, values: Any) -> AnyArray:
@@ -130,7 +200,7 @@ def text(name: str, value: Any, or_none: bool = False) -> None:
 
 def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = None) -> int:
     """Check that ``value`` is a whole number of at least ``minimum``, at most ``maximum``, and return it as an int."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
+    whole = isinstance(value, kinds_of_numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
         raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {show(value)} was given.")
     if maximum is not None and int(value) > maximum:
@@ -138,17 +208,25 @@ def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = 
     return int(value)
 
 
-def state(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
-    """Check that ``value`` holds finite numbers, one for each part of ``meaning``, and return them."""
-    entries = list(value) if isinstance(value, (tuple, list)) or np.ndim(value) == 1 else []
-    if len(entries) != len(meaning):
+def entries(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
+    """The parts of ``value``, one for each part of ``meaning``. Raises ValueError for anything else."""
+    listed = isinstance(value, (tuple, list))
+    is_array = not listed and dimensions(value) == 1 and (is_traced(value) or _array_of(value) is not None)
+    found = list(value) if listed or is_array else []
+    if len(found) != len(meaning):
         count = _COUNTS.get(len(meaning), len(meaning))
         raise ValueError(
             f"Argument {name} must be {count} numbers ({', '.join(meaning)}), but {show(value)} was given."
         )
-    for index, entry in enumerate(entries):
+    return tuple(found)
+
+
+def state(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
+    """Check that ``value`` holds finite numbers, one for each part of ``meaning``, and return them."""
+    found = entries(name, value, meaning)
+    for index, entry in enumerate(found):
         numeric(f"{name}[{index}]", entry)
-    return tuple(entries)
+    return found
 
 
 _COUNTS = {2: "two", 3: "three", 4: "four"}
@@ -169,7 +247,48 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
+def chosen(name: str, value: Any, options: Iterable[str]) -> str:
+    """Check that ``value`` is one of the words ``options``, and return it."""
+    known = tuple(options)
+    if not isinstance(value, str) or value not in known:
+        raise ValueError(f"Argument {name} must be one of {', '.join(map(repr, known))}, but {show(value)} was given.")
+    return value
+
+
+def path(name: str, value: Any, what: str = "the name of a file or folder") -> Path:
+    """Check that ``value`` can be the name of a file or folder, and return it as a path. `what`: what it must be."""
+    text = os.fspath(value) if isinstance(value, (str, os.PathLike)) and not isinstance(value, type) else None
+    if not isinstance(text, str) or not 0 < len(text) <= _LONGEST_NAME or "\0" in text or not _can_be_encoded(text):
+        raise ValueError(f"Argument {name} must be {what}, but {show(value)} was given.")
+    return Path(text)
+
+
+_LONGEST_NAME = 4096  # characters
+
+
+def _can_be_encoded(text: str) -> bool:
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+_SHOWN = 80  # characters
+
+
 def show(value: Any) -> str:
     """`value` on one line, cut where it is long."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 10**_SHOWN:
+        return f"a whole number of about {int(value.bit_length() * math.log10(2)) + 1} digits"
+    cut = False
+    if isinstance(value, (list, tuple, str, bytes)):
+        cut = len(value) > _SHOWN
+        value = value[:_SHOWN]  # what follows is not shown, and may be very much
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # the object is anybody's
+        return f"an object of the class {type(value).__name__}"
+    return f"{text[: _SHOWN - 3]}..." if cut or len(text) > _SHOWN else text

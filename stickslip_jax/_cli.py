@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 
-from . import _compilation_cache
+from . import _compilation_cache, _starting
 
 if TYPE_CHECKING:
     from .study._options import StudyCommand
+
+_starting.begin()
 
 
 def main(tokens: Sequence[str] | None = None) -> int:
@@ -42,21 +44,29 @@ class _Terminated(BaseException):
 
 def _answer(tokens: Sequence[str]) -> int:
     """Run the command; every expected failure becomes one sentence and an exit code."""
-    try:
-        from .study import StudyError  # noqa: PLC0415 - needs the extra
-    except ImportError as error:
-        return _fail(error, 1)
     is_stored = list(tokens[:1]) in (["sweep"], ["resume"])
     left = "what is done is kept, and the same command goes on from there." if is_stored else "no result was written."
     try:
         with _stops_raised():
-            return _run(tokens)
-    except StudyError as error:
-        return _fail(error, 2)
+            return _run_or_fail(tokens, left)
     except KeyboardInterrupt as stop:
         return _fail(str(stop) or f"Interrupted; {left}", 130)
     except _Terminated:
         return _fail(f"Terminated; {left}", 143)
+
+
+def _run_or_fail(tokens: Sequence[str], left: str) -> int:
+    try:
+        from .study import StudyError  # noqa: PLC0415 - needs the extra
+    except ImportError as error:
+        return _fail(error, 1)
+    try:
+        return _run(tokens)
+    except StudyError as error:
+        return _fail(error, 2)
+    except MemoryError as error:
+        reason = f"MemoryError: {error}" if str(error) else "MemoryError"
+        return _fail(f"There is not enough memory ({' '.join(reason.split())}); {left}", 1)
     except OSError as error:
         return _fail(error, 1)
 
@@ -118,6 +128,7 @@ def _stops_raised() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    _starting.end()
     usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     signal.signal(signal.SIGTERM, partial(_stop, _Terminated))
     if usual[signal.SIGINT] is signal.default_int_handler:  # not where Ctrl-C is ignored

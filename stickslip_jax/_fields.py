@@ -61,11 +61,14 @@ class Quantity:
         if not self.ndim and is_distribution(value):
             return
         # Of many numbers, one for each sample, name the first that does not fit.
-        if not self.ndim and not _checks.is_traced(value) and np.ndim(value) == 1:
-            value, wrong = np.asarray(value), self.outside(value)
-            if not len(value) or np.any(wrong):
-                at = int(np.argmax(wrong)) if len(value) else 0
-                self.check(f"{name}[{at}]" if len(value) else name, value[at].item() if len(value) else None)
+        if not self.ndim and not _checks.is_traced(value) and _checks.dimensions(value) == 1:
+            values = _checks.numbers(name, value)
+            wrong = self.outside(values)
+            if not len(values):
+                raise ValueError(f"Argument {name} must be a single real number, but {_checks.show(value)} was given.")
+            if np.any(wrong):
+                at = int(np.argmax(wrong))
+                self.check(f"{name}[{at}]", values[at].item())
             return
         _checks.bounded(
             name, value, self.unit, above=self.above, at_least=self.at_least, below=self.below, ndim=self.ndim,
@@ -73,14 +76,11 @@ class Quantity:
         )  # fmt: skip
 
     def outside(self, values: Any) -> np.ndarray:
-        """Which of `values` are no finite numbers within the bounds, (values,)."""
-        try:
-            values = np.asarray(values, float)
-        except (TypeError, ValueError):
-            return np.ones(np.shape(values), bool)
-        wrong = ~np.isfinite(values)
+        """Which of the numbers `values` are not finite, or outside the bounds, (values,)."""
+        values = np.asarray(values, float)
+        wrong = ~(np.abs(values) <= _checks.LARGEST)
         if 0 in (self.above, self.at_least):
-            wrong |= (values != 0) & ~((values >= _checks.SMALLEST) & (values <= _checks.LARGEST))
+            wrong |= (values != 0) & (np.abs(values) < _checks.SMALLEST)
         for holds, bound in ((np.greater, self.above), (np.greater_equal, self.at_least), (np.less, self.below)):
             if bound is not None:
                 wrong |= ~holds(values, bound)
@@ -108,6 +108,8 @@ class Choice:
 
 def is_distribution(value: Any) -> bool:
     """Whether `value` is a distribution: of stickslip_jax, frozen of scipy.stats, or with a method ``sample(key)``."""
+    if isinstance(value, type):  # the class of a distribution is none yet
+        return False
     return any(callable(getattr(value, name, None)) for name in ("icdf", "ppf", "sample"))
 
 
@@ -115,7 +117,7 @@ def varies(value: Any, about: "Quantity | Choice") -> bool:
     """Whether the field `about` holds more than one number: a distribution, or an array with one for each sample."""
     if isinstance(about, Choice) or about.ndim or _checks.is_traced(value):
         return False
-    return is_distribution(value) or np.ndim(value) == 1
+    return is_distribution(value) or _checks.dimensions(value) == 1
 
 
 @cache
@@ -139,10 +141,11 @@ def described(kind: type) -> dict[str, Quantity | Choice]:
 
 
 @cache
-def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool], ...]:
-    """Name, `Quantity` or `Choice` of each described field, and whether it may be None."""
-    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
-    return tuple((name, about, defaults[name] is None) for name, about in described(kind).items())
+def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool, bool], ...]:
+    """Name, `Quantity` or `Choice` of each described field, whether it may be None, and whether it may be random."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    random = {name: kind.may_be_random and not field.metadata.get("static", False) for name, field in fields.items()}
+    return tuple((name, about, fields[name].default is None, random[name]) for name, about in described(kind).items())
 
 
 def modules_in(tree: Any) -> Iterator[eqx.Module]:
@@ -174,17 +177,22 @@ class Checked(WithClaims, WithMethods):
 
     def __check_init__(self):
         vary = False
-        for name, about, may_be_none in _to_check(type(self)):
+        for name, about, may_be_none, may_be_random in _to_check(type(self)):
             value = getattr(self, name)
             if value is None and may_be_none:
                 continue
-            vary = vary or varies(value, about)
-            if vary and not self.may_be_random:
-                _checks.numeric(name, value)
+            if varies(value, about):
+                vary = True
+                if not may_be_random:
+                    _checks.numeric(name, value)
             about.check(name, value)
+        type(self).check_parts(self)
         if vary:  # what several fields must satisfy together is checked for what is drawn
             return
         type(self).check_relations(self)  # bound, it would be a module of its own, and cost as much as all checks
 
+    def check_parts(self) -> None:
+        """Check fields of other kinds than numbers. Raises ValueError otherwise."""
+
     def check_relations(self) -> None:
-        """Check what several fields must satisfy together, and fields of other kinds. Raises ValueError otherwise."""
+        """Check what several fields must satisfy together. Raises ValueError otherwise."""

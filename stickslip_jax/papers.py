@@ -162,9 +162,7 @@ def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int =
     """
     over = {"mu": np.linspace(*ANALYSIS_FRICTIONS), "rate": np.geomspace(*ANALYSIS_RATES)}
     law = PoissonSwitching(speed=BELT_SPEED, rate=1.0)
-    return Study(
-        belt_oscillator(), law, over=over, t1=t1, samples=samples, key=jax.random.key(seed), y0=(0.0, BELT_SPEED)
-    )
+    return Study(belt_oscillator(), law, over=over, t1=t1, samples=samples, key=_key(seed), y0=(0.0, BELT_SPEED))
 
 
 def stick_share_map(
@@ -189,10 +187,7 @@ def stick_share_map(
 
     Raises ValueError for another belt, and for arguments that `Study` refuses.
     """
-    if belt not in get_args(Belt):
-        raise ValueError(
-            f"Argument belt must be one of {', '.join(map(repr, get_args(Belt)))}, but {_checks.show(belt)} was given."
-        )
+    _checks.chosen("belt", belt, get_args(Belt))
     laws = {
         "constant": constant_belt().law,
         "square": square_wave_belt(1.0).law,
@@ -205,9 +200,13 @@ def stick_share_map(
     usual = SHARE_SAMPLES if belt == "random" else 1
     return Study(
         belt_oscillator(), laws[belt], over=over, t1=t1, samples=usual if samples is None else samples,
-        key=jax.random.key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
+        key=_key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
         statistics=["stick_fraction"],
     )  # fmt: skip
+
+
+def _key(seed: int) -> Array:
+    return jax.random.key(_checks.whole_number("seed", seed, minimum=0, maximum=2**63 - 1))
 
 
 def _belt_period(ratio: Scalar) -> Scalar:

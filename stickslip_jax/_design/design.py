@@ -1,7 +1,7 @@
 """A design: a table with one row for each sample of an ensemble."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from .. import _checks
 REALIZATION_FACTOR = "realization"
 """The name of the realisation where Sobol' indices treat it as one more factor."""
 
+MOST_SAMPLES, MOST_NUMBERS = 2**30, 2**28
+"""Rows of a design, and numbers in its table (2 GiB), at most."""
 _MOST_REALIZATIONS = 2**32
 _SHOWN = 6  # names in one line
 
@@ -43,6 +45,11 @@ class Design:
     second_order: bool = False
 
     def __post_init__(self) -> None:
+        _checks.text("kind", self.kind)
+        _checks.truth("second_order", self.second_order)
+        if self.base_samples is not None:
+            number = _checks.whole_number("base_samples", self.base_samples, maximum=MOST_SAMPLES)
+            object.__setattr__(self, "base_samples", number)
         if (self.u is None) == (self.values is None):
             raise ValueError("Argument u or values must be given, and the other one be None.")
         name = "values" if self.u is None else "u"
@@ -137,29 +144,49 @@ def saltelli_rows(factors: int, second_order: bool) -> int:
 
 def checked_names(names: Any) -> tuple[str, ...]:
     """`names` as a tuple. Raises ValueError for anything but distinct names, at least one."""
-    found = [] if isinstance(names, (str, bytes)) or not isinstance(names, Sequence) else list(names)
+    found = [] if isinstance(names, (str, bytes, range)) or not isinstance(names, Sequence) else list(names)
     if not found or not all(isinstance(name, str) and name for name in found):
         raise ValueError(
             "Argument names must be a sequence of names of numbers, such as ['mu', 'stiffness', 'y0[0]'], but "
             f"{_checks.show(names)} was given."
         )
-    twice = [name for index, name in enumerate(found) if name in found[:index]]
-    if twice:
-        raise ValueError(f"Argument names must hold every name once, but {twice[0]!r} was given twice.")
+    twice = given_twice(found)
+    if twice is not None:
+        raise ValueError(f"Argument names must hold every name once, but {twice!r} was given twice.")
     return tuple(found)
+
+
+def given_twice(names: Iterable[str]) -> str | None:
+    """The first of `names` that was there before; None if all differ."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
+
+
+def check_size(rows: int, columns: int, argument: str = "samples") -> None:
+    """Raise ValueError for a table of more numbers than can be held, before there is one."""
+    if rows * columns > MOST_NUMBERS:
+        raise ValueError(
+            f"Argument {argument} must be small enough for a table of at most {MOST_NUMBERS} numbers, but {rows} rows "
+            f"of {columns} columns would have {rows * columns}; take fewer rows or columns."
+        )
 
 
 def checked_numbers(name: str, numbers: Any, *, uniform: bool) -> np.ndarray:
     """`numbers` as a read-only array (samples, numbers) of float64. Raises ValueError for what a design cannot hold."""
     try:
-        array = np.array(numbers, np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.ndim != 2 or not array.size or np.asarray(numbers).dtype.kind not in "iuf":
+        given = _checks.numbers(name, numbers, ndim=2)
+    except ValueError:
+        given = np.empty(0)
+    if not given.size:
         raise ValueError(
             f"Argument {name} must be an array (samples, numbers) of real numbers, at least one of each, but "
             f"{_checks.show(numbers)} was given."
         )
+    array = np.array(given, np.float64)
     refuse_first(name, array, ~np.isfinite(array), "finite numbers")
     if uniform:
         refuse_first(name, array, ~((array > 0) & (array < 1)), "uniform numbers, above 0 and below 1")
@@ -178,7 +205,10 @@ def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) 
 
 def checked_realization(realization: Any, samples: int) -> np.ndarray:
     """`realization` as a read-only array (samples,) of int64. Raises ValueError for anything but whole numbers."""
-    array = np.asarray(realization)
+    try:
+        array = _checks.numbers("realization", realization, ndim=1)
+    except ValueError:
+        array = np.empty(0)
     if array.shape != (samples,) or array.dtype.kind not in "iu":
         raise ValueError(
             f"Argument realization must hold a whole number for each of the {samples} samples, but "

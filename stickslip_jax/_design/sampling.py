@@ -10,10 +10,9 @@ import numpy as np
 from .. import _checks
 from .._numerics.random_bits import key_data_of
 from .._types import Array
-from .design import Design, checked_names, saltelli_rows
+from .design import MOST_SAMPLES, Design, check_size, checked_names, saltelli_rows
 
-_BITS = 30  # of the numbers of a Sobol' sequence
-_MOST_SAMPLES = 2**_BITS
+_BITS = 30  # of the numbers of a Sobol' sequence: as many as there are samples at most
 _MOST_DIMENSIONS = 21201  # for which scipy has direction numbers
 
 Seed = int | np.integer | Array
@@ -40,7 +39,8 @@ def random(
     Raises ValueError for arguments outside these bounds.
     """
     names, dimensions = _columns(names, dimensions)
-    samples = _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
+    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+    check_size(samples, dimensions)
     cells = _generator(seed).integers(2**52, size=(samples, dimensions))
     u = (cells + 0.5) * 2.0**-52  # the midpoints of equal cells: never 0 or 1
     return Design(kind="random", names=names, u=u, realization=realizations(realization, samples))
@@ -64,7 +64,8 @@ def latin_hypercube(
     from scipy.stats import qmc  # noqa: PLC0415 - loaded when used
 
     names, dimensions = _columns(names, dimensions)
-    samples = _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
+    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+    check_size(samples, dimensions)
     drawn = qmc.LatinHypercube(dimensions, **_by(seed)).random(samples)
     u = np.clip(drawn, 2.0**-54, 1 - 2.0**-53)
     return Design(kind="latin_hypercube", names=names, u=u, realization=realizations(realization, samples))
@@ -95,6 +96,8 @@ def sobol(
     """
     names, dimensions = _columns(names, dimensions)
     samples = _power_of_two("samples", samples)
+    _check_dimensions(dimensions)
+    check_size(samples, dimensions)
     u = _sobol_points(samples, dimensions, scramble, seed)
     return Design(kind="sobol", names=names, u=u, realization=realizations(realization, samples))
 
@@ -137,7 +140,9 @@ def saltelli(
     _checks.truth("second_order", second_order)
     factors = dimensions + 1 if isinstance(realization, str) and realization == "factor" else dimensions
     rows = saltelli_rows(factors, second_order)
-    _checks.whole_number("base_samples", number * rows, maximum=_MOST_SAMPLES)
+    _checks.whole_number("base_samples", number * rows, maximum=MOST_SAMPLES)
+    _check_dimensions(2 * dimensions)
+    check_size(number * rows, dimensions, "base_samples")
     points = _sobol_points(number, 2 * dimensions, scramble, seed)
     # Which row of a block takes which factor from B.
     one = np.eye(factors, dtype=bool)
@@ -163,7 +168,7 @@ def realizations(realization: Any, samples: int, more: dict[str, np.ndarray] | N
         options = ", ".join(map(repr, words))
         raise ValueError(
             f"Argument realization must be {options} or an array with a whole number for each sample, but "
-            f"{realization!r} was given."
+            f"{_checks.show(realization)} was given."
         )
     return words[realization]
 
@@ -188,7 +193,7 @@ def _columns(names: Any, dimensions: Any) -> tuple[tuple[str, ...] | None, int]:
 
 
 def _power_of_two(name: str, number: Any) -> int:
-    number = _checks.whole_number(name, number, maximum=_MOST_SAMPLES)
+    number = _checks.whole_number(name, number, maximum=MOST_SAMPLES)
     if number & (number - 1):
         below = 1 << (number.bit_length() - 1)
         raise ValueError(
@@ -202,13 +207,16 @@ def _sobol_points(samples: int, dimensions: int, scramble: bool, seed: Seed) -> 
     from scipy.stats import qmc  # noqa: PLC0415 - loaded when used
 
     _checks.truth("scramble", scramble)
+    engine = qmc.Sobol(dimensions, scramble=bool(scramble), bits=_BITS, **_by(seed))
+    return engine.random(samples) + 2.0 ** -(_BITS + 1)
+
+
+def _check_dimensions(dimensions: int) -> None:
     if dimensions > _MOST_DIMENSIONS:
         raise ValueError(
             f"Argument dimensions must ask for at most {_MOST_DIMENSIONS} columns of a Sobol' sequence (tables A and B "
             f"take two for each number), but {dimensions} are needed; take fewer, or latin_hypercube or random."
         )
-    engine = qmc.Sobol(dimensions, scramble=bool(scramble), bits=_BITS, **_by(seed))
-    return engine.random(samples) + 2.0 ** -(_BITS + 1)
 
 
 def _by(seed: Seed) -> dict[str, Any]:

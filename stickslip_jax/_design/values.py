@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .design import Design, checked_names, checked_numbers, refuse_first
+from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, refuse_first
 from .sampling import realizations
-
-_MOST_SAMPLES = 2**30
 
 
 def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:
@@ -28,14 +26,13 @@ def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:
     <grid design of 6 samples: values of mu, stiffness; each with its own realisation>
     """
     columns = _named_columns("values", values)
-    for name, column in columns.items():
-        _check_column(f"values[{name!r}]", column)
     samples = math.prod(len(column) for column in columns.values())
-    if samples > _MOST_SAMPLES:
+    if samples > MOST_SAMPLES:
         raise ValueError(
-            f"Argument values must have at most {_MOST_SAMPLES} combinations, but has {samples}; give fewer values of "
+            f"Argument values must have at most {MOST_SAMPLES} combinations, but has {samples}; give fewer values of "
             "each, or take sobol."
         )
+    check_size(samples, len(columns), "values")
     axes = np.meshgrid(*columns.values(), indexing="ij")
     numbers = np.stack([axis.ravel() for axis in axes], axis=1)
     chosen = realizations(realization, samples)
@@ -71,8 +68,6 @@ def table(
                 f"Argument names must be left out where numbers has named columns, but {_checks.show(names)} was given."
             )
         columns = _named_columns("numbers", numbers)
-        for name, column in columns.items():
-            _check_column(f"numbers[{name!r}]", column)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"Argument numbers must have columns of equal length, but their lengths are {lengths}.")
@@ -98,13 +93,21 @@ def _named_columns(argument: str, given: Any) -> dict[str, np.ndarray]:
             f"Argument {argument} must have a different name for each column, such as 'mu', but the names "
             f"{_checks.show(names)} were given."
         )
-    return {name: np.asarray(column) for name, column in pairs}
+    return {name: _column(f"{argument}[{name!r}]", column) for name, column in pairs}
 
 
-def _check_column(name: str, column: np.ndarray) -> None:
-    if column.ndim != 1 or not column.size or column.dtype.kind not in "iuf":
+def _column(name: str, given: Any) -> np.ndarray:
+    """A column called `name`. Raises ValueError for what holds no numbers, none at all, or too many."""
+    if isinstance(given, range):  # which has no numbers yet
+        check_size(len(given), 1, name)
+    try:
+        column = _checks.numbers(name, given, ndim=1)
+    except ValueError:
+        column = np.empty(0)
+    if not column.size:
         raise ValueError(
             f"Argument {name} must be a one-dimensional sequence of real numbers, at least one, but "
-            f"{_checks.show(column)} was given."
+            f"{_checks.show(given)} was given."
         )
     refuse_first(name, column, ~np.isfinite(column), "finite numbers")
+    return column

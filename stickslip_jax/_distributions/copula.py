@@ -16,7 +16,7 @@ _ROUND_OFF = 1e-6
 
 
 def _as_names(names: Any) -> tuple[str, ...]:
-    found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes)) else ()
+    found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes, range)) else ()
     if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
         raise ValueError(
             "Argument names must hold two or more different names of random numbers, such as ('mu', 'stiffness'), but "

@@ -15,6 +15,8 @@ from .._fields import Quantity
 from .._types import FloatArray, Scalar
 from .random_number import RandomNumber, floating
 
+_MOST_VARIATION = 1e50  # of the coefficient of variation of a log-normal number: its square is still a number
+
 
 class Uniform(RandomNumber):
     """A random number, uniform on ``[low, high]`` and independent in every sample of an ensemble.
@@ -77,7 +79,12 @@ class LogNormal(RandomNumber):
         """The one with this mean and this standard deviation, both positive. Raises ValueError for others."""
         _checks.positive("mean", mean)
         _checks.positive("std", std)
-        spread = jnp.log1p((std / mean) ** 2)
+        ratio = std / mean
+        if not _checks.is_traced(ratio) and not ratio <= _MOST_VARIATION:
+            raise ValueError(
+                f"Argument std must be at most {_MOST_VARIATION:g} times the mean {mean}, but {std} was given."
+            )
+        spread = jnp.log1p(ratio**2)
         return cls(mean * jnp.exp(-spread / 2), jnp.sqrt(spread))
 
     def icdf(self, u: FloatArray) -> FloatArray:
@@ -146,7 +153,7 @@ class Triangular(RandomNumber):
         _check_order(low=self.low, high=self.high)
         if any(_checks.is_traced(value) for value in (self.low, self.mode, self.high)):
             return
-        if not self.low <= self.mode <= self.high:
+        if not np.all((self.low <= self.mode) & (self.mode <= self.high)):
             raise ValueError(
                 f"Argument mode must lie between low = {self.low} and high = {self.high}, but {self.mode} was given."
             )
@@ -269,7 +276,7 @@ class Discrete(RandomNumber):
 
 def _check_order(**limits: Any) -> None:
     (_, low), (name, high) = limits.items()
-    if not (_checks.is_traced(low) or _checks.is_traced(high)) and not low < high:
+    if not (_checks.is_traced(low) or _checks.is_traced(high)) and not np.all(low < high):
         raise ValueError(f"Argument {name} must be above low = {low}, but {high} was given.")
 
 

@@ -52,9 +52,9 @@ class RandomNumber(Checked):
 
 
 def floating(x: Any) -> FloatArray:
-    """`x` as an array of floating-point numbers, in its own precision if it has one."""
+    """`x` as an array of floating-point numbers, in its own precision if it has one, at least single precision."""
     x = jnp.asarray(x)
-    return x.astype(jnp.result_type(x, float))
+    return x.astype(jnp.promote_types(jnp.result_type(x, float), jnp.float32))
 
 
 class Truncated(RandomNumber):

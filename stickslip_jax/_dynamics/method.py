@@ -12,6 +12,10 @@ from .._types import AnyArray, Scalar
 from .regularized.switch import SHAPES
 
 
+def _as_max_steps(number: Any) -> int | None:
+    return None if number is None else _checks.whole_number("max_steps", number)
+
+
 class Exact(eqx.Module):
     """Exact switched dynamics. Without a step, closed forms over whole base intervals are used where they apply
     (constant velocities, no damping, no force, one friction coefficient), and time steps elsewhere.
@@ -26,14 +30,12 @@ class Exact(eqx.Module):
     """
 
     step: Scalar | None = None
-    max_steps: int | None = eqx.field(static=True, default=None)
+    max_steps: int | None = eqx.field(static=True, default=None, converter=_as_max_steps)
     solver: Any = None
 
     def __check_init__(self):
         if self.step is not None:
             _checks.positive("step", self.step, "s")
-        if self.max_steps is not None:
-            _checks.whole_number("max_steps", self.max_steps)
         if self.solver is not None and not isinstance(self.solver, diffrax.AbstractERK):
             raise ValueError(
                 "Argument solver must be an explicit Runge-Kutta solver such as diffrax.Tsit5(), but "
@@ -81,15 +83,15 @@ class Regularized(eqx.Module):
     solver: Any = eqx.field(static=True, default=None, kw_only=True)
     rtol: Scalar = eqx.field(default=1e-5, kw_only=True)
     atol: AnyArray | Scalar | None = eqx.field(default=None, kw_only=True)
-    max_steps: int | None = eqx.field(static=True, default=None, kw_only=True)
+    max_steps: int | None = eqx.field(static=True, default=None, kw_only=True, converter=_as_max_steps)
     threshold: Scalar | None = eqx.field(default=None, kw_only=True)
     minimum_duration: Scalar | None = eqx.field(default=None, kw_only=True)
     adjoint: Any = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self):
         _checks.positive("width", self.width, "m/s")
-        if self.shape not in SHAPES:
-            near = difflib.get_close_matches(str(self.shape), SHAPES, 1, 0.4)
+        if not isinstance(self.shape, str) or self.shape not in SHAPES:
+            near = difflib.get_close_matches(self.shape, SHAPES, 1, 0.4) if isinstance(self.shape, str) else []
             guess = f"; did you mean {near[0]!r}?" if near else "."
             raise ValueError(
                 f"Argument shape must be one of {', '.join(map(repr, SHAPES))}, but {_checks.show(self.shape)} was "
@@ -100,8 +102,6 @@ class Regularized(eqx.Module):
                 _checks.positive(name, getattr(self, name), unit)
         if self.minimum_duration is not None:
             _checks.non_negative("minimum_duration", self.minimum_duration, "s")
-        if self.max_steps is not None:
-            _checks.whole_number("max_steps", self.max_steps)
         _checks.positive("rtol", self.rtol)
         if self.atol is not None:
             _checks.numeric("atol", self.atol, ndim=None)

@@ -9,9 +9,12 @@ import jax.numpy as jnp
 from .. import _checks
 from .._excitation.excitation import Excitation
 from .._numerics.known import NotKnown, largest, plain, smallest
-from .._systems.system import OWN_TIME, System
+from .._systems.system import OWN_TIME, StepCount, System
 from .._types import Scalar
 from .blocks import few_sizes
+from .method import Regularized
+
+_USUAL = StepCount(1.0, 1.0)
 
 
 def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
@@ -21,6 +24,8 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
     is not known.
     """
     scales = {name: (plain(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()}
+    if isinstance(method, Regularized):  # whose fixed steps are not shortened where the motion is fast
+        scales["time scale of the fastest motion"] = plain(system.usual_step(excitation)), _USUAL
     known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
     unknown = [name for name in scales if name not in known]
     if method.step is None and unknown:

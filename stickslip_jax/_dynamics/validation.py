@@ -34,7 +34,9 @@ def check_method(method: Any) -> None:
 def state_of(system: System, y0: Any) -> tuple[Any, ...]:
     """The initial state `y0` of `system`, checked; zeros if `y0` is None."""
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
-    numbers = _checks.state("y0", (0.0,) * len(meaning) if y0 is None else y0, meaning)
+    entries = _checks.entries("y0", (0.0,) * len(meaning) if y0 is None else y0, meaning)
+    check_fixed(y0=entries)
+    numbers = _checks.state("y0", entries, meaning)
     system.check_state(numbers)
     return numbers
 

@@ -24,6 +24,7 @@ from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._fast_cpu import cores
+from .._forks import require_threads_of_jax
 from .._inputs.inputs import Model
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
@@ -93,6 +94,7 @@ def simulate_ensemble(
     >>> print(ss.mean_stick_duration(many))
     mean stick duration (pooled): 0.2540 +- 0.0011 s
     """
+    require_threads_of_jax()
     numbering = _numbering(orders, count_initial_rest)
     run = Run.checked(Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering)
     samples, first = run.inputs.samples - int(first_sample), int(first_sample)
@@ -124,6 +126,7 @@ def _extended(
     ensemble: Ensemble, samples: int, threads: int | None, chunk: int | None, progress: bool | None
 ) -> Ensemble:
     """`ensemble` with more samples; see `Ensemble.extended`."""
+    require_threads_of_jax()
     check_extendable(ensemble)
     first = ensemble.first_sample + ensemble.samples
     _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)

@@ -9,7 +9,7 @@ from .. import _checks
 from .origins import Origin, origins_of, same_object
 from .parts import EnsembleAccumulator
 from .result import Ensemble
-from .stored import dataset_in
+from .stored import fields_of_file
 from .unknown import Unknown, UnknownSystem
 
 
@@ -25,7 +25,7 @@ def load(path: str | os.PathLike[str]) -> Ensemble:
     Raises FileNotFoundError for a missing file; ValueError for one that is damaged or cut short, of another program, or
     of a newer format; ImportError without the extra ``study``.
     """
-    return Ensemble.from_xarray(dataset_in(path))
+    return Ensemble(**fields_of_file(_checks.path("path", path, "a file name")))
 
 
 def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:

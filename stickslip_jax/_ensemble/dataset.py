@@ -16,7 +16,7 @@ from .slips import flat_slips
 if TYPE_CHECKING:
     import xarray
 
-FORMAT, FORMAT_VERSION = "stickslip_jax ensemble", 1
+FORMAT, FORMAT_VERSION = "stickslip_jax ensemble", 2
 STATE, FLOATS, INTEGERS = "ensemble_state", "ensemble_state_floats", "ensemble_state_integers"
 SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
 """The dimension of samples by what was kept: with "statistics" only sticks of the first samples that finished are."""

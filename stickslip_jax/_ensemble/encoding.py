@@ -30,6 +30,12 @@ _INTERNAL: dict[str, type] = {
     )
 }  # fmt: skip
 _LONGEST_TEXT = 1000  # of an object that prints itself
+_DIFFRAX = (
+    "Bosh3", "Dopri5", "Dopri8", "Euler", "Heun", "ImplicitEuler", "KenCarp3", "KenCarp4", "KenCarp5", "Kvaerno3",
+    "Kvaerno4", "Kvaerno5", "Midpoint", "Ralston", "Tsit5",
+    "BacksolveAdjoint", "DirectAdjoint", "ForwardMode", "ImplicitAdjoint", "RecursiveCheckpointAdjoint",
+)  # fmt: skip
+"""Solvers and adjoints that a method may hold; others are written as text."""
 
 
 class NotOursError(TypeError):
@@ -78,8 +84,9 @@ class Encoder:
             return {type(value).__name__: [self._encoded(part) for part in value]}
         if _class_named(type(value).__name__) is type(value):
             return {"class": type(value).__name__, "fields": self._fields(value)}
-        if type(value).__module__.startswith("diffrax") and repr(value) == repr(type(value)()):
-            return {"diffrax": type(value).__name__}
+        name = type(value).__name__
+        if name in _DIFFRAX and type(value) is getattr(diffrax, name) and repr(value) == repr(type(value)()):
+            return {"diffrax": name}
         raise NotOursError
 
     def _fields(self, value: Any) -> dict[str, Any]:
@@ -130,6 +137,8 @@ class Decoder:
         if "float" in value:
             return float(value["float"])
         if "diffrax" in value:
+            if value["diffrax"] not in _DIFFRAX:
+                raise ValueError(f"it holds a solver {value['diffrax']!r}, which this version does not know")
             return getattr(diffrax, value["diffrax"])()
         ((kind, parts),) = value.items()
         return {"tuple": tuple, "list": list}[kind](self.decoded(part, checked) for part in parts)
@@ -149,6 +158,8 @@ class Decoder:
     def _array(self, about: dict[str, Any]) -> Any:
         shape, dtype = tuple(about["shape"]), np.dtype(about["dtype"])
         size = math.prod(shape)
+        if dtype.kind not in "fiub" or min(shape, default=0) < 0:
+            raise ValueError(f"it holds an array of type {dtype} and shape {shape}")
         if "values" in about:
             flat = [self.decoded(entry) for entry in about["values"]]
         elif "floats" in about:

@@ -1,5 +1,6 @@
 """Ensembles of what `simulate_ensemble` did not simulate: results of `simulate` under ``vmap``, and measured sticks."""
 
+import re
 from typing import Any
 
 import jax
@@ -17,6 +18,15 @@ from .measured import measured_sticks
 from .origins import GivenMotions, single
 from .parts import EnsembleAccumulator, Part
 from .unknown import Unknown, UnknownSystem
+
+_UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m", "mm", "µm", "rad" or "m/s"
+
+
+def _check_unit(unit: Any) -> None:
+    if not isinstance(unit, str) or not _UNIT.fullmatch(unit):
+        raise ValueError(
+            f"Argument position_unit must be a unit such as 'm', 'mm' or 'rad', but {_checks.show(unit)} was given."
+        )
 
 
 def numbering_of(orders: int, count_initial_rest: bool) -> Numbering:
@@ -61,12 +71,21 @@ def fields_of_simulations(result: Any, numbering: Numbering) -> dict[str, Any]:
 
 
 def fields_of_sticks(
-    table: Any, t1: float, samples: int | None, position: Coordinate, numbering: Numbering
+    table: Any, t1: float, samples: int | None, position_unit: str | None, period: float | None, numbering: Numbering
 ) -> dict[str, Any]:
     """The fields of the `Ensemble` of measured sticks; see `Ensemble.from_sticks`."""
     _checks.positive("t1", t1, "s")
+    if period is not None:
+        _checks.positive("period", period)
+    if position_unit is not None:
+        _check_unit(position_unit)
     sticks, unit = measured_sticks(table, float(t1), samples)
-    position = position if unit is None else position._replace(unit=unit)
+    if position_unit is not None and unit not in (None, position_unit):
+        raise ValueError(
+            f"Argument position_unit must be {unit!r}, because the table has the column 'position_{unit}', but "
+            f"{position_unit!r} was given; leave it out, or rename the column."
+        )
+    position = Coordinate("position when the stick starts", position_unit or unit or "m", period=period)
     count = sticks.count
     starts_stuck, ends_stuck = sticks.begins_at_zero, np.zeros(len(count), bool)
     ends_stuck[count > 0] = sticks.ending[(sticks.first + count - 1)[count > 0]] == Ending.HORIZON

@@ -1,5 +1,6 @@
 """Tables of measured sticks, checked and put in order."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +12,8 @@ from .._status import Ending
 
 _NEEDED = ("sample", "start", "end", "duration", "position", "slip_displacement", "ending")
 _ROUND_OFF = 1e-9  # of the duration of the measurement: ends within it of the next start, or of t1, are on time
+_MOST_SAMPLES = 10**8
+_ROUNDED = 1e-5  # of the duration of the measurement: by so much columns of few digits may contradict each other
 
 
 def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
@@ -26,6 +29,8 @@ def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSti
     number, start, end = number[order], start[order], end[order]
     end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
     _check_times(number, start, end, t1, order)
+    if "end" in columns and "duration" in columns:
+        _check_durations(start, end, _numbers("duration", columns)[order], t1, order)
     # An end within round-off of the next start is that start.
     late = np.flatnonzero((number[1:] == number[:-1]) & (end[:-1] > start[1:]))
     end[late] = start[late + 1]
@@ -41,10 +46,8 @@ def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSti
 def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
     """The columns of the table by name, and the unit of the position if its column's name says it."""
     try:
-        given = {
-            str(name): np.asarray(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)
-        }
-    except (AttributeError, KeyError, TypeError):
+        given = {str(name): _column(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)}
+    except (AttributeError, KeyError, TypeError, ValueError):
         raise ValueError(
             "Argument table must be a pandas DataFrame or a dict of arrays with columns sample, start, and end or "
             f"duration, but {_checks.show(table)} was given."
@@ -76,6 +79,18 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
     return found, unit
 
 
+def _column(given: Any) -> np.ndarray:
+    """A column of the table; masked entries are not numbers. Raises ValueError for rows of different lengths."""
+    if np.ma.is_masked(given):
+        return given.astype(object).filled(None)
+    if isinstance(given, range):
+        return _checks.numbers("table", given)
+    try:
+        return np.asarray(given)
+    except Exception as error:  # the object is anybody's
+        raise ValueError(str(error)) from error
+
+
 def _numbers(name: str, columns: dict[str, np.ndarray]) -> np.ndarray:
     column = columns[name]
     if column.dtype.kind not in "iuf":
@@ -92,18 +107,25 @@ def _numbers(name: str, columns: dict[str, np.ndarray]) -> np.ndarray:
 
 def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.ndarray, int]:
     """The number of each stick's sample, from 0, and how many samples there are."""
-    if labels.dtype.kind == "f" and np.all(labels == np.round(labels)):
+    if samples is not None:
+        samples = _checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
+    if labels.dtype.kind == "f" and np.all(np.abs(labels) < 2**53) and np.all(labels == np.round(labels)):
         labels = labels.astype(np.int64)
     if labels.dtype.kind not in "iu":
         if labels.dtype.kind not in "OUST":
             raise ValueError(
                 f"Argument table must have whole numbers or names in the column sample, but its type is {labels.dtype}."
             )
+        if any(label is None or (isinstance(label, float) and math.isnan(label)) for label in labels.tolist()):
+            raise ValueError(
+                "Argument table must have a number or name in every row of the column sample, but one is empty; leave "
+                "out the row."
+            )
         present, number = np.unique(labels.astype(str), return_inverse=True)
         return number, _enough(samples, len(present))
     least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
     if samples is not None:
-        if least < 0 or most >= _checks.whole_number("samples", samples):
+        if least < 0 or most >= samples:
             raise ValueError(
                 f"Argument table must have sample numbers from 0 to {samples - 1}, because samples = {samples}, but "
                 f"they are from {least} to {most}; renumber them from 0."
@@ -125,7 +147,7 @@ def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.nda
 def _enough(samples: int | None, present: int) -> int:
     if samples is None:
         return present
-    if _checks.whole_number("samples", samples) < present:
+    if samples < present:
         raise ValueError(
             f"Argument samples must be at least the {present} samples in the table, but {samples} was given."
         )
@@ -148,6 +170,17 @@ def _check_times(number: np.ndarray, start: np.ndarray, end: np.ndarray, t1: flo
                 f"Argument table must have {demand}, but its row {order[at]} has a stick from {start[at]:g} to "
                 f"{end[at]:g} s."
             )
+
+
+def _check_durations(start: np.ndarray, end: np.ndarray, duration: np.ndarray, t1: float, order: np.ndarray) -> None:
+    """Raise ValueError where starts and durations say other ends than the column of the ends."""
+    wrong = np.abs(start + duration - end) > _ROUNDED * t1
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(
+            f"Argument table must have ends that are start + duration, but its row {order[at]} has a stick from "
+            f"{start[at]:g} to {end[at]:g} s with a duration of {duration[at]:g} s; leave out the column that is wrong."
+        )
 
 
 def _endings(column: np.ndarray) -> np.ndarray:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from .. import _checks
+
 _DELAY = 1.0  # s: what takes less shows no bar unless one is asked for
 
 
@@ -27,8 +29,11 @@ def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
       a notebook.
     - `samples`: their number.
 
-    Raises ImportError for True without the extra ``study``.
+    Raises ValueError for another `progress`, ImportError for True without the extra ``study``.
     """
+    if progress is not None:
+        _checks.truth("progress", progress)
+        progress = bool(progress)
     notebook = in_notebook()
     if progress is False or (progress is None and not (notebook or sys.stderr.isatty())):
         yield _NO_BAR

@@ -18,6 +18,7 @@ from .._distributions.copula import GaussianCopula
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Slips, Sticks
 from .._excitation.excitation import is_random
+from .._files import file_to_write
 from .._inputs.inputs import Inputs, Model
 from .._numerics.moments import Moments
 from .._simulation.result import Simulation
@@ -26,7 +27,7 @@ from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_
 from .._statistics.registry import STATISTICS, TOTALS
 from .._statistics.summary import Summary, summary_of
 from .._status import Status
-from .._systems.system import Coordinate, System
+from .._systems.system import System
 from .given import fields_of_simulations, fields_of_sticks, numbering_of
 from .kept import Retained, SampleTotals
 from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
@@ -105,7 +106,7 @@ class Ensemble:
 
     @classmethod
     def from_sticks(
-        cls, table: Any, *, t1: float, samples: int | None = None, position_unit: str = "m",
+        cls, table: Any, *, t1: float, samples: int | None = None, position_unit: str | None = None,
         period: float | None = None, orders: int = 10, count_initial_rest: bool = False,
     ) -> "Ensemble":  # fmt: skip
         """The ensemble of sticks that were measured, or simulated elsewhere: one recording of ``[0, t1]`` each sample.
@@ -113,7 +114,7 @@ class Ensemble:
         - `table`: a pandas DataFrame, or a dict of arrays (sticks,), in any order, with the columns
 
           - `sample`: which recording, whole numbers from 0 or 1, or names;
-          - `start`, and `end` or `duration`: s, from the beginning of the recording;
+          - `start`, and `end` or `duration`: s, from the beginning of the recording; both must agree if both are there;
           - `position` of the mass at the start of the stick, `slip_displacement` (as in `Sticks`) and `ending` (an
             `Ending` or its name), each if known.
 
@@ -123,17 +124,16 @@ class Ensemble:
         - `t1`: duration of each recording, s.
         - `samples`: number of recordings; needed where some of them have no stick, which a table cannot show. Their
           numbers are then from 0 to ``samples - 1``. By default those in the table, which must be numbered without gap.
-        - `position_unit`, and `period` where positions are angles: then they become those in ``[0, period)``.
+        - `position_unit`, such as "mm": by default that in the column's name, else "m".
+        - `period` where positions are angles: then they become those in ``[0, period)``.
         - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
 
         Slips are what lies between the sticks. What needs a position that was not measured, a system or a base motion
         raises ValueError and says so. Raises ValueError for a table that lacks a column or has sticks that overlap, lie
         outside ``[0, t1]`` or have no length.
         """
-        if period is not None:
-            _checks.positive("period", period, position_unit)
-        position = Coordinate("position when the stick starts", position_unit, period=period)
-        return cls(**fields_of_sticks(table, t1, samples, position, numbering_of(orders, count_initial_rest)))
+        numbering = numbering_of(orders, count_initial_rest)
+        return cls(**fields_of_sticks(table, t1, samples, position_unit, period, numbering))
 
     @classmethod
     def from_xarray(cls, dataset: "xarray.Dataset") -> "Ensemble":
@@ -245,7 +245,9 @@ class Ensemble:
         Raises ValueError unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
-            raise ValueError(f"Argument number must be below the {self.samples} samples, but {number} was given.")
+            raise ValueError(
+                f"Argument number must be below the {self.samples} samples, but {_checks.show(number)} was given."
+            )
         part, number = part_with(self, number)
         given = given_realization(part, number)
         if given is not None:
@@ -269,37 +271,45 @@ class Ensemble:
 
         return dataset_of(self)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the ensemble to a NetCDF 4 file, from which `load` makes it again; replaces a file of that name.
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the ensemble to a NetCDF 4 file, from which `load` makes it again.
 
-        `path`: a file name that ends in .nc. Returns the path. Raises ValueError for another one, ImportError without
-        the extra ``study``.
+        - `path`: a file name that ends in .nc. `overwrite`: whether to replace a file of that name.
+
+        The file is written under another name, ``path`` and ".....unfinished", and gets its own when it is whole: an
+        older file stays as it was until then, and if writing fails. It holds a check sum over all that is in it.
+
+        Returns the path. Raises ValueError for another name, FileExistsError where a file of that name would be
+        replaced, FileNotFoundError for a folder that does not exist, OSError where it cannot be written, ImportError
+        without the extra ``study``.
         """
+        path = file_to_write(path, (".nc",), overwrite=overwrite)
         return write_dataset(self.to_xarray(), path)
 
-    def write_sticks(self, path: str | os.PathLike[str]) -> Path:
+    def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
 
         - `path`: a file name that ends in .csv or .parquet. The column names include the units.
+        - `overwrite`: whether to replace a file of that name. Until the table is whole, an older one stays.
 
         `order` is the number of the stick in its sample, as in ``statistics.order(i)``: 0 for a stick that begins at
         t = 0 (`is_initial_rest`) unless `numbering` counts it as the first.
 
-        Returns the path. Raises ValueError unless ``keep="sticks"`` and for other paths, ImportError without the extra
-        ``tables``.
+        Returns the path. Raises ValueError unless ``keep="sticks"``, ImportError without the extra ``tables``, and for
+        paths the errors of `save`.
         """
         from .tables import write_sticks  # noqa: PLC0415 - needs an extra
 
-        return write_sticks(self, path)
+        return write_sticks(self, path, overwrite)
 
-    def write_slips(self, path: str | os.PathLike[str]) -> Path:
+    def write_slips(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all slips as a table, one row each: sample, start, end, duration, and whether the horizon cuts it.
 
-        `path`, the value returned and errors as in `write_sticks`.
+        `path`, `overwrite`, the value returned and errors as in `write_sticks`.
         """
         from .tables import write_slips  # noqa: PLC0415 - needs an extra
 
-        return write_slips(self, path)
+        return write_slips(self, path, overwrite)
 
     def _repr_html_(self) -> str:
         rows = [(name, _brief(getattr(self, name))) for name in ("system", "law", "method")]

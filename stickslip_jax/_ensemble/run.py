@@ -66,9 +66,9 @@ class Run:
         check_method(method)
         _checks.positive("t1", t1, "s")
         number = len(samples) if isinstance(samples, Design) else samples
-        _checks.whole_number("samples", number, maximum=MOST_SAMPLES)
-        _checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES - number)
-        total = samples if isinstance(samples, Design) else first_sample + samples
+        number = _checks.whole_number("samples", number, maximum=MOST_SAMPLES)
+        first_sample = _checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES - number)
+        total = samples if isinstance(samples, Design) else first_sample + number
         if isinstance(samples, Design) and first_sample:
             raise ValueError(
                 f"Argument first_sample must be 0 with a design, whose rows are all samples, but {first_sample} was "
@@ -79,9 +79,7 @@ class Run:
                 "Argument correlation must be a GaussianCopula(names, correlation), but "
                 f"{_checks.show(correlation)} was given."
             )
-        if keep not in get_args(Keep):
-            allowed = ", ".join(map(repr, get_args(Keep)))
-            raise ValueError(f"Argument keep must be one of {allowed}, but {_checks.show(keep)} was given.")
+        _checks.chosen("keep", keep, get_args(Keep))
         dtype = working_dtype(stacklevel=5)
         inputs = Inputs.of(model, total, key, correlation)
         inputs.check(dtype)

@@ -9,13 +9,17 @@ import numpy as np
 
 from .. import _checks
 from .._events.sticks import NUMBERS, FlatSticks
+from .._files import file_for_user
 from .._statistics.accumulator import Numbering
 from .._statistics.registry import TOTALS
 from .._status import Status
-from .._systems.system import Coordinate, System
+from .._systems.system import Coordinate
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
+from .given import numbering_of
 from .kept import Retained, SampleTotals
+from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
+from .stored_checks import check_fields
 from .unknown import Unknown, UnknownSystem
 
 if TYPE_CHECKING:
@@ -24,27 +28,19 @@ if TYPE_CHECKING:
 _STUDY = "study.nc"  # the file of a study's data in its folder
 
 
-def write_dataset(dataset: "xarray.Dataset", path: str | os.PathLike[str]) -> Path:
-    """Write the data set of an ensemble to `path`, a NetCDF 4 file; see `Ensemble.save`."""
-    shown = str(path) if isinstance(path, os.PathLike) else path
-    if not isinstance(path, (str, os.PathLike)) or Path(path).suffix.lower() != ".nc":
-        raise ValueError(f"Argument path must be a file name that ends in .nc, but {_checks.show(shown)} was given.")
-    path = Path(path)
+def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
+    """Write the data set of an ensemble to `path`, from `file_to_write`; see `Ensemble.save`."""
     try:
-        dataset.to_netcdf(path, engine="h5netcdf", encoding=compression(dataset))
+        data = as_netcdf(dataset, compression(dataset))
     except ImportError:
         raise ImportError("Files of ensembles need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+    with file_for_user(path) as file:
+        file.write(data)
     return path
 
 
-def dataset_in(path: str | os.PathLike[str]) -> "xarray.Dataset":
+def _dataset_in(path: str | os.PathLike[str]) -> "xarray.Dataset":
     """The data set in a file. Raises the errors of `load`."""
-    if not isinstance(path, (str, os.PathLike)):
-        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
-    try:
-        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        raise ImportError("Files of ensembles need xarray: pip install 'stickslip_jax[study]'.") from None
     path = Path(path)
     path = path / _STUDY if path.is_dir() else path
     if not path.exists():
@@ -53,22 +49,28 @@ def dataset_in(path: str | os.PathLike[str]) -> "xarray.Dataset":
             f"{str(path)!r}; the working folder is {str(Path.cwd())!r}."
         )
     try:
-        return xr.load_dataset(path, engine="h5netcdf")
+        dataset = read_netcdf(path)
     except ImportError:
-        raise ImportError("Files of ensembles need h5netcdf: pip install 'stickslip_jax[study]'.") from None
-    except Exception as error:  # of h5py, h5netcdf and xarray, which raise any kind for a damaged file
-        reason = " ".join(str(error).split())
+        raise ImportError("Files of ensembles need xarray, h5netcdf: pip install 'stickslip_jax[study]'.") from None
+    except DamagedFileError as error:
         raise ValueError(
             f"Argument path must name a file that Ensemble.save or stickslip study wrote, but {str(path)!r} cannot be "
-            f"read as NetCDF ({_checks.show(reason)}): it is cut short, damaged, or of another kind."
+            f"read as such ({_checks.show(str(error))}): it is cut short, damaged, or of another kind."
         ) from None
+    return dataset
 
 
-def fields_of_dataset(dataset: Any, name: str = "dataset") -> dict[str, Any]:
-    """The fields of the `Ensemble` that a data set holds; `name`: of the argument, for messages.
+def fields_of_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The fields of the `Ensemble` in a file. Raises the errors of `load`."""
+    return fields_of_dataset(_dataset_in(path), is_file=True)
+
+
+def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
+    """The fields of the `Ensemble` that a data set holds. `is_file`: whether it was read from one, and has a sum.
 
     Raises the errors of `Ensemble.from_xarray`.
     """
+    name = "path" if is_file else "dataset"
     attributes = getattr(dataset, "attrs", None)
     if attributes is None or attributes.get("format") != FORMAT:
         made_by = (attributes or {}).get("source", "")
@@ -77,15 +79,25 @@ def fields_of_dataset(dataset: Any, name: str = "dataset") -> dict[str, Any]:
             f"Argument {name} must be what Ensemble.to_xarray, Ensemble.save or stickslip study of this version wrote, "
             f"but {shown} was given, which does not say that it is an ensemble."
         )
-    version = int(attributes["format_version"])
+    try:
+        version = int(attributes["format_version"])
+    except (KeyError, TypeError, ValueError):
+        version = 0
+    if version < FORMAT_VERSION:
+        raise ValueError(
+            f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, of a version before "
+            "0.1.0; simulate it again."
+        )
     if version > FORMAT_VERSION:
         raise ValueError(
-            f"Argument {name} must be of format {FORMAT_VERSION} or older, but it has format {version}, written by "
+            f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, written by "
             f"stickslip_jax {attributes.get('stickslip_jax_version')}; install that version or a newer one."
         )
     try:
-        return _fields(dataset)
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError, json.JSONDecodeError) as error:
+        fields = _fields(verified(dataset, is_file=is_file))
+        check_fields(fields)
+        return fields
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError, OverflowError) as error:
         reason = f"it lacks {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise ValueError(
             f"Argument {name} must be a whole ensemble as it was stored, but this one was changed or damaged "
@@ -99,10 +111,12 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
     if state["totals"] != TOTALS:
         raise ValueError(f"it sums {state['totals']}")
-    numbering = Numbering(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
+    numbering = numbering_of(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
     key_data = attributes.get("key_data")
     counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
     keep = str(attributes["keep"])
+    if keep not in ("totals", "statistics", "sticks") or (keep == "totals") != (state["accumulator"] is None):
+        raise ValueError(f"it kept {_checks.show(keep)}")
     kept: dict[str, Any] = {"retained": None, "totals": None, "flat_sticks": None}
     if keep == "sticks":
         kept = _every_stick(dataset, state["sticks"], numbering)
@@ -131,7 +145,7 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     }
 
 
-def _system(system: Any, position: Coordinate) -> System:
+def _system(system: Any, position: Coordinate) -> Any:
     """`system`, or what stands for it where it is a user's own."""
     return UnknownSystem(system.name, system.text, position) if isinstance(system, Unknown) else system
 

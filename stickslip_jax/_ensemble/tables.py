@@ -6,17 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from .. import _checks
 from .._events.sticks import FURTHER
+from .._files import file_for_user, file_to_write
 from .._statistics.registry import STICK_QUANTITIES
 from .._status import Ending
 from .origins import known_inputs
 from .slips import flat_slips
 
-_WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
-
-def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
+def write_sticks(ensemble: Any, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
     sticks = ensemble.require_sticks()
     position = ensemble.system.stick_position.unit
@@ -33,31 +31,30 @@ def write_sticks(ensemble: Any, path: str | os.PathLike[str]) -> Path:
     columns |= {name: values[sticks.sample] for name, (values, _) in known_inputs(ensemble).items()}
     columns["is_initial_rest"] = sticks.start == 0
     columns["ending"] = np.array([ending.name for ending in Ending])[sticks.ending]
-    return _write(columns, path)
+    return _write(columns, path, overwrite)
 
 
-def write_slips(ensemble: Any, path: str | os.PathLike[str]) -> Path:
+def write_slips(ensemble: Any, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """Write every slip of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_slips`."""
     slips = flat_slips(ensemble)
     times = {"start_s": slips.start, "end_s": slips.end, "duration_s": slips.end - slips.start}
-    return _write({"sample": slips.sample, **times, "is_censored": slips.censored}, path)
+    return _write({"sample": slips.sample, **times, "is_censored": slips.censored}, path, overwrite)
 
 
-def _write(columns: dict[str, Any], path: str | os.PathLike[str]) -> Path:
+def _write(columns: dict[str, Any], path: str | os.PathLike[str], overwrite: bool) -> Path:
     """Write the columns to `path`. Raises the errors of `Ensemble.write_sticks`."""
-    if not isinstance(path, (str, os.PathLike)):
-        raise ValueError(f"Argument path must be a file name, but {_checks.show(path)} was given.")
-    path = Path(path)
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise ValueError(f"Argument path must end in {' or '.join(_WRITERS)}, but {str(path)!r} was given.")
+    path = file_to_write(path, (".csv", ".parquet"), overwrite=overwrite)
     try:
         import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         raise ImportError("Tables need pandas: pip install 'stickslip_jax[tables]'.") from None
     table = pd.DataFrame(columns)
     try:
-        getattr(table, writer)(path, index=False)
+        with file_for_user(path) as file:
+            if path.suffix.lower() == ".csv":
+                table.to_csv(file, index=False, mode="wb")
+            else:
+                table.to_parquet(file, engine="pyarrow", index=False, write_page_checksum=True)
     except ImportError:
         raise ImportError("Parquet files need pyarrow: pip install 'stickslip_jax[tables]'.") from None
     return path

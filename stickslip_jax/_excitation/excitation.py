@@ -196,7 +196,7 @@ def place_in_excitation(base: BaseMotion, path: tuple[str | int, ...]) -> tuple[
 
 
 def _is_users(base: Any) -> bool:
-    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal))
+    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal, type))
     return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
 
 
@@ -209,8 +209,9 @@ def is_random(base: BaseMotion) -> bool:
 
 def law_of(base: Any) -> Any:
     """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
-    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal, WithJumps, SampledLaw))
-    return base if known or _is_users(base) or not callable(getattr(base, "sample", None)) else SampledLaw(base)
+    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal, WithJumps, SampledLaw, type))
+    draws = callable(getattr(base, "sample", None)) and not hasattr(base, "__array__")  # as tables of pandas do
+    return base if known or _is_users(base) or not draws else SampledLaw(base)
 
 
 def key_data_for(base: BaseMotion, key: Array | None) -> Array:

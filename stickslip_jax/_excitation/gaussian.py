@@ -89,7 +89,7 @@ class GaussianProcess(RandomSignal):
     def check_relations(self) -> None:
         if self.spectrum.varies or any(map(_checks.is_traced, jax.tree.leaves((self.spectrum, self.cutoff)))):
             return
-        with jax.ensure_compile_time_eval():
+        with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):  # what is not finite is refused below
             rough, fine = (np.asarray(self._band(np, rule).variances, float) for rule in _RULES)
         if not (np.all(np.isfinite(fine)) and np.all(fine >= 0) and fine.sum() > 0):
             raise ValueError(

@@ -1,5 +1,6 @@
 """Realisations of a piecewise-constant base velocity."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -12,8 +13,8 @@ from .. import _checks
 from .._types import AnyArray, FloatArray
 
 
-def _as_jax(values: Any) -> Any:
-    return jnp.asarray(values) if isinstance(values, np.ndarray) else values
+def _as_jax(name: str, values: Any) -> Any:
+    return _checks.jax_array(name, values) if isinstance(values, (np.ndarray, jax.Array)) else values
 
 
 class VelocitySteps(eqx.Module):
@@ -27,8 +28,8 @@ class VelocitySteps(eqx.Module):
     that are not finite or equal to their neighbour's.
     """
 
-    durations: Float[Array, "*batch intervals"] = eqx.field(converter=_as_jax)
-    velocities: Float[Array, "*batch intervals"] = eqx.field(converter=_as_jax)
+    durations: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "durations"))
+    velocities: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "velocities"))
 
     def __check_init__(self):
         for name in ("durations", "velocities"):
@@ -51,7 +52,7 @@ class VelocitySteps(eqx.Module):
                 f"one after it that lasts: {_checks.show(durations)}; leave it out."
             )
         lasting = np.asarray(self.velocities)[durations > 0]
-        _checks.numeric("velocities", lasting, ndim=1)
+        _checks.bounded("velocities", lasting, ndim=1)
         if np.any(lasting[1:] == lasting[:-1]):
             raise ValueError(
                 "Argument velocities must change from interval to interval, but two neighbours are equal; "

@@ -59,6 +59,7 @@ def read_csv(
             "Argument delimiter must be a single sign such as ';', or None for white space, but "
             f"{_checks.show(delimiter)} was given."
         )
+    path = _checks.path("path", path, "the name of a file")
     file = repr(str(path))
     rows = _rows(file, _text(path), delimiter)
     if not rows:
@@ -126,6 +127,7 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
     OSError for a file that is missing or cannot be read.
     """
     _checks.positive("g", g, "m/s^2")
+    path = _checks.path("path", path, "the name of a file")
     file, text = repr(str(path)), _text(path)
     if not text.strip():
         raise _unsuitable("an accelerogram", f"{file} is empty")
@@ -175,21 +177,19 @@ def _check_unit(file: str, header: list[str]) -> None:
         )
 
 
-def _text(path: Any) -> str:
-    if not isinstance(path, (str, os.PathLike)):
-        raise ValueError(f"Argument path must be the name of a file, but {_checks.show(path)} was given.")
+def _text(path: Path) -> str:
+    shown = _checks.show(str(path))
     try:
         # Old headers hold names in old encodings: an unreadable character matters only where a number should be.
-        return Path(path).read_text(encoding="utf-8-sig", errors="replace")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
     except FileNotFoundError:
         raise FileNotFoundError(
-            f"Argument path must be the name of a file that exists, but {str(path)!r} was given; the folder looked in "
-            f"is {str(Path(path).absolute().parent)!r}."
+            f"Argument path must be the name of a file that exists, but {shown} was given; the folder looked in "
+            f"is {str(path.absolute().parent)!r}."
         ) from None
     except OSError as error:
         raise type(error)(
-            f"Argument path must be the name of a file that can be read, but {str(path)!r} was given "
-            f"({error.strerror})."
+            f"Argument path must be the name of a file that can be read, but {shown} was given ({error.strerror})."
         ) from None
 
 

@@ -159,6 +159,11 @@ class SegmentLaw(Checked):
         return key_data_of(key)
 
 
+def _as_truth(may_jump: Any) -> bool:
+    _checks.truth("may_jump", may_jump)
+    return bool(may_jump)
+
+
 class GivenSegments(SegmentLaw):
     """Base class of realisations in segments, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s).
 
@@ -166,10 +171,10 @@ class GivenSegments(SegmentLaw):
     whether the value jumps between them.
     """
 
-    durations: AnyArray = eqx.field(converter=jnp.asarray)
-    values: AnyArray = eqx.field(converter=jnp.asarray)
-    slopes: AnyArray = eqx.field(converter=jnp.asarray)
-    may_jump: bool = eqx.field(static=True, default=True)
+    durations: AnyArray = eqx.field(converter=partial(_checks.jax_array, "durations"))
+    values: AnyArray = eqx.field(converter=partial(_checks.jax_array, "values"))
+    slopes: AnyArray = eqx.field(converter=partial(_checks.jax_array, "slopes"))
+    may_jump: bool = eqx.field(static=True, default=True, converter=_as_truth)
     is_random = False
     only_with: ClassVar = {"value": ("draw", "next_segment")}
 
@@ -193,7 +198,7 @@ class GivenSegments(SegmentLaw):
                 f"Argument durations must be zero or positive (in s), but {_checks.show(self.durations)} was given."
             )
         for name in ("values", "slopes"):
-            _checks.numeric(name, np.asarray(arrays[name])[used], ndim=None)
+            _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
     @property
     def times(self) -> Array:
@@ -279,7 +284,9 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
 def checked_capacity(capacity: Any) -> int:
     """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
     if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
-        raise ValueError(f"Argument capacity must be at most {LARGEST_CAPACITY}, but {capacity} was given.")
+        raise ValueError(
+            f"Argument capacity must be at most {LARGEST_CAPACITY}, but {_checks.show(capacity)} was given."
+        )
     return int(capacity)
 
 

@@ -180,7 +180,7 @@ def spectrum_of(name: str, given: Any) -> PowerSpectrum:
     """The argument called `name` as a spectrum. Raises ValueError for what is no spectrum and no function."""
     if isinstance(given, PowerSpectrum):
         return given
-    if not callable(given):
+    if not callable(given) or isinstance(given, type):
         raise ValueError(
             f"Argument {name} must be a spectrum such as CloughPenzienSpectrum(), a TabulatedSpectrum(frequencies, "
             f"densities) or a function of angular frequency, but {_checks.show(given)} was given."

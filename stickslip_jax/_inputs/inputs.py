@@ -88,8 +88,7 @@ class Inputs:
         """
         design = samples if isinstance(samples, Design) else None
         samples = samples.samples if isinstance(samples, Design) else samples
-        y0 = _columns(model.y0)
-        model = model._replace(law=law_of(model.law), y0=tuple(y0) if isinstance(y0, (tuple, list)) else y0)
+        model = model._replace(law=law_of(model.law), y0=_columns(model.y0))
         if design is not None and not design.is_uniform:
             model = _with_values(model, design)
         entries = tuple(Input(path, *found) for path, *found in varying(model))
@@ -316,7 +315,7 @@ def _quantiles(entry: Input, u: Array, keys: Any) -> AnyArray:
 
 
 def _has_quantiles(source: Any) -> bool:
-    return any(callable(getattr(source, name, None)) for name in ("icdf", "ppf"))
+    return not isinstance(source, type) and any(callable(getattr(source, name, None)) for name in ("icdf", "ppf"))
 
 
 def _positions(argument: str, names: tuple[str, ...], entries: tuple[Input, ...]) -> tuple[int, ...]:
@@ -354,10 +353,18 @@ def _with_values(model: Model, design: Design) -> Model:
 
 
 def _columns(y0: Any) -> Any:
-    """`y0` with a column for each coordinate, where it is an array (samples, coordinates)."""
-    if not isinstance(y0, (tuple, list)) and not is_distribution(y0) and np.ndim(y0) == 2:
-        return tuple(np.asarray(y0).T)
-    return y0
+    """`y0` with a column for each coordinate, where it is an array (samples, coordinates).
+
+    Raises ValueError for one distribution, which cannot be that of all coordinates.
+    """
+    if is_distribution(y0):
+        raise ValueError(
+            "Argument y0 must hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), "
+            f"0.0), but {_checks.show(y0)} was given."
+        )
+    if isinstance(y0, (tuple, list)):
+        return tuple(y0)
+    return tuple(_checks.numbers("y0", y0).T) if _checks.dimensions(y0) == 2 else y0
 
 
 def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Path, Any, Quantity | None]]:
@@ -375,7 +382,7 @@ def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Pat
     elif isinstance(tree, (tuple, list)):
         for index, value in enumerate(tree):
             yield from varying(value, (*path, index), Quantity() if path == ("y0",) else None)
-    elif any(callable(getattr(tree, name, None)) for name in ("icdf", "ppf")):
+    elif _has_quantiles(tree):
         yield path, tree, None
 
 

@@ -49,10 +49,13 @@ def number_at(tree: Any, path: Path) -> Any:
 
 
 def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
-    """`tree` with the numbers at `paths` replaced."""
+    """`tree` with the numbers at `paths` replaced, also those that were None."""
+    if not paths:
+        return tree
     return eqx.tree_at(
-        lambda tree: [number_at(tree, path) for path in paths], tree, [values[i] for i in range(len(paths))]
-    )
+        lambda tree: [number_at(tree, path) for path in paths], tree, [values[i] for i in range(len(paths))],
+        is_leaf=lambda leaf: leaf is None,
+    )  # fmt: skip
 
 
 def check_numbers(tree: Any) -> None:
@@ -144,9 +147,12 @@ def _is_law(value: Any) -> bool:
 def _is_number(value: Any) -> bool:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number, np.ndarray, jax.Array)):
         return False
-    if np.ndim(value) != 0 or not jnp.issubdtype(jnp.result_type(value), jnp.number):
+    if np.ndim(value) != 0 or (isinstance(value, int) and not -(2**63) <= value < 2**63):
         return False
-    return math.isfinite(float(value))
+    kind = jnp.result_type(value)
+    if not jnp.issubdtype(kind, jnp.number) or jnp.issubdtype(kind, jnp.complexfloating):
+        return False
+    return not np.ma.is_masked(value) and math.isfinite(float(value))
 
 
 def shown(path: Path) -> str:

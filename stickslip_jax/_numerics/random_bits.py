@@ -25,11 +25,10 @@ def key_data_of(key: Array) -> Array:
     Raises ValueError for anything else; other generators are refused because under ``vmap`` some of them
     give every element of the batch the same stream.
     """
-    dtype = getattr(key, "dtype", None)
-    if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
+    if isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
         if "fry" in str(jax.random.key_impl(key)) and key.shape == ():
             return jax.random.key_data(key)
-    elif dtype == np.uint32 and key.shape == (2,):
+    elif isinstance(key, (jax.Array, np.ndarray)) and key.dtype == np.uint32 and key.shape == (2,):
         return jnp.asarray(key)
     raise ValueError(f"Argument key must be a threefry key made by jax.random.key(seed), but {show(key)} was given.")
 

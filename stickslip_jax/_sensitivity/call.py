@@ -237,8 +237,8 @@ def _result(
 def _check_options(elasticity: Any, estimator: Any, step: Any, relative_bandwidth: Any) -> None:
     if not isinstance(elasticity, bool):
         raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
-    if estimator is not None and estimator not in _ESTIMATORS:
-        raise ValueError(f"Argument estimator must be one of {_ESTIMATORS}, but {_checks.show(estimator)} was given.")
+    if estimator is not None:
+        _checks.chosen("estimator", estimator, _ESTIMATORS)
     for name, value, of in (
         ("step", step, "finite-difference"),
         ("relative_bandwidth", relative_bandwidth, "corrected"),

@@ -12,6 +12,7 @@ from .._ensemble.parts import Keep
 from .._excitation.excitation import GivenSteps, is_random, key_data_for
 from .._excitation.piecewise import VelocitySteps
 from .._fast_cpu import cores
+from .._forks import require_threads_of_jax
 from .._inputs.inputs import Inputs, Model
 from .._inputs.numbers import parameters_of
 from .._systems.system import require_system
@@ -40,11 +41,12 @@ def problem_of(
     chunk: int | None = None,
 ) -> tuple[Problem, Pilot]:
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
+    require_threads_of_jax()
     statistic = statistic_of(statistic)
     threads = cores() if threads is None else _checks.whole_number("threads", threads)
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
     check_method(method)
-    number = _checks.whole_number("samples", samples, minimum=2)
+    number = _checks.whole_number("samples", samples, minimum=2, maximum=2**31)
     inputs = Inputs.of(Model(system, law, y0), number, key)
     dtype = jnp.result_type(float)
     inputs.check(dtype)
@@ -59,7 +61,7 @@ def problem_of(
     law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
     law = GivenSteps(law) if isinstance(law, VelocitySteps) else law
     problem = Problem(
-        statistic, first.system, law, float(t1), first.y0, method, key_data, parameters, samples, threads, size,
+        statistic, first.system, law, float(t1), first.y0, method, key_data, parameters, number, threads, size,
         dtype,
     )  # fmt: skip
     return problem._replace(model=inputs.model) if smoothed else problem.with_inputs(inputs), pilot

@@ -182,7 +182,7 @@ def statistic_of(statistic: StickStatistic | StatisticOfTotals) -> StickStatisti
                 "package's own statistics are found from totals."
             )
         return statistic
-    if statistic in DIFFERENTIABLE:
+    if any(statistic is one for one in DIFFERENTIABLE):
         return OfTotals(statistic)
     raise ValueError(
         f"Argument statistic must be {', '.join(map(repr, DIFFERENTIABLE))}, or a StickStatistic such as "

@@ -9,6 +9,7 @@ from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_fixed, check_method, one_realization, state_of, working_dtype
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
+from .._forks import require_threads_of_jax
 from .._systems.system import System, require_system
 from .._types import Scalar
 from .result import Simulation
@@ -41,7 +42,8 @@ def simulate(
     >>> print(one.sticks.start[0], one.sticks.end[0], ss.Ending(int(one.sticks.ending[0])).name)
     0.0 0.25 RELEASED
     """
-    check_fixed(system=system, base=base, y0=y0)
+    require_threads_of_jax()
+    check_fixed(system=system, base=base)
     require_system(system)
     check_method(method)
     _checks.positive("t1", t1, "s")

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import _checks
 from .._numerics.moments import Moments
-from .estimate import Estimate, check_level
+from .estimate import Estimate, check_level, estimate_by
 from .source import EnsembleLike, require_ensemble, require_statistic
 
 _AT_ONCE = 2**22  # random weights: 32 MB
@@ -37,16 +37,11 @@ def bootstrap_interval(
     ValueError for other arguments.
     """
     check_level(level)
-    _checks.whole_number("resamples", resamples, minimum=100)
+    _checks.whole_number("resamples", resamples, minimum=100, maximum=10**7)
     ensemble = require_ensemble(ensemble)
     ensemble.finished_sticks()  # refuses an ensemble that has none
     require_statistic(statistic)
-    totals, whole = ensemble.retained.totals, statistic(ensemble)
-    if not isinstance(whole, Estimate):
-        raise ValueError(
-            "Argument statistic must be a function that returns an Estimate, such as stick_fraction or "
-            f"mean_stick_duration, but it returned {_checks.show(whole)}."
-        )
+    totals, whole = ensemble.retained.totals, estimate_by(statistic, ensemble)
     number = len(totals)
     if number < 2 or not whole.standard_error > 0:
         return math.nan, math.nan

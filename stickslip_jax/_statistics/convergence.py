@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import _checks
 from .._numerics.moments import Moments
-from .estimate import Estimate, check_level
+from .estimate import Estimate, check_level, estimate_by
 from .registry import StickValue
 from .source import EnsembleLike, require_ensemble, require_statistic
 
@@ -75,14 +75,14 @@ def convergence(ensemble: EnsembleLike, statistic: Callable[[Any], Estimate], po
     totals = ensemble.retained.totals
     if len(totals) < 2:
         raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(totals)}.")
-    _checks.whole_number("points", points, minimum=2)
+    _checks.whole_number("points", points, minimum=2, maximum=10**6)
     numbers = np.unique(np.geomspace(2, len(totals), points).round().astype(int))
+    final = estimate_by(statistic, ensemble)
     estimates, moments, done = [], Moments.of(totals[:0]), 0
     for number in numbers:
         moments, done = moments.merge(Moments.of(totals[done:number])), number
         estimates.append(statistic(dataclasses.replace(ensemble, moments=moments)))
     values, errors = (np.array([getattr(one, what) for one in estimates]) for what in ("value", "standard_error"))
-    final = statistic(ensemble)
     return Convergence(final.name, final.unit, numbers, values, errors, final)
 
 
@@ -131,7 +131,7 @@ def histogram_convergence(
     realizations = joint.x.realizations
     if realizations < 4:
         raise ValueError(f"Argument ensemble must hold 4 finished samples or more, but it has {realizations}.")
-    _checks.whole_number("points", points, minimum=2)
+    _checks.whole_number("points", points, minimum=2, maximum=10**6)
     cell, number = joint.cells_of_retained(bins)
     owner = joint.x.owner
     numbers = np.unique(np.geomspace(1, realizations // 2, points).round().astype(int))

@@ -16,6 +16,7 @@ from .estimate import Estimate
 
 DEFAULT_BINS = 50
 BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
+_MOST_BINS = 2**31
 _MOST_SPACINGS = 100_000  # number of values for the entropy without bins: its error is small by then
 
 
@@ -230,7 +231,7 @@ class Distribution:
                     "with common_bins of all distributions that are compared."
                 )
             return bins.edges, self.bins.in_bins(bins)
-        _checks.whole_number("bins", bins)
+        bins = _checks.whole_number("bins", bins, maximum=_MOST_BINS)
         if self.number == 0:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
         fine = self.bins.counts
@@ -302,8 +303,8 @@ def common_bins(distributions: Sequence[Distribution], bins: int | None = None) 
     entropy of the histogram in 32 bins of stick duration: 3.4191 +- 0.0034 nat
     """
     if bins is not None:
-        _checks.whole_number("bins", bins)
-    found = list(distributions) if isinstance(distributions, Sequence) else []
+        bins = _checks.whole_number("bins", bins, maximum=_MOST_BINS)
+    found = list(distributions) if isinstance(distributions, (list, tuple)) else []
     if not found or not all(isinstance(one, Distribution) for one in found) or len({one.unit for one in found}) > 1:
         raise ValueError(
             "Argument distributions must be a list of distributions in one unit, such as many.statistics.duration of "

@@ -212,9 +212,10 @@ class EnsembleStatistics(_ByQuantity):
         """
         if _checks.whole_number("number", number) > self.orders:
             raise ValueError(
-                f"Argument number must be at most {self.orders}, but {number} was given; "
-                f"call simulate_ensemble(..., orders={number})."
+                f"Argument number must be at most {self.orders}, but {_checks.show(number)} was given; "
+                f"call simulate_ensemble(..., orders={_checks.show(number)})."
             )
+        number = int(number)
         skipped = self.numbering.skipped(self.sticks)
         has = self.sticks.count - skipped >= number
         at = (self.sticks.first + skipped + number - 1)[has]

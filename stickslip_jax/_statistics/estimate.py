@@ -148,6 +148,17 @@ class Estimate:
         return f"{format_with_error(self.value, self.standard_error)}{unit}"
 
 
+def estimate_by(statistic: Any, ensemble: Any) -> Estimate:
+    """What `statistic` estimates. Raises ValueError if that is no `Estimate`."""
+    found = statistic(ensemble)
+    if not isinstance(found, Estimate):
+        raise ValueError(
+            "Argument statistic must be a function that returns an Estimate, such as stick_fraction or "
+            f"mean_stick_duration, but it returned {_checks.show(found)}."
+        )
+    return found
+
+
 def check_level(level: float) -> None:
     """Raise ValueError unless ``0 < level < 1``."""
     _checks.numeric("level", level)

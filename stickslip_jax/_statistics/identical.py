@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from .. import _checks
+from .accumulator import MOST_ORDERS
 from .anderson_darling import anderson_darling
 from .complete_values import plural, sequences_of
 from .registry import TestedQuantity
@@ -81,9 +82,10 @@ def identically_distributed(
 
 
 def _orders(orders: Any) -> tuple[int, ...]:
-    if np.ndim(orders) == 0:
-        return tuple(range(1, _checks.whole_number("orders", orders, minimum=2) + 1))
-    chosen = sorted({_checks.whole_number(f"orders[{at}]", order) for at, order in enumerate(orders)})
+    if not hasattr(orders, "__len__") or _checks.dimensions(orders) == 0:
+        return tuple(range(1, _checks.whole_number("orders", orders, minimum=2, maximum=MOST_ORDERS) + 1))
+    few = orders[: MOST_ORDERS + 1]
+    chosen = sorted({_checks.whole_number(f"orders[{at}]", order) for at, order in enumerate(few)})
     if not 2 <= len(chosen) == len(orders):
         raise ValueError(
             f"Argument orders must hold at least two different whole numbers, but {_checks.show(orders)} was given."

@@ -20,6 +20,9 @@ FEWEST_EXPECTED = 5
 """Smallest expected count in a cell of the chi-square test (Cochran's rule)."""
 
 
+_MOST = 10**6  # of the order of a value
+
+
 def independent(
     source: StickSource,
     quantity: TestedQuantity | tuple[TestedQuantity, TestedQuantity] = "duration",
@@ -60,8 +63,8 @@ def independent(
     `identically_distributed`.
     """
     check_significance(significance)
-    lag, first = _checks.whole_number("lag", lag), _checks.whole_number("first", first)
-    bins = _checks.whole_number("bins", bins, minimum=2)
+    lag, first = _checks.whole_number("lag", lag, maximum=_MOST), _checks.whole_number("first", first, maximum=_MOST)
+    bins = _checks.whole_number("bins", bins, minimum=2, maximum=1000)
     earlier, later = quantity if isinstance(quantity, tuple) and len(quantity) == 2 else (quantity, quantity)
     pairs, remarks, values = _pairs(source, (earlier, later), lag, first, starts_before)
     at = np.flatnonzero(pairs.order == first)

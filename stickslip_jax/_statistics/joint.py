@@ -202,8 +202,8 @@ class JointDistribution:
 
     def _checked(self, bins: int) -> int:
         if _checks.whole_number("bins", bins) > _MOST_BINS:
-            raise ValueError(f"Argument bins must be at most {_MOST_BINS}, but {bins} was given.")
-        return bins
+            raise ValueError(f"Argument bins must be at most {_MOST_BINS}, but {_checks.show(bins)} was given.")
+        return int(bins)
 
     def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Edges along x and y, and counts, of at most `bins` bins along each axis, joined from the finest ones."""

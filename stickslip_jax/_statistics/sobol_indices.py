@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from .. import _checks
@@ -241,7 +242,11 @@ def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None,
         pairs = list(outputs.items())
         names = tuple(str(name) for name, _ in pairs)
         given = np.stack([np.asarray(one) for _, one in pairs], axis=1) if _stackable(pairs) else None
-    array = np.asarray(given)
+    try:
+        is_yes_or_no = isinstance(given, (np.ndarray, jax.Array)) and given.dtype == bool
+        array = np.asarray(given) if is_yes_or_no else _checks.numbers("outputs", given)
+    except ValueError:
+        array: np.ndarray = np.empty(0)
     if array.ndim not in (1, 2) or len(array) != len(design) or not array.size or array.dtype.kind not in "biuf":
         raise ValueError(
             f"Argument outputs must hold a number for each of the {len(design)} samples of the design, (samples,) or "

@@ -59,7 +59,7 @@ def origin_of(ensemble: Any) -> Hashable:
 
 def require_statistic(statistic: Any) -> None:
     """Raise ValueError if `statistic` cannot be called."""
-    if not callable(statistic):
+    if not callable(statistic) or isinstance(statistic, type):
         raise ValueError(
             "Argument statistic must be a function such as stick_fraction or mean_stick_duration, but "
             f"{_checks.show(statistic)} was given."

@@ -1,8 +1,10 @@
 """Tasks done by the workers of a cluster of dask.distributed."""
 
+import contextlib
 import functools
 import os
 import socket
+import sys
 import time
 import uuid
 from concurrent.futures import CancelledError
@@ -10,17 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from .. import _checks
+from .._files import write_whole
 from .errors import StudyError
 from .executors import Executor, WorkerDiedError, Written
-from .files import cannot_write, write_whole
+from .locking import cannot_write
 from .plan import Plan, Task
-from .store import Store, sealed
-from .workers import Failed, Sent, UnfitWorkerError, perform_sent, sent
+from .sealing import sealed
+from .store import Store
+from .workers import Failed, NoMemory, Sent, UnfitWorkerError, perform_sent, sent
 
 _RETRIES = 3  # of a task that failed for another reason than its point
 _PART = 4 * 2**20  # bytes: dask warns about tasks that hold 10 MB
 _VISIBLE = 30.0  # s until a file that another machine has written must be seen here
 _COUNTED = 1.0  # s for which a count of the cluster's threads holds
+_LONG = 10.0  # s without a result, after which it is asked whether the workers are paused
 
 
 class DaskCluster(Executor):
@@ -37,6 +42,8 @@ class DaskCluster(Executor):
         self._store, self._shared = store, shared_folder
         self._futures: dict[Task, Any] = {}
         self._threads, self._counted = 1, -_COUNTED
+        self._told: set[str] = set()
+        self._came = time.monotonic()
         self._plan = self._send()
 
     def _send(self) -> Any:
@@ -53,10 +60,7 @@ class DaskCluster(Executor):
     @property
     def at_once(self) -> int:
         """Two tasks for each thread that there is now; workers come and go."""
-        if time.monotonic() >= self._counted + _COUNTED:
-            self.check()
-            self._threads = max(1, sum(self._client.nthreads().values()))
-            self._counted = time.monotonic()
+        self.check()
         return 2 * self._threads
 
     def submit(self, task: Task) -> Any:
@@ -71,10 +75,11 @@ class DaskCluster(Executor):
         self._futures[task] = future
         return future
 
-    def result(self, task: Task, future: Any) -> bytes | Written | Failed:
+    def result(self, task: Task, future: Any) -> bytes | Written | Failed | NoMemory:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
         self._futures.pop(task, None)
+        self._came = time.monotonic()
         try:
             found = future.result()
         except KilledWorker as error:
@@ -111,9 +116,11 @@ class DaskCluster(Executor):
         """Raises StudyError for a file that a worker wrote and that is not here; network folders take a moment."""
         end = time.monotonic() + _VISIBLE
         while True:
-            names = os.listdir(path.parent)  # asks the server, where looking for one file may not
-            if path.name in names and path.stat().st_size == size:
-                return
+            with contextlib.suppress(OSError):
+                names = os.listdir(path.parent)  # asks the server, where looking for one file may not
+                if path.name in names and path.stat().st_size == size:
+                    return
+            self._store.check_kept()
             if time.monotonic() > end:
                 raise StudyError(
                     f"{path.name}, which a worker has written, is not in {path.parent}; the folder is not the same "
@@ -127,6 +134,36 @@ class DaskCluster(Executor):
                 "The connection to the cluster was lost; the pieces that came before are kept in "
                 f"{self._store.folder}. Connect a new client: the same call with it goes on from there."
             )
+        if time.monotonic() >= self._counted + _COUNTED:
+            self._count()
+
+    def _count(self) -> None:
+        """Count the threads of the cluster, and say where there is none, because the study then waits."""
+        try:
+            threads = sum(self._client.nthreads().values())
+        except OSError:  # of a connection that is being lost, which the next check tells
+            return
+        finally:
+            self._counted = time.monotonic()
+        self._threads = max(1, threads)
+        idle = ""
+        if not threads:
+            start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
+            idle = f"The cluster has no workers, and the study waits for them; {start}"
+        elif self._futures and time.monotonic() > self._came + _LONG and self._are_paused():
+            idle = (
+                "The workers of the cluster are paused, because their memory is nearly full, and the study waits for "
+                "them; give them more memory, or stop with Ctrl-C."
+            )
+        if idle and idle not in self._told:  # once: workers come and go
+            self._told.add(idle)
+            self._store.log(idle.partition(";")[0])
+            print(idle, file=sys.stderr)
+
+    def _are_paused(self) -> bool:
+        """Whether every worker has stopped taking tasks: dask does that where their memory is nearly full."""
+        workers = self._client.scheduler_info()["workers"].values()
+        return bool(workers) and all(worker.get("status") == "paused" for worker in workers)
 
     def restart(self) -> None:
         self._plan = self._send()
@@ -159,17 +196,17 @@ def _assembled(parts: list[bytes], others: dict[str, Any]) -> Sent:
     return Sent(**{**others, "plan": b"".join(parts)})
 
 
-def _perform(study: Sent, task: tuple) -> bytes | Failed:
+def _perform(study: Sent, task: tuple) -> bytes | Failed | NoMemory:
     return perform_sent(study, Task(*task))
 
 
-def _perform_and_write(study: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed:
+def _perform_and_write(study: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed | NoMemory:
     """Do a task, and write its piece into the folder of the study. Raises UnfitWorkerError where that is not here."""
     _check_shared(Path(path).parents[1], mark)
     found = perform_sent(study, Task(*task))
-    if isinstance(found, Failed):
+    if not isinstance(found, bytes):
         return found
-    whole = sealed(mark, found)
+    whole = sealed(mark, Path(path).name, found)
     try:
         write_whole(Path(path), whole)
     except OSError as error:

@@ -1,15 +1,15 @@
 """The result of a study as one labelled data set."""
 
 import json
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._ensemble.netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
 from .._ensemble.result import Ensemble
+from .._files import write_whole
 from .._numerics.dyadic import CommonBins
 from .._statistics.distribution import DEFAULT_BINS, default_bins
 from .._statistics.estimate import Estimate
@@ -18,9 +18,9 @@ from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS, Sa
 from .._status import Status
 from .._systems.system import require_system
 from .errors import StudyError
-from .files import cannot_write, write_whole
 from .groups import GROUPS
-from .manifest import manifest_text, sum_of
+from .locking import cannot_write
+from .manifest import sum_of
 from .plan import Plan
 from .points import POINT, Axis
 from .setting import label_of, unit_of
@@ -67,7 +67,7 @@ class Columns:
 
 
 def dataset_of(work: Work) -> "xarray.Dataset":
-    """All results that are there. Points are read twice, one at a time: the bins that all share come first."""
+    """All results that are there. Points are looked at twice, one at a time: the bins that all share come first."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
@@ -81,7 +81,7 @@ def dataset_of(work: Work) -> "xarray.Dataset":
             _put_statistics(columns, point, ensemble, plan, bins)
         _put_derivatives(columns, point, work)
     coordinates = {**_axes(plan), **_bin_coordinates(plan, bins)}
-    return xr.Dataset(dict(columns.variables()), coordinates, _attributes(plan))
+    return xr.Dataset(dict(columns.variables()), coordinates, _attributes(plan, work.store.body))
 
 
 def _common_bins(work: Work) -> dict[str, CommonBins]:
@@ -216,10 +216,10 @@ def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, Any]:
     return found
 
 
-def _attributes(plan: Plan) -> dict[str, Any]:
+def _attributes(plan: Plan, body: dict[str, Any]) -> dict[str, Any]:
+    """Attributes of the data set; `body`: the manifest in the folder, where numbers may be written otherwise."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
-    body = json.loads(manifest_text(plan))["body"]
     return {
         "Conventions": "CF-1.11",
         "source": f"stickslip_jax {__version__}",
@@ -242,9 +242,7 @@ def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
     path = store.folder / DATA
     try:
         packing = {name: {"zlib": True, "complevel": 1} for name in dataset.variables if dataset[name].size > 1024}
-        with _without_cluster():
-            data = dataset.to_netcdf(None, engine="h5netcdf", encoding=packing)
-        write_whole(path, bytes(data))
+        write_whole(path, as_netcdf(dataset, packing))
     except OSError as error:
         raise cannot_write(store.folder, error) from error
     except ImportError:
@@ -252,24 +250,12 @@ def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
     return path
 
 
-@contextmanager
-def _without_cluster() -> Iterator[None]:
-    """Where this process has a client of dask, xarray would ask the cluster for a lock to write memory (and fail)."""
-    if "dask.base" not in sys.modules:
-        yield
-        return
-    with sys.modules["dask"].config.set(scheduler="synchronous"):
-        yield
-
-
 def read_dataset(folder: Path) -> "xarray.Dataset":
-    """The data set of a finished study. Raises StudyError if there is none."""
-    import xarray as xr  # noqa: PLC0415 - an extra
-
+    """The data set of a finished study. Raises StudyError if there is none, or a damaged one."""
     path = folder / DATA
-    if not path.exists():
+    if not path.is_file():  # a named pipe would wait for ever
         raise StudyError(f"{folder} holds no finished study; run it, or resume it, first.")
     try:
-        return xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, KeyError) as error:
+        return verified(read_netcdf(path))
+    except DamagedFileError as error:
         raise StudyError(f"{path} cannot be read ({error}); run the study again, which writes it anew.") from error

@@ -10,3 +10,11 @@ class StudyError(ValueError):
 
 class DamagedPieceError(ValueError):
     """The bytes of a piece are not what was written. It is removed and done again."""
+
+
+class UnreadableError(ValueError):
+    """A text that is no manifest, or a damaged one."""
+
+
+class OtherProgramError(UnreadableError):
+    """A text that another program wrote."""

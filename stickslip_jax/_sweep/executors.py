@@ -5,7 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 from .plan import Plan, Task
-from .workers import Failed, Performer
+from .workers import Failed, NoMemory, Performer, attempted
 
 
 class Written(NamedTuple):
@@ -35,7 +35,7 @@ class Executor(ABC):
         """A future of the task, with ``add_done_callback``."""
 
     @abstractmethod
-    def result(self, task: Task, future: Any) -> bytes | Written | Failed:
+    def result(self, task: Task, future: Any) -> bytes | Written | Failed | NoMemory:
         """What came of a future that is done. Raises WorkerDiedError, StudyError where there is no going on, and what
         went wrong with the task.
         """
@@ -62,14 +62,11 @@ class Threads(Executor):
     def at_once(self) -> int:
         return 2 * self._threads
 
-    def submit(self, task: Task) -> Future[bytes]:
-        return self._pool.submit(self._performer.perform, task)
+    def submit(self, task: Task) -> Future[bytes | Failed | NoMemory]:
+        return self._pool.submit(attempted, self._performer.perform, task)
 
-    def result(self, task: Task, future: Future[bytes]) -> bytes | Failed:
-        try:
-            return future.result()
-        except ValueError as error:
-            return Failed(str(error))
+    def result(self, task: Task, future: Future[bytes | Failed | NoMemory]) -> bytes | Failed | NoMemory:
+        return future.result()
 
     def close(self, *, wait: bool) -> None:
         self._pool.shutdown(wait=wait, cancel_futures=True)

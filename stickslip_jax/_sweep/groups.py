@@ -6,17 +6,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._inputs.numbers import Path, number_at, paths_of_numbers, shown, with_numbers
+from .. import _checks
+from .._inputs.numbers import Path, number_at, paths_of_numbers, shown
 
 
 class Group(NamedTuple):
-    """A dimensionless group: what it is, and the setting with a value of it."""
+    """A dimensionless group: what it is, and where in a setting its value puts a number, and which.
+
+    The value, and with it numbers of the setting, may be arrays, with an entry for each of many points.
+    """
 
     meaning: str
-    applied: Callable[[Any, float], Any]
+    place: Callable[[Any, Any], tuple[Path, Any]]
 
 
-_FREQUENCIES: dict[str, Callable[[float], float]] = {
+_FREQUENCIES: dict[str, Callable[[Any], Any]] = {
     "period": lambda frequency: 1 / frequency,
     "interval": lambda frequency: 1 / frequency,
     "angular_frequency": lambda frequency: 2 * math.pi * frequency,
@@ -24,32 +28,37 @@ _FREQUENCIES: dict[str, Callable[[float], float]] = {
 """What a law's field of this name is at a frequency in Hz."""
 
 
-def _with_frequency_ratio(setting: Any, ratio: float) -> Any:
+def _by_frequency_ratio(setting: Any, ratio: Any) -> tuple[Path, Any]:
     """``r = f_b / (omega / 2 pi)`` (Lima and Sampaio's conference paper, section 3), both in Hz."""
-    omega = _number_of(setting.system, "natural_frequency", "r", "a natural frequency, as that of a MassSpring")
+    if not np.ndim(ratio):
+        _checks.positive("over['r']", ratio)
+    omega = _number_of(setting.system, "natural_frequency", "r", "a natural frequency, as that of a MassSpring", ratio)
     path = _path_in_law(setting, tuple(_FREQUENCIES), "r", "a frequency")
-    return with_numbers(setting, (path,), [_FREQUENCIES[str(path[-1])](ratio * omega / (2 * math.pi))])
+    return path, _FREQUENCIES[str(path[-1])](ratio * omega / (2 * math.pi))
 
 
-def _with_dimensionless_speed(setting: Any, w: float) -> Any:
+def _by_dimensionless_speed(setting: Any, w: Any) -> tuple[Path, Any]:
     """``w = v / (omega a)`` with the half-width ``a = mu n / k`` of the stick band."""
     wanted = "a natural frequency and a stick band, as those of a MassSpring with Coulomb friction"
-    omega = _number_of(setting.system, "natural_frequency", "w", wanted)
-    half_width = _number_of(setting.system, "stick_half_width", "w", wanted)
+    omega = _number_of(setting.system, "natural_frequency", "w", wanted, w)
+    half_width = _number_of(setting.system, "stick_half_width", "w", wanted, w)
     path = _path_in_law(setting, ("speed", "amplitude"), "w", "a speed")
-    return with_numbers(setting, (path,), [w * omega * half_width])
+    return path, w * omega * half_width
 
 
 GROUPS = {
-    "r": Group("frequency of the base over the natural frequency", _with_frequency_ratio),
+    "r": Group("frequency of the base over the natural frequency", _by_frequency_ratio),
     "w": Group("speed of the base over natural angular frequency times half-width of the stick band",
-               _with_dimensionless_speed),
+               _by_dimensionless_speed),
 }  # fmt: skip
 """The groups by name. Each sets a number of the law; the numbers of the system are set before."""
 
 
-def _number_of(system: Any, name: str, group: str, wanted: str) -> float:
+def _number_of(system: Any, name: str, group: str, wanted: str, many: Any) -> Any:
+    """A number of the system; where the group's value `many` is an array, also an array with an entry for each."""
     value = getattr(system, name, None)
+    if value is not None and np.shape(value) == np.shape(many):
+        return np.asarray(value) if np.ndim(many) else float(value)
     if value is None or np.ndim(value):
         raise ValueError(
             f"Argument over must not name {group!r} here: it needs a system with {wanted}, but "

@@ -1,14 +1,12 @@
 """Looking at a study without changing its folder, also while a run writes to it."""
 
-import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from .._status import Status
 from .dataset import dataset_of, read_dataset
 from .errors import StudyError
-from .manifest import plan_in, sum_of
-from .pieces import DamagedPieceError, head_of
+from .manifest import sum_of
 from .store import Store
 from .work import Work
 
@@ -41,20 +39,16 @@ def status_of(folder: Path) -> StudyStatus:
     store = Store.reading(folder)
     is_running, is_finished = store.is_in_use, _finished(store) is not None
     # Whether a point has the standard error that was asked for, only a plan that can be run can tell.
-    plan = plan_in(store.body, to_run=bool(store.body["asked"]["standard_errors"]))
-    work = Work(plan, store)
-    for _ in work.tasks():  # counts what is done
-        pass
+    plan = store.plan(to_run=bool(store.body["asked"]["standard_errors"]))
     endings, seconds = dict.fromkeys(Status, 0), 0.0
+    work = Work(plan, store)
     for point in range(plan.points.number):
-        for piece in work.pieces(point):
-            if piece.derivative:
-                continue
-            with contextlib.suppress(FileNotFoundError, DamagedPieceError):
-                head = head_of(store.read(piece))
-                seconds += head["run_seconds"]
-                for status, count in zip(Status, head["status_counts"], strict=True):
-                    endings[status] += count
+        for head in work.heads(point):
+            seconds += head["run_seconds"]
+            for status, count in zip(Status, head["status_counts"], strict=True):
+                endings[status] += count
+    for _ in work.tasks():  # counts what is done, of the pieces that were found to be whole
+        pass
     points = plan.points.number
     return StudyStatus(
         points, points if is_finished else work.complete, sum(work.done), points * plan.samples, plan.is_adaptive,
@@ -68,7 +62,7 @@ def stored_dataset(folder: Path) -> "xarray.Dataset":
     """
     store = Store.reading(folder)
     finished = _finished(store)
-    return dataset_of(Work(plan_in(store.body), store)) if finished is None else finished
+    return dataset_of(Work(store.plan(), store)) if finished is None else finished
 
 
 def _finished(store: Store) -> "xarray.Dataset | None":

@@ -8,27 +8,23 @@ from typing import Any
 
 import jax
 import jax.lib
-import numpy as np
 
-from .._ensemble.encoding import Decoder, Encoder
-from .._ensemble.unknown import Unknown
-from .._statistics.accumulator import Numbering
-from .errors import StudyError
+from .._ensemble.encoding import Encoder
+from .errors import OtherProgramError, StudyError, UnreadableError
 from .plan import Plan
-from .points import Axis, Points
-from .setting import Setting
 
-FORMAT, FORMAT_VERSION = "stickslip_jax study", 1
-_OBJECTS = ("system", "law", "y0", "method")
-_DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "piece", "dtype")
+FORMAT, FORMAT_VERSION = "stickslip_jax study", 2  # 1 had pieces whose check sums did not tell which piece they are
+OBJECTS = ("system", "law", "y0", "method")
+DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "piece", "dtype")
 _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
 _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest"}
 """What the user calls it, where that is another name."""
-_ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
-
-
-class UnreadableError(ValueError):
-    """A text that is no manifest, or a damaged one."""
+ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
+_PARTS = {
+    "format": str, "format_version": int, "versions": dict, "objects": dict, "deciding": dict, "asked": dict,
+    "axes": list, "floats": list, "integers": list,
+}  # fmt: skip
+_DEEPEST = 64  # levels of parts within parts; ours have some ten
 
 
 def manifest_text(plan: Plan) -> str:
@@ -38,9 +34,9 @@ def manifest_text(plan: Plan) -> str:
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "versions": versions(),
-        "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in _OBJECTS},
-        "deciding": {name: _plain(getattr(plan, name)) for name in _DECIDING},
-        "asked": {name: _plain(getattr(plan, name)) for name in _ASKED},
+        "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
+        "deciding": {name: _plain(getattr(plan, name)) for name in DECIDING},
+        "asked": {name: _plain(getattr(plan, name)) for name in ASKED},
         "axes": [
             {"name": axis.name, "parameters": list(axis.parameters), "values": axis.values.tolist()}
             for axis in plan.points.axes
@@ -64,46 +60,59 @@ def _text(body: dict[str, Any]) -> str:
 
 
 def body_of(text: str) -> dict[str, Any]:
-    """The manifest in a text. Raises UnreadableError for another or a damaged one, StudyError for a newer format."""
+    """The manifest in a text.
+
+    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and StudyError for
+    another format.
+    """
     try:
         whole = json.loads(text)
-        body, stated = whole["body"], whole["sha256"]
-        if body["format"] != FORMAT:
-            raise UnreadableError("it is of another program")
-        if body["format_version"] > FORMAT_VERSION:
-            raise StudyError(
-                f"it has format {body['format_version']}, written by stickslip_jax "
-                f"{body['versions']['stickslip_jax']}, and this version reads {FORMAT_VERSION}; install that version "
-                "or a newer one."
-            )
-        if sum_of(body) != stated:
-            raise UnreadableError("its check sum is wrong")
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise UnreadableError(str(error)) from error
+    if not isinstance(whole, dict) or not {"body", "sha256"} & whole.keys():
+        raise OtherProgramError("it is of another program")
+    body = whole.get("body")
+    if not isinstance(body, dict) or _depth(body) > _DEEPEST or sum_of(body) != whole.get("sha256"):
+        raise UnreadableError("its check sum is wrong")
+    if body.get("format") != FORMAT:
+        raise OtherProgramError("it is of another program")
+    _check_format(body)
+    _check_parts(body)
     return body
 
 
-def plan_in(body: dict[str, Any], *, to_run: bool = True) -> Plan:
-    """The study that a manifest describes. Raises StudyError where it holds objects of a user's own classes, which
-    cannot be run; with `to_run` False these are left as they are stored.
-    """
-    floats = np.array([float.fromhex(value) for value in body["floats"]])
-    decoder = Decoder(floats, np.array(body["integers"], np.int64))
-    objects = {name: decoder.decoded(value) for name, value in body["objects"].items()}
-    for name, value in objects.items():
-        for one in value if isinstance(value, tuple) else (value,):
-            if to_run and isinstance(one, Unknown):
-                raise StudyError(
-                    f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again "
-                    "with the same folder, which goes on from here."
-                )
-    deciding, asked = dict(body["deciding"]), dict(body["asked"])
-    deciding["numbering"] = Numbering(*deciding["numbering"])
-    deciding["key_data"] = None if deciding["key_data"] is None else tuple(deciding["key_data"])
-    asked["statistics"] = tuple(asked["statistics"])
-    asked["derivatives"] = tuple((name, tuple(wrt)) for name, wrt in asked["derivatives"])
-    axes = (Axis(one["name"], tuple(one["parameters"]), np.array(one["values"], float)) for one in body["axes"])
-    return Plan(Setting(**objects), Points(tuple(axes)), **deciding, **asked)
+def _check_format(body: dict[str, Any]) -> None:
+    """Raises StudyError for a manifest of another format than this version writes."""
+    version = body.get("format_version")
+    if version == FORMAT_VERSION or not isinstance(version, int):
+        return
+    versions_there = body.get("versions")
+    writer = versions_there.get("stickslip_jax") if isinstance(versions_there, dict) else "of an unknown version"
+    todo = "install that version or a newer one" if version > FORMAT_VERSION else "run the study into another folder"
+    raise StudyError(
+        f"it has format {version}, written by stickslip_jax {writer}, and this version reads {FORMAT_VERSION}; {todo}."
+    )
+
+
+def _check_parts(body: dict[str, Any]) -> None:
+    """Raises UnreadableError for a manifest in which a part is missing, or is of another kind."""
+    for name, kind in _PARTS.items():
+        if type(body.get(name)) is not kind:
+            raise UnreadableError(f"its {name} is missing")
+    wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
+    for part, names in wanted.items():
+        for name in {*names} ^ body[part].keys():
+            raise UnreadableError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
+
+
+def _depth(value: Any) -> int:
+    """How many levels of parts within parts there are, counted up to a little more than are allowed."""
+    level, depth = [value], 0
+    while level and depth <= _DEEPEST:
+        depth += 1
+        inner = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list))]
+        level = [one for parts in inner for one in parts if isinstance(one, (dict, list))]
+    return depth
 
 
 def differences(there: dict[str, Any], here: dict[str, Any]) -> list[str]:

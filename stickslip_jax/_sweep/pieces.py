@@ -5,6 +5,7 @@ import io
 import json
 import time
 import zipfile
+import zlib
 from typing import Any
 
 import numpy as np
@@ -84,13 +85,21 @@ def packed(ensemble: Ensemble) -> bytes:
     return buffer.getvalue()
 
 
-def unpacked(data: bytes, fields: dict[str, Any]) -> Ensemble:
-    """The ensemble of a piece that `perform` made; `fields`: from `Plan.fields_at`. Raises DamagedPieceError for other
-    bytes.
+_UNFIT = (
+    zipfile.BadZipFile, zlib.error, ArithmeticError, AttributeError, EOFError, LookupError, NotImplementedError,
+    RecursionError, TypeError, ValueError,
+)  # fmt: skip
+"""What reading bytes raises that `packed` did not make."""
+
+
+def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensemble:
+    """The ensemble of the piece of samples ``first .. end - 1`` that `perform` made.
+
+    `fields`: from `Plan.fields_at`. Raises DamagedPieceError for other bytes, and for those of other samples.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:  # checks the sum of every entry that it reads
-            head = json.loads(archive.read("head.json"))
+            head = _head_in(archive, first, end)
             arrays = {
                 name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(archive.read(name)), allow_pickle=False)
                 for name in archive.namelist()
@@ -102,7 +111,7 @@ def unpacked(data: bytes, fields: dict[str, Any]) -> Ensemble:
         retained = Retained(FlatSticks(**sticks), arrays["totals"]) if sticks else None
         counts = dict(zip(Status, head["status_counts"], strict=True))
         numbers = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, EOFError) as error:
+    except _UNFIT as error:
         raise DamagedPieceError(str(error)) from error
     return Ensemble(
         **fields, **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
@@ -110,18 +119,40 @@ def unpacked(data: bytes, fields: dict[str, Any]) -> Ensemble:
     )  # fmt: skip
 
 
-def head_of(data: bytes) -> dict[str, Any]:
-    """What a piece says of itself: "samples", "status_counts", "run_seconds". Raises DamagedPieceError."""
+def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
+    """What the piece of samples ``first .. end - 1`` says of itself: "samples", "status_counts", "run_seconds".
+
+    Raises DamagedPieceError as `unpacked`.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return json.loads(archive.read("head.json"))
-    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+            return _head_in(archive, first, end)
+    except _UNFIT as error:
         raise DamagedPieceError(str(error)) from error
 
 
-def unfinished_in(data: bytes) -> dict[Status, int]:
-    """How many samples of a packed ensemble did not reach the end, by their status."""
-    counts = zip(Status, head_of(data)["status_counts"], strict=True)
+def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> dict[str, Any]:
+    head = json.loads(archive.read("head.json"))
+    samples = end - first
+    if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):
+        raise ValueError(f"it holds {head['samples']} samples from {head['first_sample']} on")
+    return head
+
+
+def derivatives_of(data: bytes, end: int) -> dict[str, Any]:
+    """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedPieceError for other bytes."""
+    try:
+        found = json.loads(data)
+        if found["end"] != end or not found["by"].keys():
+            raise ValueError(f"it holds derivatives from {found['end']} samples")
+    except _UNFIT as error:
+        raise DamagedPieceError(str(error)) from error
+    return found
+
+
+def unfinished_in(head: dict[str, Any]) -> dict[Status, int]:
+    """How many samples of a piece did not reach the end, by their status; `head`: from `head_of`."""
+    counts = zip(Status, head["status_counts"], strict=True)
     return {status: count for status, count in counts if count and status != Status.FINISHED}
 
 

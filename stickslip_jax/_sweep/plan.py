@@ -1,8 +1,7 @@
 """What a study simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
 
 import dataclasses
-import math
-from collections.abc import Callable
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple, get_args
 
@@ -17,8 +16,9 @@ from .._inputs.numbers import parameters_of
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import Numbering
 from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
+from .checking import check_points
 from .points import Points
-from .setting import Setting, setter_of
+from .setting import Setter, Setting, setter_of
 
 Derivative = tuple[str, tuple[str, ...]]
 """A statistic, and the parameters by which it is differentiated."""
@@ -64,7 +64,7 @@ class Plan:
     dtype: str
 
     @cached_property
-    def _with_values(self) -> Callable[[tuple[float, ...]], Setting]:
+    def _with_values(self) -> Setter:
         return setter_of(self.setting, self.points.parameters)
 
     def setting_at(self, point: int) -> Setting:
@@ -104,8 +104,7 @@ class Plan:
 
     def check(self) -> None:
         """Check every point as far as that is possible without simulating. Raises ValueError for what does not fit."""
-        for point in range(self.points.number):
-            self.setting_at(point)
+        check_points(self._with_values, self.points, self.setting_at)
         for _, wrt in self.derivatives:
             parameters_of(self.setting_at(0).model._asdict(), wrt)
         try:
@@ -134,7 +133,7 @@ def checked_statistics(statistics: Any, keep: Keep) -> tuple[str, ...]:
     names = [statistics] if isinstance(statistics, str) else statistics
     names = [getattr(name, "name", name) for name in names] if isinstance(names, (list, tuple)) else [names]
     for name in names:
-        if name not in known:
+        if not isinstance(name, str) or name not in known:
             hint = '; keep="statistics" offers more' if keep == "totals" else ""
             raise ValueError(
                 f"Argument statistics must be names out of {', '.join(map(repr, known))}, but {_checks.show(name)} was "
@@ -147,11 +146,15 @@ def checked_derivatives(sensitivities: Any) -> tuple[Derivative, ...]:
     """The derivatives as pairs of names. Raises ValueError for anything else."""
     known = [statistic.name for statistic in DIFFERENTIABLE]
     found = []
+    is_one = isinstance(sensitivities, (str, bytes, Mapping)) or not isinstance(sensitivities, Iterable)
+    if is_one or hasattr(sensitivities, "__array__"):
+        sensitivities = [sensitivities]  # which is no pair
     for entry in sensitivities:
         pair = tuple(entry) if isinstance(entry, (list, tuple)) and len(entry) == 2 else (entry, None)
         statistic, wrt = getattr(pair[0], "name", pair[0]), pair[1]
         wrt = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (list, tuple)) else ()
-        if statistic not in known or not wrt or not all(isinstance(name, str) for name in wrt):
+        named = isinstance(statistic, str) and all(isinstance(name, str) for name in wrt)
+        if not named or statistic not in known or not wrt:
             raise ValueError(
                 "Argument sensitivities must hold pairs of a statistic and the parameter, or parameters, by which it "
                 f"is differentiated, such as ('mean_stick_duration', 'mu'), with a statistic out of "
@@ -183,12 +186,16 @@ def checked_errors(standard_error: Any, statistics: tuple[str, ...]) -> dict[str
 def checked_keep(keep: Any) -> Keep:
     """`keep`, "statistics" or "totals". Raises ValueError for anything else."""
     allowed = [name for name in get_args(Keep) if name != "sticks"]
-    if keep not in allowed:
+    if not _is_word(keep, allowed):
         raise ValueError(
             f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
             "stick of a point comes from study.ensemble_at(mu=...)."
         )
     return keep
+
+
+def _is_word(value: Any, words: Iterable[str]) -> bool:
+    return isinstance(value, str) and value in words
 
 
 def checked_samples(samples: Any) -> int:
@@ -199,8 +206,3 @@ def checked_samples(samples: Any) -> int:
 def key_data_in(key: Any) -> tuple[int, ...] | None:
     """The numbers of `key`; None where there is none."""
     return None if key is None else tuple(int(word) for word in np.asarray(key_data_of(key)))
-
-
-def near(value: float, other: float) -> bool:
-    """Whether two numbers are equal but for round-off of how they were written."""
-    return math.isclose(value, other, rel_tol=1e-9, abs_tol=0.0) or value == other

@@ -2,16 +2,18 @@
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _checks
-from .._design.design import Design
+from .._design.design import Design, given_twice
 
 POINT = "point"
 """The dimension of the points of a design."""
+MOST_POINTS = 10_000_000
+"""Of a study, at most: each has a file of its own."""
 
 
 class Axis(NamedTuple):
@@ -52,6 +54,27 @@ class Points(NamedTuple):
             float(value) for axis, place in zip(self.axes, places, strict=True) for value in axis.values[place]
         )
 
+    def blocks(self, size: int) -> Iterator[tuple[int, np.ndarray]]:
+        """The values at all points, `size` at a time: the number of the first, and an array (points, parameters)."""
+        for first in range(0, self.number, size):
+            numbers = np.arange(first, min(first + size, self.number))
+            places = np.unravel_index(numbers, self.shape)
+            yield (
+                first,
+                np.concatenate([axis.values[place] for axis, place in zip(self.axes, places, strict=True)], axis=1),
+            )
+
+    def number_of(self, values: Mapping[str, float]) -> int | None:
+        """The first point with these values of all parameters, equal but for round-off; None if there is none."""
+        places = []
+        for axis in self.axes:
+            wanted = np.array([values[name] for name in axis.parameters])
+            fits = np.flatnonzero(np.all(near(axis.values, wanted[None]), axis=1))
+            if not len(fits):
+                return None
+            places.append(int(fits[0]))
+        return int(np.ravel_multi_index(places, self.shape))
+
     def described(self, number: int) -> str:
         """Point `number` as text: "mu = 0.5, rate = 2"."""
         return ", ".join(
@@ -61,6 +84,11 @@ class Points(NamedTuple):
     def identity(self, number: int) -> str:
         """A name of point `number` that depends on its values only, 16 hexadecimal digits."""
         return identity_of(dict(zip(self.parameters, self.values(number), strict=True)))
+
+
+def near(values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Which numbers are equal but for round-off of how they were written."""
+    return np.abs(values - wanted) <= 1e-9 * np.maximum(np.abs(values), np.abs(wanted))
 
 
 def identity_of(values: Mapping[str, float]) -> str:
@@ -80,11 +108,19 @@ def points_of(over: Any) -> Points:
         )
     axes = tuple(_axis(names, values) for names, values in over.items())
     points = Points(axes)
-    names = points.parameters
-    twice = [name for index, name in enumerate(names) if name in names[:index]]
-    if twice:
-        raise ValueError(f"Argument over must name every parameter once, but {twice[0]!r} was given twice.")
+    twice = given_twice(points.parameters)
+    if twice is not None:
+        raise ValueError(f"Argument over must name every parameter once, but {twice!r} was given twice.")
+    _check_number("over", points.number)
     return points
+
+
+def _check_number(label: str, number: int) -> None:
+    if number > MOST_POINTS:
+        raise ValueError(
+            f"Argument {label} must have at most {MOST_POINTS} points, but has {number}; take fewer values, or a "
+            "design that spreads them."
+        )
 
 
 def _axis_of_design(design: Design) -> Axis:
@@ -93,6 +129,7 @@ def _axis_of_design(design: Design) -> Axis:
             "Argument over must be a design with the values of named parameters, such as design.table or design.grid, "
             f"but {design!r} was given, which has uniform numbers; make values of them first."
         )
+    _check_number("over", len(design))
     return _distinct(Axis(POINT, design.names, np.asarray(design.values)), "over")
 
 
@@ -105,12 +142,13 @@ def _axis(names: Any, values: Any) -> Axis:
             f"{_checks.show(names)} was given."
         )
     label = f"over[{names!r}]"
+    if isinstance(values, range):  # which has no numbers yet
+        _check_number(label, len(values))
     try:
-        array = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    fits = array.size and (array.shape[1:] == (len(parameters),) if several else array.ndim == 1)
-    if not fits or np.asarray(values).dtype.kind not in "iuf":
+        array = _checks.numbers(label, values, ndim=2 if several else 1).astype(np.float64)
+    except ValueError:
+        array: np.ndarray = np.empty(0)
+    if not array.size or (several and array.shape[1] != len(parameters)):
         wanted = f"rows of {len(parameters)} numbers, one row for each point" if several else "at least one number"
         raise ValueError(f"Argument {label} must hold {wanted}, but {_checks.show(values)} was given.")
     if not np.all(np.isfinite(array)):
@@ -121,12 +159,16 @@ def _axis(names: Any, values: Any) -> Axis:
 
 def _distinct(axis: Axis, label: str) -> Axis:
     """`axis`. Raises ValueError if two of its entries are the same point."""
-    seen: dict[tuple[float, ...], int] = {}
-    for index, row in enumerate(axis.values):
-        first = seen.setdefault(tuple(row), index)
-        if first != index:
-            shown = float(row[0]) if len(row) == 1 else tuple(row.tolist())
-            raise ValueError(
-                f"Argument {label} must hold every point once, but entries {first} and {index} are both {shown}."
-            )
+    _check_number(label, len(axis))
+    order = np.lexsort(axis.values.T[::-1])  # stable: of equal entries the first comes first
+    repeats = np.zeros(len(axis), bool)
+    repeats[1:] = np.all(axis.values[order[1:]] == axis.values[order[:-1]], axis=1)
+    if np.any(repeats):
+        again = int(np.min(order[repeats]))
+        row = axis.values[again]
+        first = int(np.argmax(np.all(axis.values == row[None], axis=1)))
+        shown = float(row[0]) if len(row) == 1 else tuple(row.tolist())
+        raise ValueError(
+            f"Argument {label} must hold every point once, but entries {first} and {again} are both {shown}."
+        )
     return axis

@@ -12,7 +12,7 @@ from .dataset import dataset_of, write_dataset
 from .errors import StudyError
 from .places import Where, executor_for
 from .plan import Plan
-from .runner import run_tasks
+from .runner import described, run_tasks
 from .stopping import stoppable
 from .store import LOG, opened
 from .warned import collecting
@@ -46,10 +46,13 @@ def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool |
                 run_tasks(work, chosen, stopping, bar)
             if stopping.requested:
                 _stop(work, kept)
+            if work.starved:
+                _raise_starved(work, kept)
             dataset = dataset_of(work)
             if work.damaged:
                 continue
             path = write_dataset(store, dataset)
+            store.check_kept()
             work.remove_leftovers()
             if work.failed:
                 _raise_failed(work, path, kept)
@@ -64,6 +67,23 @@ def _stop(work: Work, kept: bool) -> None:
     raise KeyboardInterrupt(
         f"Stopped with {work.complete} of {work.plan.points.number} points done; "
         + (on if kept else "they are lost, because no folder was given.")
+    )
+
+
+def _raise_starved(work: Work, kept: bool) -> None:
+    task = min(work.starved)
+    points = len({one.point for one in work.starved})
+    what = f"There was no memory for pieces of {points} of {work.plan.points.number} points, even one at a time"
+    work.store.log(f"stopped: {what}")
+    raise StudyError(
+        f"{what}, first {described(work.plan, task)} ({work.starved[task]}); "
+        + (
+            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the study in "
+            "smaller pieces (piece) into another folder."
+            if kept
+            else "run it in smaller pieces (piece), or where there is more memory, and give a folder, which keeps what "
+            "is done."
+        )
     )
 
 

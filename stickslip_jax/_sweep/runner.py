@@ -11,7 +11,7 @@ from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
 from .stopping import Stopping
 from .work import Work
-from .workers import Failed
+from .workers import Failed, NoMemory, outcome_of
 
 _DEATHS = 3  # of workers while a task was under way, after which the study ends
 
@@ -19,25 +19,27 @@ _DEATHS = 3  # of workers while a task was under way, after which the study ends
 def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
     """Do all tasks of `work`, a few at a time, and store each result when it comes.
 
-    Stops after the tasks under way when `stopping` asks for it. Raises StudyError if the folder cannot be written, or
-    the workers keep dying.
+    Where there was no memory for a task it is done again, with fewer at a time: its size decides the last digits, and
+    so cannot change. Stops after the tasks under way when `stopping` asks for it. Raises StudyError if the folder
+    cannot be written, or the workers keep dying.
     """
     waiting, under_way = deque(work.tasks()), _UnderWay(executor)
     lost: dict[Task, int] = {}
     bar.advance(sum(work.done))
     while (waiting and not stopping.requested) or under_way.began:
-        while waiting and not stopping.requested and len(under_way.began) < executor.at_once:
+        while waiting and not stopping.requested and under_way.has_room:
             under_way.begin(waiting.popleft())
         task = under_way.next()
         if task is None:
             executor.check()
             continue
-        seconds = under_way.seconds(task)
+        began, alone = under_way.began[task], under_way.is_alone(task)
         try:
             found = under_way.result(task)
         except WorkerDiedError as error:
             again = [task, *(under_way.forget() if error.others else ())]
-            _note_lost(work, again, lost, error)
+            if _note_lost(work, again, lost, error) > 1:
+                under_way.narrow(began)
             if error.others:
                 executor.restart()
             waiting.extendleft(reversed(again))
@@ -45,27 +47,68 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
         except StudyError:
             raise
         except Exception as error:
-            found = Failed(str(error))
-        if isinstance(found, Failed):
-            work.fail(task, found.reason)
-            work.store.log(f"FAILED {_described(work.plan, task)}: {found.reason}")
-            continue
-        waiting.extendleft(work.finish(task, found if isinstance(found, bytes) else None))
-        work.store.log(f"done {_described(work.plan, task)} in {seconds:.2f} s")
-        bar.advance(task.samples if task.derivative is None else 0)
-        bar.note(f"{work.complete} of {work.plan.points.number} points")
+            found = outcome_of(error)
+        if isinstance(found, NoMemory) and not alone:
+            under_way.narrow(began)
+            waiting.appendleft(task)
+            work.store.log(
+                f"no memory for {described(work.plan, task)} ({found.reason}); it is done again, with at most "
+                f"{under_way.most} at a time"
+            )
+        elif isinstance(found, (NoMemory, Failed)):
+            _give_up(work, task, found)
+        else:
+            waiting.extendleft(work.finish(task, found if isinstance(found, bytes) else None))
+            work.store.log(f"done {described(work.plan, task)} in {time.monotonic() - began:.2f} s")
+            bar.advance(task.samples if task.derivative is None else 0)
+            bar.note(f"{work.complete} of {work.plan.points.number} points")
+
+
+def _give_up(work: Work, task: Task, found: NoMemory | Failed) -> None:
+    """Note why a task is not done in this run."""
+    if isinstance(found, Failed):
+        work.fail(task, found.reason)
+        work.store.log(f"FAILED {described(work.plan, task)}: {found.reason}")
+    else:
+        work.starve(task, found.reason)
+        work.store.log(f"no memory for {described(work.plan, task)}, even alone: {found.reason}")
 
 
 class _UnderWay:
-    """The tasks that an executor has been given. `began`: when each was."""
+    """The tasks that an executor has been given. `began`: when each was. `most`: of them at a time, if not as many as
+    the executor takes.
+    """
 
     def __init__(self, executor: Executor):
         self._executor = executor
         self._futures: dict[Task, Any] = {}
         self._ended: queue.SimpleQueue[tuple[Task, Any]] = queue.SimpleQueue()
+        self._in_company: set[Task] = set()
         self.began: dict[Task, float] = {}
+        self.most: int | None = None
+        self._narrowed = 0.0
+
+    @property
+    def has_room(self) -> bool:
+        """Whether another task may begin."""
+        return len(self.began) < (self._executor.at_once if self.most is None else self.most)
+
+    def narrow(self, began: float) -> None:
+        """Have fewer tasks under way from now on, because there was no memory for one that `began` then.
+
+        Half as many as were worked on, for each of which one waits; once for all that were under way together.
+        """
+        if began >= self._narrowed:
+            self.most, self._narrowed = max(1, (len(self.began) + 1) // 4), time.monotonic()
+
+    def is_alone(self, task: Task) -> bool:
+        """Whether no other task was under way since this one began."""
+        return task not in self._in_company
 
     def begin(self, task: Task) -> None:
+        self._in_company.discard(task)
+        if self.began:
+            self._in_company |= {task, *self.began}
         future = self._executor.submit(task)
         self._futures[task], self.began[task] = future, time.monotonic()
         future.add_done_callback(lambda done, task=task: self._ended.put((task, done)))
@@ -77,10 +120,6 @@ class _UnderWay:
         except queue.Empty:
             return None
         return task if self._futures.get(task) is future else None  # else lost, and begun again
-
-    def seconds(self, task: Task) -> float:
-        """The time since a task began."""
-        return time.monotonic() - self.began[task]
 
     def result(self, task: Task) -> Any:
         """What came of a task, which is not under way any more."""
@@ -95,20 +134,22 @@ class _UnderWay:
         return tasks
 
 
-def _note_lost(work: Work, again: list[Task], lost: dict[Task, int], error: WorkerDiedError) -> None:
-    """Log that tasks are done again. Raises StudyError if one of them has been lost too often."""
+def _note_lost(work: Work, again: list[Task], lost: dict[Task, int], error: WorkerDiedError) -> int:
+    """Log that tasks are done again; how often one of them has been lost. Raises StudyError if that is too often."""
     for task in again:
         lost[task] = lost.get(task, 0) + 1
     worst = max(again, key=lambda task: lost[task])
     work.store.log(f"a worker died ({error}); {len(again)} pieces are done again")
     if lost[worst] > _DEATHS:
         raise StudyError(
-            f"A worker died {lost[worst]} times while it simulated {_described(work.plan, worst)} ({error}); what is "
+            f"A worker died {lost[worst]} times while it simulated {described(work.plan, worst)} ({error}); what is "
             "done is kept. Perhaps memory ran out: take fewer workers, and run again."
         ) from error
+    return lost[worst]
 
 
-def _described(plan: Plan, task: Task) -> str:
+def described(plan: Plan, task: Task) -> str:
+    """A task in words: "mu = 0.5: samples 0 to 1023"."""
     what = f"samples {task.first} to {task.end - 1}"
     if task.derivative is not None:
         statistic, wrt = plan.derivatives[task.derivative]

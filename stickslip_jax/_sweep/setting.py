@@ -1,17 +1,19 @@
 """What a study simulates at a point: the setting with the values of its parameters."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
+import numpy as np
 
+from .. import _checks
 from .._distributions.random_number import RandomNumber
-from .._excitation.excitation import law_of
+from .._excitation.excitation import excitation_of, law_of
+from .._excitation.sampled import SampledLaw
 from .._excitation.smooth import SIGNAL_UNIT
 from .._fields import Quantity, described
 from .._inputs.inputs import Model
-from .._inputs.numbers import Path, check_numbers, matching, number_at, paths_of_numbers, shown
-from .._systems.system import require_system
+from .._inputs.numbers import Path, check_numbers, matching, number_at, paths_of_numbers, shown, with_numbers
+from .._systems.system import checked_system, require_system
 from .groups import GROUPS
 
 
@@ -30,31 +32,36 @@ class Setting(NamedTuple):
 
 
 def setting_of(system: Any, law: Any, y0: Any, method: Any) -> Setting:
-    """The setting; with the initial values that are zero by default."""
-    if y0 is None:
-        y0 = (0.0,) * len(require_system(system).coordinates)
-    if isinstance(y0, list):
-        y0 = tuple(y0)
-    return Setting(system, law_of(law), y0, method)
-
-
-def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Callable[[tuple[float, ...]], Setting]:
-    """The function that gives the setting with values of the `parameters`, in their order.
-
-    Raises ValueError for a name that fits no number, or several; the function for values that do not fit.
+    """The setting; with the initial values that are zero by default. Raises ValueError for what is no system, and for
+    a start that is none.
     """
-    known = list(paths_of_numbers(setting._asdict()))
-    plain = [name for name in parameters if name not in GROUPS or _fits(name, known)]
-    paths = {name: known[matching("over", name, known)] for name in plain}
-    _check_different(paths)
-    groups = [name for name in parameters if name not in paths]
+    names = [coordinate.meaning for coordinate in checked_system(system).coordinates]
+    if y0 is None:
+        y0 = (0.0,) * len(names)
+    elif _checks.dimensions(y0) != 2 or isinstance(y0, (tuple, list)):  # else a row for each sample
+        y0 = _checks.entries("y0", y0, tuple(names))
+    law = law_of(law)
+    if not isinstance(law, SampledLaw):
+        excitation_of(law, "law")
+    return Setting(system, law, y0, method)
 
-    def with_values(values: tuple[float, ...]) -> Setting:
-        by_name = dict(zip(parameters, values, strict=True))
+
+class Setter(NamedTuple):
+    """Gives a setting with values of the `parameters`.
+
+    `paths`: where those stand that are numbers of the setting. `groups`: the names of the others.
+    """
+
+    setting: Setting
+    parameters: tuple[str, ...]
+    paths: dict[str, Path]
+    groups: tuple[str, ...]
+
+    def __call__(self, values: tuple[float, ...]) -> Setting:
+        """The setting with these `values`. Raises ValueError for values that do not fit."""
+        by_name = dict(zip(self.parameters, values, strict=True))
         try:
-            changed = _replaced(setting, list(paths.values()), [by_name[name] for name in paths])
-            for name in groups:
-                changed = GROUPS[name].applied(changed, by_name[name])
+            _, changed = self._changed(by_name)
             for part in changed:
                 check_numbers(part)
         except ValueError as error:
@@ -62,7 +69,33 @@ def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Callable[[tuple[
             raise ValueError(f"The point {point} of the study cannot be simulated: {error}") from error
         return changed
 
-    return with_values
+    def columns(self, values: np.ndarray) -> tuple[dict[Path, np.ndarray], Setting]:
+        """Many points at once, (points, parameters): an array (points,) for each number, and the setting that has these
+        arrays in place of numbers, unchecked.
+        """
+        found, changed = self._changed(dict(zip(self.parameters, values.T, strict=True)))
+        return {path: np.asarray(column) for path, column in found.items()}, changed
+
+    def _changed(self, by_name: Mapping[str, Any]) -> tuple[dict[Path, Any], Setting]:
+        found = {path: by_name[name] for name, path in self.paths.items()}
+        changed = with_numbers(self.setting, tuple(found), list(found.values()))
+        for name in self.groups:
+            path, value = GROUPS[name].place(changed, by_name[name])
+            found[path] = value
+            changed = with_numbers(changed, (path,), [value])
+        return found, changed
+
+
+def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Setter:
+    """What gives the setting with values of the `parameters`, in their order.
+
+    Raises ValueError for a name that fits no number, or several.
+    """
+    known = list(paths_of_numbers(setting._asdict()))
+    plain = [name for name in parameters if name not in GROUPS or _fits(name, known)]
+    paths = {name: known[matching("over", name, known)] for name in plain}
+    _check_different(paths)
+    return Setter(setting, parameters, paths, tuple(name for name in parameters if name not in paths))
 
 
 def _fits(name: str, known: list[Path]) -> bool:
@@ -70,21 +103,13 @@ def _fits(name: str, known: list[Path]) -> bool:
 
 
 def _check_different(paths: dict[str, Path]) -> None:
+    by_path: dict[Path, str] = {}
     for name, path in paths.items():
-        others = [other for other in paths if other != name and paths[other] == path]
-        if others:
+        other = by_path.setdefault(path, name)
+        if other != name:
             raise ValueError(
-                f"Argument over must name every parameter once, but {name!r} and {others[0]!r} are both {shown(path)}."
+                f"Argument over must name every parameter once, but {other!r} and {name!r} are both {shown(path)}."
             )
-
-
-def _replaced(setting: Setting, paths: list[Path], values: list[float]) -> Setting:
-    """`setting` with the numbers at `paths` replaced, also those that were None."""
-    if not paths:
-        return setting
-    return eqx.tree_at(
-        lambda tree: [number_at(tree, path) for path in paths], setting, values, is_leaf=lambda leaf: leaf is None
-    )
 
 
 def label_of(setting: Setting, name: str) -> str:

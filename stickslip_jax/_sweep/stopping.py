@@ -19,9 +19,9 @@ class Stopping:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        print(
-            "\nStopping after the pieces under way; what is done is kept. Press Ctrl-C again to stop at once.",
-            file=sys.stderr,
+        # In one piece: a second Ctrl-C comes between the parts that print would write.
+        sys.stderr.write(
+            "\nStopping after the pieces under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
         )
 
 

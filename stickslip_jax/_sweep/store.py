@@ -10,20 +10,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from .._files import finished_name, remove_unfinished, sync_folder, write_whole
 from .errors import DamagedPieceError, StudyError
-from .files import cannot_write, finished_name, is_locked, locked, remove_unfinished, sync_folder, write_whole
-from .manifest import FORMAT, UnreadableError, body_of, differences, extended, fingerprint, manifest_text, with_piece
+from .locking import cannot_write, is_locked, locked
+from .manifest import body_of, differences, extended, manifest_text, with_piece
+from .manifest_files import COPY, MANIFEST, body_in, has_manifest, mark_of
 from .plan import Plan, Task
+from .regular import NotAFileError, append_regular, read_regular
+from .sealing import BEGINNING, MARK, ForeignPieceError, claims_of, sealed, unsealed
+from .stored_plan import plan_in
 
-MANIFEST, COPY, PIECES, DATA, LOG, LOCK = (
-    "manifest.json",
-    "manifest-copy.json",
-    "pieces",
-    "study.nc",
-    "log.txt",
-    ".lock",
-)
-_MARK, _SUM = 16, 32  # bytes with which a piece begins: of its study, and of its check sum
+PIECES, DATA, LOG, LOCK = "pieces", "study.nc", "log.txt", ".lock"
 _LONGEST_NAME = 100  # of a derivative in the name of a file
 
 
@@ -45,23 +42,46 @@ class Store:
     """The folder of a study, opened for reading; `opened` is for writing.
 
     A piece is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
-    values of the parameters only, so that a point keeps its pieces when others come. It begins with a mark of its study
-    and a check sum. `held`: whether this program holds the lock, and may change the folder.
+    values of the parameters only, so that a point keeps its pieces when others come. It is sealed with a mark of its
+    study and this name. `held`: whether this program holds the lock, and may change the folder.
     """
 
     def __init__(self, folder: Path, body: dict[str, Any], *, held: bool = False):
         self.folder, self.body, self.held = folder, body, held
-        self.mark = fingerprint(body)[:_MARK].encode()
+        self.mark = mark_of(body)
+        self._lock = _file_number(folder / LOCK) if held else None
 
     @classmethod
     def reading(cls, folder: Path) -> "Store":
         """The store in a folder. Raises StudyError if there is none, or none that this version can read."""
-        return cls(folder, _body_in(folder))
+        return cls(folder, body_in(folder, lambda: _marks_in(folder)))
+
+    def plan(self, *, to_run: bool = True, every_point: bool = False) -> Plan:
+        """The study that is stored; see `plan_in`. Raises StudyError with the name of the folder."""
+        try:
+            return plan_in(self.body, to_run=to_run, every_point=every_point)
+        except StudyError as error:
+            raise StudyError(f"{self.folder}: {error}") from error.__cause__
 
     @property
     def is_in_use(self) -> bool:
         """Whether a run holds the folder now."""
         return is_locked(self.folder / LOCK)
+
+    def check_kept(self) -> None:
+        """Raises StudyError if the folder that this run holds was removed, or another one is in its place."""
+        missing = []
+        if not any(_file_number(self.folder / name) for name in (MANIFEST, COPY)):
+            missing.append(MANIFEST)
+        if _file_number(self.folder / LOCK) != self._lock:
+            missing.append(LOCK)
+        if not (self.folder / PIECES).is_dir():
+            missing.append(PIECES)
+        if missing:
+            raise StudyError(
+                f"{self.folder} was removed, or changed, while the study ran in it ({missing[0]} is gone); run it "
+                "again, in a folder that is left alone until it ends."
+            )
 
     # --- pieces
 
@@ -70,45 +90,78 @@ class Store:
         return {identity: _without_overlap(pieces) for identity, pieces in self._all().items()}
 
     def _all(self) -> dict[str, list[Piece]]:
+        """All pieces by the identity of their point, in the order of their names.
+
+        A listing while a run joins pieces may have neither the parts nor the whole of them, but then the next one has
+        the whole: who only looks lists twice.
+        """
+        names = _names_in(self.folder)
+        if not self.held:
+            names |= _names_in(self.folder)
         found: dict[str, list[Piece]] = defaultdict(list)
-        with contextlib.suppress(FileNotFoundError):
-            for entry in os.scandir(self.folder / PIECES):
-                parts = _NAME.fullmatch(entry.name)
-                if parts is not None:
-                    identity, first, end, name = parts.group("point", "first", "end", "name")
-                    found[identity].append(Piece(Path(entry.path), int(first), int(end), name or ""))
+        for file in sorted(names):
+            parts = _NAME.fullmatch(file)
+            if parts is not None:
+                identity, first, end, name = parts.group("point", "first", "end", "name")
+                found[identity].append(Piece(self.folder / PIECES / file, int(first), int(end), name or ""))
         return found
 
     def read(self, piece: Piece) -> bytes:
         """The bytes of a piece.
 
-        Raises DamagedPieceError unless they are as they were written, FileNotFoundError for a piece that is gone, and
-        StudyError for one of another study and one that cannot be read.
+        Raises DamagedPieceError unless they are as they were written under this name, FileNotFoundError for a piece
+        that is gone, and StudyError for one of another study and one that cannot be read.
         """
         try:
-            whole = piece.path.read_bytes()
+            return unsealed(self.mark, piece.path.name, read_regular(piece.path))
         except FileNotFoundError:
             raise
+        except ForeignPieceError:
+            raise StudyError(f"{piece.path} is a piece of another study; move it elsewhere, and run again.") from None
+        except NotAFileError as error:
+            raise StudyError(f"{piece.path} cannot be read ({error.strerror}); remove it, and run again.") from error
         except OSError as error:
             raise StudyError(
                 f"{piece.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
             ) from error
-        mark, stated, data = whole[:_MARK], whole[_MARK : _MARK + _SUM], whole[_MARK + _SUM :]
-        if stated != hashlib.sha256(mark + data).digest():
-            raise DamagedPieceError("its check sum is wrong")
-        if mark != self.mark:
-            raise StudyError(f"{piece.path} is a piece of another study; move it elsewhere, and run again.")
-        return data
 
-    def check_marks(self) -> None:
-        """Raises StudyError for a whole piece of another study, which nobody may write over."""
-        for pieces in self._all().values():
-            for piece in pieces:
-                with contextlib.suppress(OSError, DamagedPieceError):
-                    with piece.path.open("rb") as file:
-                        mark = file.read(_MARK)
-                    if mark != self.mark:
-                        self.read(piece)
+    def check_pieces(self) -> None:
+        """Remove pieces that have another name than when they were written: what is to be done depends on names.
+
+        Raises StudyError for whole pieces of another study, and for what is no file: nobody may write over them.
+        """
+        foreign, ours = None, 0
+        for piece in (one for pieces in self._all().values() for one in pieces):
+            try:
+                mark, claims = claims_of(read_regular(piece.path, BEGINNING))
+                if mark == self.mark:
+                    ours += 1
+                    if claims != piece.path.name:
+                        self.remove(piece, f"it is {claims}, under another name")
+                    continue
+            except NotAFileError:
+                self.read(piece)  # says so
+            except OSError:
+                continue
+            try:
+                self.read(piece)
+            except (DamagedPieceError, FileNotFoundError):
+                continue
+            except StudyError as error:
+                foreign = foreign or error
+        if foreign is not None and not ours:
+            raise StudyError(
+                f"{self.folder} has pieces of another study than its {MANIFEST}; put the manifest of the pieces back, "
+                "or choose another folder."
+            )
+        if foreign is not None:
+            raise foreign
+
+    def remove(self, piece: Piece, reason: str) -> None:
+        """Remove a piece that is damaged, and log that."""
+        self.log(f"damaged, to be done again: {piece.path.name} ({reason})")
+        with contextlib.suppress(OSError):  # the new piece replaces it
+            piece.path.unlink()
 
     def remove_leftovers(self, identities: Iterable[str]) -> None:
         """Remove pieces of these points whose samples are in a longer one too: what an interrupted join leaves."""
@@ -127,20 +180,50 @@ class Store:
 
     def write(self, path: Path, data: bytes) -> None:
         """Write the bytes of a piece. Raises StudyError if that fails."""
+        self.check_kept()
         try:
-            write_whole(path, sealed(self.mark, data))
+            write_whole(path, sealed(self.mark, path.name, data))
         except OSError as error:
+            self.check_kept()
             raise cannot_write(self.folder, error) from error
 
     def log(self, text: str) -> None:
         """Add a line to the log, with the time."""
-        with contextlib.suppress(OSError), (self.folder / LOG).open("a", encoding="utf-8") as file:
-            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+        with contextlib.suppress(OSError):
+            append_regular(self.folder / LOG, f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
-def sealed(mark: bytes, data: bytes) -> bytes:
-    """The bytes of a piece as they stand in its file: after the mark of the study and a check sum."""
-    return mark + hashlib.sha256(mark + data).digest() + data
+def _names_in(folder: Path) -> set[str]:
+    """The names of what lies where the pieces are. Raises StudyError if they cannot be listed."""
+    try:
+        return set(os.listdir(folder / PIECES))
+    except FileNotFoundError:
+        return set()
+    except NotADirectoryError:
+        raise StudyError(
+            f"{folder / PIECES} must be a folder, for the pieces of the study, but is a file; move it elsewhere, and "
+            "run again."
+        ) from None
+    except OSError as error:
+        raise StudyError(f"{folder / PIECES} cannot be read ({error.strerror}); make it readable.") from error
+
+
+def _marks_in(folder: Path) -> set[bytes]:
+    """The marks with which the pieces begin."""
+    found = set()
+    for name in filter(_NAME.fullmatch, _names_in(folder)):
+        with contextlib.suppress(OSError):
+            found.add(read_regular(folder / PIECES / name, MARK))
+    return found
+
+
+def _file_number(path: Path) -> tuple[int, int] | None:
+    """What tells a file from another one of its name; None if it is not there."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def derivative_name(plan: Plan, number: int) -> str:
@@ -162,14 +245,14 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
     _make(folder)
     with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
         text = manifest_text(plan)
-        if (folder / MANIFEST).exists() or (folder / COPY).exists():
-            there = _body_in(folder)
+        if has_manifest(folder):
+            there = body_in(folder, lambda: _marks_in(folder), to_write=True)
             plan = with_piece(plan, there)
             here = body_of(manifest_text(plan))
             _check_extends(folder, there, here)
             text = extended(there, here)
         store = Store(folder, body_of(text), held=True)
-        store.check_marks()
+        store.check_pieces()
         try:
             remove_unfinished(folder)
             remove_unfinished(folder / PIECES)
@@ -200,7 +283,7 @@ def _check_extends(folder: Path, there: dict[str, Any], here: dict[str, Any]) ->
 
 def _holds(path: Path, text: str) -> bool:
     with contextlib.suppress(FileNotFoundError):
-        return path.read_bytes() == text.encode()
+        return read_regular(path) == text.encode()
     return False
 
 
@@ -209,7 +292,7 @@ def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         others = sorted(entry.name for entry in os.scandir(folder) if not _is_begun(Path(entry.path)))
-        has_study = (folder / MANIFEST).exists() or (folder / COPY).exists()
+        has_study = has_manifest(folder)
     except FileExistsError:
         raise StudyError(f"{folder} cannot hold a study, because it is a file; choose another folder.") from None
     except NotADirectoryError:
@@ -227,25 +310,6 @@ def _is_begun(path: Path) -> bool:
     if path.name == PIECES:
         return path.is_dir() and not os.listdir(path)
     return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)
-
-
-def _body_in(folder: Path) -> dict[str, Any]:
-    """The manifest of a folder, or its copy where that is damaged. Raises StudyError if there is none."""
-    said = ""
-    for name in (MANIFEST, COPY):
-        try:
-            return body_of((folder / name).read_text(encoding="utf-8"))
-        except (FileNotFoundError, NotADirectoryError):
-            continue
-        except (UnreadableError, UnicodeDecodeError) as error:
-            said = f"{folder / name} is damaged ({error})"
-        except StudyError as error:
-            raise StudyError(f"{folder} cannot be read: {error}") from None
-        except OSError as error:
-            raise StudyError(f"{folder / name} cannot be read ({error.strerror}); make it readable.") from None
-    if said:
-        raise StudyError(f"{said}, and there is no whole copy of it; run the study into another folder.")
-    raise StudyError(f"{folder} holds no study ({FORMAT}); name the folder that Study.run or stickslip sweep wrote.")
 
 
 def _without_overlap(pieces: list[Piece]) -> list[Piece]:

@@ -15,8 +15,10 @@ from .._dynamics.validation import check_method
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._ensemble.result import Ensemble
+from .._ensemble.run import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
+from .._forks import require_threads_of_jax
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
 from .._types import Array
@@ -29,7 +31,6 @@ from .plan import (
     checked_samples,
     checked_statistics,
     key_data_in,
-    near,
     usual_piece,
 )
 from .points import points_of
@@ -109,7 +110,8 @@ class Study:
         chosen = checked_statistics(statistics, keep)
         numbering = Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
         _checks.whole_number("realizations", realizations, minimum=0)
-        size = usual_piece(points.number, samples) if piece is None else _checks.whole_number("piece", piece)
+        if piece is None:
+            piece = usual_piece(points.number, samples)
         self._plan = Plan(
             setting=setting_of(system, law, y0, method),
             points=points,
@@ -123,10 +125,11 @@ class Study:
             independent=independent,
             standard_errors=checked_errors(standard_error, chosen),
             realizations=realizations,
-            piece=size,
+            piece=_checks.whole_number("piece", piece, maximum=MOST_SAMPLES),
             dtype=str(jnp.result_type(float)),
         )
         self._plan.check()
+        self._folder: Path | None = None
 
     @classmethod
     def load(cls, folder: Folder) -> "Study":
@@ -135,20 +138,28 @@ class Study:
         Raises StudyError for a folder that holds none, one of a newer version, and one of systems or laws of your own
         classes: those run again from the program that made them.
         """
-        from .manifest import plan_in  # noqa: PLC0415
         from .store import Store  # noqa: PLC0415
 
-        path = Path(folder)
-        try:
-            return cls._of(plan_in(Store.reading(path).body))
-        except StudyError as error:
-            raise StudyError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-
-    @classmethod
-    def _of(cls, plan: Plan) -> "Study":
         study = object.__new__(cls)
-        study._plan = plan
+        study._folder = _checks.path("folder", folder)
+        study._plan = Store.reading(study._folder).plan(every_point=True)
         return study
+
+    @property
+    def results(self) -> "xarray.Dataset":
+        """What is in the folder that the study was loaded from, ``Study.load(folder).results``, as `run` returns it.
+
+        Also while a run works there; NaN, and 0 samples, where nothing is yet. Raises StudyError for a study that was
+        not loaded from a folder.
+        """
+        from .looking import stored_dataset  # noqa: PLC0415 - needs an extra
+
+        if self._folder is None:
+            raise StudyError(
+                "Only a study that was loaded from a folder has results; call study.run(), or "
+                "ss.Study.load(folder).results."
+            )
+        return stored_dataset(self._folder)
 
     def run(
         self,
@@ -179,9 +190,11 @@ class Study:
         from .places import Where, check_where  # noqa: PLC0415 - with what runs studies only
         from .run import run_study  # noqa: PLC0415 - needs an extra
 
+        require_threads_of_jax()
+        path = None if folder is None else _checks.path("folder", folder)
         where = Where(threads, workers, executor, shared_folder)
         check_where(where, has_folder=folder is not None)
-        return run_study(self._plan, None if folder is None else Path(folder), where, progress)
+        return run_study(self._plan, path, where, progress)
 
     @property
     def points(self) -> int:
@@ -202,10 +215,11 @@ class Study:
         `samples`: by default those of the study. Raises ValueError for values that are no point of the study.
         """
         plan = self._plan
+        samples = plan.samples if samples is None else samples
         point = self._number_of(values)
         setting, numbering = plan.setting_at(point), plan.numbering
         return simulate_ensemble(
-            *setting.model[:2], t1=plan.t1, samples=samples or plan.samples, key=plan.key_at(point), y0=setting.y0,
+            *setting.model[:2], t1=plan.t1, samples=samples, key=plan.key_at(point), y0=setting.y0,
             method=setting.method, keep=keep, orders=numbering.orders, count_initial_rest=numbering.count_initial_rest,
             threads=threads, progress=progress,
         )  # fmt: skip
@@ -214,12 +228,12 @@ class Study:
         points, given = self._plan.points, _checks.show(dict(values))
         if set(values) != set(points.parameters):
             raise ValueError(f"Arguments must be the values of {', '.join(points.parameters)}, but {given} was given.")
-        for number in range(points.number):
-            if all(
-                near(value, values[name]) for name, value in zip(points.parameters, points.values(number), strict=True)
-            ):
-                return number
-        raise ValueError(f"Arguments must be the values at a point of the study, but {given} is none.")
+        for name, value in values.items():
+            _checks.numeric(name, value)
+        number = points.number_of(values)
+        if number is None:
+            raise ValueError(f"Arguments must be the values at a point of the study, but {given} is none.")
+        return number
 
     def __repr__(self) -> str:
         plan = self._plan

@@ -1,7 +1,6 @@
 """The work of a study that is left, and how far it has come."""
 
 import contextlib
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,25 +8,28 @@ from typing import Any
 from .._ensemble.result import Ensemble
 from .._statistics.registry import STATISTICS
 from .errors import DamagedPieceError
-from .pieces import joined, packed, unfinished_in, unpacked
+from .pieces import derivatives_of, head_of, joined, packed, unfinished_in, unpacked
 from .plan import Plan, Task
+from .spool import Spool
 from .store import Piece, Store, derivative_name
 
-_LISTINGS = 3  # of the folder, while a run that is under way joins pieces
+_LISTINGS = 5  # of the folder at most, where a run that is under way has joined pieces since the last
 
 
 @dataclass
 class Work:
     """The tasks of a study that are left, in order of the points.
 
-    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `complete`: points with
-    nothing left to do. `damaged`: pieces that could not be read, and were removed.
+    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `starved`: tasks for which
+    there was no memory, and the error. `complete`: points with nothing left to do. `damaged`: pieces that could not be
+    read, and were removed.
     """
 
     plan: Plan
     store: Store
     done: list[int] = field(default_factory=list)
     failed: dict[int, str] = field(default_factory=dict)
+    starved: dict[Task, str] = field(default_factory=dict)
     complete: int = 0
     damaged: int = 0
 
@@ -36,6 +38,8 @@ class Work:
         self._pieces = self.store.pieces()
         self._left: dict[int, int] = {}  # tasks of a point that are not done
         self.done = [0] * self.plan.points.number
+        # A run may join pieces while somebody looks: what was read once is kept, so that it is the same a second time.
+        self._spool = None if self.store.held else Spool()
 
     def pieces(self, point: int) -> list[Piece]:
         """The pieces of a point that are there."""
@@ -95,21 +99,29 @@ class Work:
         piece = Piece(path, task.first, task.end, name)
         pieces.append(piece)
         pieces.sort(key=lambda piece: (piece.derivative, piece.first))
+        try:
+            self._check(task, self.store.read(piece) if data is None else data)
+        except DamagedPieceError as error:
+            self._remove(task.point, piece, str(error))
+            return []
         self._left[task.point] -= 1
+        more = []
         if task.derivative is None:
             self.done[task.point] += task.samples
-            self._log_unfinished(task, self.store.read(piece) if data is None else data)
             more = self._missing(task.point) if self.plan.is_adaptive else []
             self._left[task.point] += len(more)
-        else:
-            more = []
         if not self._left[task.point]:
             self.complete += 1
             self._join(task.point)
         return more
 
-    def _log_unfinished(self, task: Task, data: bytes) -> None:
-        unfinished = ", ".join(f"{count} {status.name}" for status, count in unfinished_in(data).items())
+    def _check(self, task: Task, data: bytes) -> None:
+        """Log the samples of a result that did not reach the end. Raises DamagedPieceError for one of another task."""
+        if task.derivative is not None:
+            derivatives_of(data, task.end)
+            return
+        head = head_of(data, task.first, task.end)
+        unfinished = ", ".join(f"{count} {status.name}" for status, count in unfinished_in(head).items())
         if unfinished:
             samples = f"samples {task.first} to {task.end - 1}"
             self.store.log(f"not to the end {self.plan.points.described(task.point)}: {samples}: {unfinished}")
@@ -126,36 +138,69 @@ class Work:
         """Note that a task failed; the others of its point go on."""
         self.failed[task.point] = reason
 
+    def starve(self, task: Task, reason: str) -> None:
+        """Note that there was no memory for a task; a later run does it."""
+        self.starved[task] = reason
+
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
-        Pieces that are damaged end it; they are removed, unless the store is only read.
+        Pieces that are damaged end it; they are removed, unless the store is only read. Who only reads gets the same
+        samples every time, whatever a run does meanwhile.
         """
-        for _ in range(_LISTINGS):
+        found, fields = [], self.plan.fields_at(point)
+        for piece, data in self._in_a_row(point):
             try:
-                return self._ensemble(point)
+                found.append(unpacked(data, fields, piece.first, piece.end))
+            except DamagedPieceError as error:
+                self._remove(point, piece, str(error))
+                break
+        return joined(found) if len(found) > 1 else found[0] if found else None
+
+    def _in_a_row(self, point: int) -> list[tuple[Piece, bytes]]:
+        """The pieces of samples of a point from the first on that are there without a gap."""
+        kept = None if self._spool is None else self._spool.kept(point)
+        if kept is not None:
+            return kept
+        found = self._read(point, is_gap_allowed=False)
+        if self._spool is not None:
+            self._spool.keep(point, found)
+        return found
+
+    def heads(self, point: int) -> list[dict[str, Any]]:
+        """What the pieces of samples of a point say of themselves; see `head_of`."""
+        found = []
+        for piece, data in self._read(point, is_gap_allowed=True):
+            try:
+                found.append(head_of(data, piece.first, piece.end))
+            except DamagedPieceError as error:
+                self._remove(point, piece, str(error))
+        return found
+
+    def _read(self, point: int, *, is_gap_allowed: bool) -> list[tuple[Piece, bytes]]:
+        """The pieces of samples of a point that are there, with their bytes."""
+        for _ in range(_LISTINGS):
+            found, at = [], 0
+            try:
+                for piece in [one for one in self.pieces(point) if not one.derivative]:
+                    if piece.first != at and not is_gap_allowed:
+                        continue
+                    try:
+                        found.append((piece, self.store.read(piece)))
+                    except DamagedPieceError as error:
+                        self._remove(point, piece, str(error))
+                        if not is_gap_allowed:
+                            break
+                    at = piece.end
+                return found
             except FileNotFoundError:
                 self._list_again()
-        return None
+        return []
 
     def _list_again(self) -> None:
         """Look for pieces where one is gone. For a reader: a run has joined it with others since they were listed."""
         self._pieces = self.store.pieces()
         self.damaged += 1
-
-    def _ensemble(self, point: int) -> Ensemble | None:
-        found, at = [], 0
-        fields = self.plan.fields_at(point)
-        for piece in list(self.pieces(point)):
-            if piece.derivative or piece.first != at:
-                continue
-            try:
-                found.append(unpacked(self.store.read(piece), fields))
-            except DamagedPieceError as error:
-                self._remove(point, piece, str(error))
-                break
-            at = piece.end
-        return joined(found) if len(found) > 1 else found[0] if found else None
 
     def derivatives(self, point: int) -> dict[str, dict[str, Any]]:
         """The results of the derivatives of a point that are there, by name."""
@@ -163,8 +208,8 @@ class Work:
         for piece in list(self.pieces(point)):
             if piece.derivative in names and piece.end == self.plan.samples:
                 try:
-                    found[piece.derivative] = json.loads(self.store.read(piece))
-                except (DamagedPieceError, json.JSONDecodeError) as error:
+                    found[piece.derivative] = derivatives_of(self.store.read(piece), piece.end)
+                except DamagedPieceError as error:
                     self._remove(point, piece, str(error))
                 except FileNotFoundError:
                     self._list_again()
@@ -192,9 +237,8 @@ class Work:
         self.store.remove_leftovers(self._identities)
 
     def _remove(self, point: int, piece: Piece, reason: str) -> None:
-        self._pieces[self._identities[point]].remove(piece)
+        with contextlib.suppress(ValueError):  # the folder was listed again since it was read
+            self.pieces(point).remove(piece)
         self.damaged += 1
         if self.store.held:
-            self.store.log(f"damaged, to be done again: {piece.path.name} ({reason})")
-            with contextlib.suppress(OSError):  # the new piece replaces it
-                piece.path.unlink()
+            self.store.remove(piece, reason)

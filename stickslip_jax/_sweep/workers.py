@@ -1,6 +1,7 @@
 """What does tasks in a process: this one, a worker process of this machine, or a worker of a cluster."""
 
 import dataclasses
+import errno
 import functools
 import importlib
 import importlib.util
@@ -31,6 +32,39 @@ class Failed(NamedTuple):
     """What comes back for a point that cannot be simulated."""
 
     reason: str
+
+
+class NoMemory(NamedTuple):
+    """What comes back for a task for which there was no memory."""
+
+    reason: str
+
+
+_NO_MEMORY = ("RESOURCE_EXHAUSTED", "std::bad_alloc", "MemoryError", "can't start new thread")
+"""What errors of JAX, and of what it calls, say where there is no memory."""
+
+
+def outcome_of(error: Exception) -> Failed | NoMemory:
+    """What an error in a task means. Its reason is never empty."""
+    said = " ".join(str(error).split())
+    kind = type(error).__name__
+    if not said or not isinstance(error, ValueError):
+        said = f"{kind}: {said}" if said else kind
+    no_memory = isinstance(error, OSError) and error.errno == errno.ENOMEM
+    if no_memory or isinstance(error, MemoryError) or any(part in said for part in _NO_MEMORY):
+        return NoMemory(said)
+    return Failed(said)
+
+
+def attempted(perform: Callable[[Task], bytes], task: Task) -> bytes | Failed | NoMemory:
+    """Do a task. Raises what is neither of its point nor of memory."""
+    try:
+        return perform(task)
+    except Exception as error:
+        outcome = outcome_of(error)
+        if isinstance(error, ValueError) or isinstance(outcome, NoMemory):
+            return outcome
+        raise
 
 
 class Performer:
@@ -103,14 +137,10 @@ def _pickler() -> Callable[[Any], bytes]:
     return importlib.import_module("cloudpickle").dumps  # comes with loky and dask; sends the classes of notebooks too
 
 
-def perform_sent(study: Sent, task: Task) -> bytes | Failed:
+def perform_sent(study: Sent, task: Task) -> bytes | Failed | NoMemory:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
     with _precision.of(study.double), collecting():
-        performer = _performer(study)
-        try:
-            return performer.perform(task)
-        except ValueError as error:
-            return Failed(str(error))
+        return attempted(_performer(study).perform, task)
 
 
 _reading = threading.Lock()
@@ -198,6 +228,6 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def perform_in_process(task: Task) -> bytes | Failed:
+def perform_in_process(task: Task) -> bytes | Failed | NoMemory:
     """Do a task of the study that the process was started for."""
     return perform_sent(_study_of_process[0], task)

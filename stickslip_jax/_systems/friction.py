@@ -8,12 +8,14 @@ from typing import Annotated, Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .. import _checks
 from .._fields import Checked, Quantity
 from .._types import FloatArray, Number, Scalar
 
 _STATIC = "friction coefficient of a stick"
+_ROUND_OFF = 1e-6  # of numbers in single precision
 
 
 class FrictionLaw(Checked):
@@ -54,6 +56,13 @@ class FrictionLaw(Checked):
     def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         """Kinetic friction coefficient at the relative speed `speed` (m/s, zero or positive)."""
 
+    def check_relations(self) -> None:
+        owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
+        if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
+            name = f"The static friction coefficient of {type(self).__name__}"
+            # Both may be the same number, rounded twice.
+            _static_at_least(self.kinetic(jnp.zeros(())), self.static, name, "kinetic(0)", _ROUND_OFF)
+
 
 class Coulomb(FrictionLaw):
     """Coulomb dry friction: the force in a slip is ``mu * normal_force``, against the relative velocity.
@@ -70,7 +79,8 @@ class Coulomb(FrictionLaw):
     constant = True
 
     def check_relations(self) -> None:
-        _static_at_least("mu", self.mu, self.mu_static)
+        _static_at_least(self.mu, self.mu_static)
+        FrictionLaw.check_relations(self)
 
     @property
     def holds_more(self) -> bool:
@@ -128,12 +138,13 @@ class Stribeck(FrictionLaw):
     mu_static: Annotated[Number, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
     stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
     exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
-        static=True, default=1.0
+        static=True, default=1.0, converter=lambda v: v.item() if isinstance(v, np.number) else v
     )
     viscous: Annotated[Number, Quantity("s/m", "times the speed", at_least=0)] = 0.0
 
     def check_relations(self) -> None:
-        _static_at_least("mu", self.mu, self.mu_static)
+        _static_at_least(self.mu, self.mu_static)
+        FrictionLaw.check_relations(self)
 
     @property
     def holds_more(self) -> bool:
@@ -162,7 +173,7 @@ class Stribeck(FrictionLaw):
 
 def _traceable(curve: Any) -> Any:
     """A plain function as a pytree without leaves, so that it can be part of a system that JAX transforms."""
-    is_plain = callable(curve) and jax.tree.leaves(curve) == [curve]
+    is_plain = callable(curve) and not isinstance(curve, type) and jax.tree.leaves(curve) == [curve]
     return jax.tree_util.Partial(curve) if is_plain else curve
 
 
@@ -180,12 +191,17 @@ class FrictionCurve(FrictionLaw):
     holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
+    def check_parts(self) -> None:
+        if not callable(self.curve) or isinstance(self.curve, type):
+            raise ValueError(
+                f"Argument curve must be a function of the relative speed, but {_checks.show(self.curve)} was given."
+            )
+
     def check_relations(self) -> None:
-        if not callable(self.curve):
-            raise ValueError(f"Argument curve must be a function of the relative speed, but {self.curve!r} was given.")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
-        _static_at_least("curve(0)", at_rest, self.mu_static)
+        _static_at_least(at_rest, self.mu_static, of="curve(0)")
+        FrictionLaw.check_relations(self)
 
     @property
     def holds_more(self) -> bool:
@@ -224,12 +240,14 @@ def _is(number: Any, value: Any) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
 
 
-def _static_at_least(name: str, kinetic: Scalar, static: Scalar | None) -> None:
-    """Check that `mu_static`, if given, is at least the `kinetic` coefficient, called `name`."""
+def _static_at_least(
+    kinetic: Any, static: Any, name: str = "Argument mu_static", of: str = "mu", slack: float = 0.0
+) -> None:
+    """Check that the `static` coefficient, if given, is at least the `kinetic` one, called `of`, but for `slack`."""
     if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):
         return
-    if static < kinetic:
+    if np.any(static < kinetic * (1 - slack)):  # of many points of a study at once, too
         raise ValueError(
-            f"Argument mu_static must be at least {name} = {kinetic}, but {static} was given: a stick holds at "
-            "least as well as a slip."
+            f"{name} must be at least {of} = {kinetic}, but {static} was given: a stick holds at least as well as a "
+            "slip."
         )

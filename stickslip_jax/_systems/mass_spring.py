@@ -62,10 +62,11 @@ class MassSpring(System):
     force: Signal | Recorded | None = None
     rests_on: ClassVar = dict.fromkeys(("has_interval_form", "has_closed_form"), ("switched_model", "stick_half_width"))
 
-    def check_relations(self) -> None:
+    def check_parts(self) -> None:
         if not isinstance(self.friction, FrictionLaw):
             raise ValueError(
-                f"Argument friction must be a friction law such as Coulomb(mu=0.3), but {self.friction!r} was given."
+                "Argument friction must be a friction law such as Coulomb(mu=0.3), but "
+                f"{_checks.show(self.friction)} was given."
             )
         if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
             raise ValueError(

@@ -224,12 +224,17 @@ def shortest_period(excitation: Excitation) -> Scalar | None:
     return float("inf") if excitation.smooth is None else excitation.smooth.shortest_period
 
 
-def require_system(system: Any) -> System:
-    """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
+def checked_system(system: Any) -> System:
+    """`system` itself. Raises ValueError for what is no system."""
     if not isinstance(system, System):
         raise ValueError(
             "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "
             f"{_checks.show(system)} was given."
         )
-    system.check_numbers()
+    return system
+
+
+def require_system(system: Any) -> System:
+    """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
+    checked_system(system).check_numbers()
     return system

@@ -6,17 +6,22 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from .. import _checks
+from .._files import file_for_user, file_to_write
 from . import _style
 from ._types import SeveralAxes
 
 
-def save(axes: Axes | SeveralAxes, path: str | Path, *, title: str | None = None, dpi: float = 150) -> None:
+def save(
+    axes: Axes | SeveralAxes, path: str | Path, *, title: str | None = None, dpi: float = 150, overwrite: bool = False
+) -> None:
     """Save the figure that `axes` belong to, and close it.
 
     - `axes`: what a function of this module returned: one matplotlib Axes, or several of one figure.
     - `path`: the file; its ending chooses the format. `title`: written above the figure. `dpi`: dots per inch.
+    - `overwrite`: whether to replace a file of that name. Until the new one is whole, an older one stays.
 
-    Raises ValueError if `axes` holds anything else, and OSError if the file cannot be written.
+    Raises ValueError if `axes` holds anything else and for what is no file name of a figure, FileExistsError where a
+    file would be replaced, FileNotFoundError for a folder that does not exist, OSError where it cannot be written.
     """
     found = (axes,) if isinstance(axes, Axes) else _style.axes_in(axes)
     if not found:
@@ -26,9 +31,12 @@ def save(axes: Axes | SeveralAxes, path: str | Path, *, title: str | None = None
         )
     figure = found[0].get_figure(root=True)
     assert figure is not None
-    if title is not None:
-        figure.suptitle(title)
     try:
-        figure.savefig(path, dpi=dpi)
+        known = tuple(f".{name}" for name in figure.canvas.get_supported_filetypes())
+        path = file_to_write(path, known, overwrite=overwrite)
+        if title is not None:
+            figure.suptitle(title)
+        with file_for_user(path) as file:
+            figure.savefig(file, dpi=dpi, format=path.suffix[1:].lower())
     finally:
         plt.close(figure)

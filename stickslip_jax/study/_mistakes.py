@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from .._checks import one_of
 from ._config import FileConfig, StudyConfig
-from ._sections import NUMBER, Section, UniformConfig, kinds_in, tables_of, tag_key, tag_of, toml_value
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, shown_value, tables_of, tag_key, tag_of
 from ._systems_config import MassSpringConfig
 
 Options = Mapping[tuple[str, str], str]
@@ -27,7 +27,9 @@ def sentence_for(
     if problem["type"] == "extra_forbidden":
         return _unknown_key(place, file) if place.section else _unknown_section(place.key, problem["input"], file)
     if problem["type"] in ("model_type", "model_attributes_type"):
-        return f"{place.name} must be a section [{place.section}] of keys, but {_show(problem['input'])} was given."
+        return (
+            f"{place.name} must be a section [{place.section}] of keys, but {shown_value(problem['input'])} was given."
+        )
     if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
         return _wrong_tag(place, problem["input"])
     if problem["type"] == "missing":
@@ -37,7 +39,7 @@ def sentence_for(
         return f"in [{place.section}], {said}" if place.section else said
     option = options.get((place.section, place.key))
     subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
-    return f"{subject} {_demand(problem)}, but {_show(problem['input'])} was given."
+    return f"{subject} {_demand(problem)}, but {shown_value(problem['input'])} was given."
 
 
 # --- where it is
@@ -91,7 +93,7 @@ def _run_kind(table: Mapping[str, Any], file: type[FileConfig]) -> type[Section]
     """The kind of the section [run]."""
     system = table.get("system")
     model = system.get("model") if isinstance(system, dict) else None
-    return _runs_by_model(file).get(model or "", file.runs[MassSpringConfig])
+    return _runs_by_model(file).get(model if isinstance(model, str) else "", file.runs[MassSpringConfig])
 
 
 def _runs_by_model(file: type[FileConfig]) -> dict[str, type[Section]]:
@@ -137,7 +139,7 @@ def _wrong_tag(place: _Place, table: Mapping[str, Any]) -> str:
     if key not in table:
         return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
     return (
-        f"{key} in [{place.section}] must be one of {_listed(kinds)}, but {_show(table[key])} was given"
+        f"{key} in [{place.section}] must be one of {_listed(kinds)}, but {shown_value(table[key])} was given"
         f"{_nearest(str(table[key]), kinds, before='; ') or '.'}"
     )
 
@@ -181,8 +183,3 @@ def _nearest(name: str, known: Iterable[str], before: str = "") -> str:
     by_lower_case = {candidate.lower(): candidate for candidate in known}
     found = get_close_matches(name.lower(), by_lower_case, n=1)
     return f"{before}did you mean {by_lower_case[found[0]]}?" if found else ""
-
-
-def _show(value: Any) -> str:
-    text = toml_value(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -174,6 +174,7 @@ class ShowCommand:
     folder: Path
     out: Path | None
     statistics: tuple[str, ...]
+    force: bool
 
 
 Command = StudyCommand | SweepCommand | ResumeCommand | StatusCommand | ShowCommand
@@ -272,7 +273,9 @@ def _status(folder: Path, /) -> StatusCommand:
     return StatusCommand(folder)
 
 
-def _show(folder: Path, /, *, out: Path | None = None, statistics: str | None = None) -> ShowCommand:
+def _show(
+    folder: Path, /, *, out: Path | None = None, statistics: str | None = None, force: _Switch = False
+) -> ShowCommand:
     """Print the statistics of a parametric study with their standard errors, and draw them, also while it runs.
 
     Parameters
@@ -283,8 +286,10 @@ def _show(folder: Path, /, *, out: Path | None = None, statistics: str | None = 
         File for the figure (PNG, PDF or SVG): curves along one parameter, curves or maps over two.
     statistics
         What to print and draw, names with commas between them (default: the statistics of totals, and derivatives).
+    force
+        Replace a figure that is there already.
     """
     if out is not None and out.suffix.lower() not in _FIGURES:
         raise StudyError(f"option --out must be a file that ends in {', '.join(_FIGURES)}, but {out} was given.")
     names = [] if statistics is None else [name.strip() for name in statistics.split(",")]
-    return ShowCommand(folder, out, tuple(names))
+    return ShowCommand(folder, out, tuple(names), force)

@@ -1,5 +1,6 @@
 """Reads studies from TOML files and the command's options; every mistake becomes one sentence."""
 
+import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -78,6 +79,12 @@ def _parse(path: Path, command: str) -> dict[str, Any]:
         raise StudyError(f"{path}: is not a text file in UTF-8.") from None
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"{path}: is not valid TOML ({error}).") from None
+    except ValueError:  # of Python's, about whole numbers
+        raise StudyError(
+            f"{path}: has a whole number of more than {sys.get_int_max_str_digits()} digits; correct it."
+        ) from None
+    except RecursionError:
+        raise StudyError(f"{path}: has lists or tables within too many others; correct it.") from None
 
 
 def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: Options) -> _File:

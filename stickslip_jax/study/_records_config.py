@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 from .._excitation.ground import GroundAcceleration
 from .._excitation.reading import STANDARD_GRAVITY, read_at2, read_csv
 from .._excitation.recorded import Recorded
-from ._sections import Section, toml_value
+from ._sections import Section, shown_value
 
 _WHITE_SPACE = "whitespace"
 
@@ -16,10 +16,13 @@ _WHITE_SPACE = "whitespace"
 def _existing(file: str, info: Any) -> str:
     """The absolute path of `file`, which is relative to the folder of the configuration."""
     folder = Path((info.context or {}).get("folder", "."))
-    path = folder.joinpath(Path(file).expanduser()).absolute()
+    try:
+        path = folder.joinpath(Path(file).expanduser()).absolute()
+    except RuntimeError:  # ~ of a user who has no home
+        path = folder.joinpath(file).absolute()
     if not path.is_file():
         raise ValueError(
-            f"file must be the name of a file that exists, but {toml_value(file)} was given; the folder looked in is "
+            f"file must be the name of a file that exists, but {shown_value(file)} was given; the folder looked in is "
             f"{path.parent}."
         )
     return str(path)
@@ -30,14 +33,14 @@ def _column(value: Any, info: Any) -> int | str:
         return value
     raise ValueError(
         f"{info.field_name} must be the number of a column, counted from 0, or its name in quotation marks, but "
-        f"{toml_value(value)} was given."
+        f"{shown_value(value)} was given."
     )
 
 
 def _delimiter(value: str) -> str:
     if value != _WHITE_SPACE and (len(value) != 1 or value in '"\r\n'):
         raise ValueError(
-            f'delimiter must be a single character or "{_WHITE_SPACE}", but {toml_value(value)} was given.'
+            f'delimiter must be a single character or "{_WHITE_SPACE}", but {shown_value(value)} was given.'
         )
     return value
 
@@ -67,7 +70,7 @@ class _FromFile(Section):
     def _refuse(self, keys: Any, reason: str) -> None:
         for key in keys:
             if getattr(self, key) is not None:
-                raise ValueError(f"{key} must be left out, but {toml_value(getattr(self, key))} was given: {reason}.")
+                raise ValueError(f"{key} must be left out, but {shown_value(getattr(self, key))} was given: {reason}.")
 
     def _read(self, file: str) -> tuple[Any, Any]:
         """Times (s) and values of the table. Raises ValueError if they are unsuitable, OSError if it cannot be read."""

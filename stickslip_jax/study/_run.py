@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.result import Ensemble
+from .._files import writing
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks, first_stick
 from .._statistics.registry import STATISTICS
@@ -57,14 +58,22 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
         ensemble = simulate(config, progress)
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
         first = _first_sticks(config, ensemble)
-        write_netcdf(folder / DATA, config, ensemble, statistics, first)
-        (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
-        if ensemble.accumulator is not None:
-            (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
-        if config.output.figures:
-            draw_figures(config, ensemble, first, folder)
+        with writing(directory):
+            _write(folder, config, ensemble, statistics, first)
         files = tuple(name for name in RESULT_FILES if (folder / name).exists())
     return StoredStudy(config, ensemble, statistics, first, directory, files)
+
+
+def _write(
+    folder: Path, config: StudyConfig, ensemble: Ensemble, statistics: Mapping[str, Estimate], first: FirstSticks | None
+) -> None:
+    """Write all files of the result into a folder."""
+    write_netcdf(folder / DATA, config, ensemble, statistics, first)
+    (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
+    if ensemble.accumulator is not None:
+        (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
+    if config.output.figures:
+        draw_figures(config, ensemble, first, folder)
 
 
 def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:

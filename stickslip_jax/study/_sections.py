@@ -173,6 +173,12 @@ def toml_value(value: Any) -> str:
     return repr(value)
 
 
+def shown_value(value: Any) -> str:
+    """A value as messages show it: cut where it is long."""
+    text = toml_value(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def _toml_key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
 

@@ -12,7 +12,9 @@ import numpy as np
 import xarray as xr
 
 from .._ensemble.dataset import compression
+from .._ensemble.netcdf import as_netcdf
 from .._ensemble.result import Ensemble
+from .._files import write_whole
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks
 from .._status import Ending
@@ -32,9 +34,8 @@ def write_netcdf(
     ensemble of the file again. Raises OSError if the file cannot be written.
     """
     dataset = dataset_of_study(config, ensemble, statistics, first_sticks)
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=compression(dataset))
-    if ensemble.accumulator is not None:
-        ensemble.statistics.to_xarray().to_netcdf(path, engine="h5netcdf", mode="a", group="statistics")
+    groups = {} if ensemble.accumulator is None else {"statistics": ensemble.statistics.to_xarray()}
+    write_whole(path, as_netcdf(dataset, compression(dataset), groups))
 
 
 def dataset_of_study(

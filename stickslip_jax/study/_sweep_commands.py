@@ -1,8 +1,10 @@
 """The commands of parametric studies: ``sweep``, ``resume``, ``status`` and ``show``."""
 
+import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ._options import Executors, ResumeCommand, ShowCommand, StatusCommand, SweepCommand
 
@@ -17,14 +19,22 @@ _Prepare = Callable[[str], None]
 
 def run_command(command: SweepCommand | ResumeCommand | StatusCommand | ShowCommand, prepare: _Prepare) -> None:
     """Run a command, and print what it has to say. Raises StudyError for what the user can correct."""
-    if isinstance(command, SweepCommand):
-        _sweep(command, prepare)
-    elif isinstance(command, ResumeCommand):
-        _resume(command, prepare)
-    elif isinstance(command, StatusCommand):
-        _status(command.folder)
-    else:
-        _show(command, prepare)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("always", "The study asks for")
+        warnings.showwarning = _tell
+        if isinstance(command, SweepCommand):
+            _sweep(command, prepare)
+        elif isinstance(command, ResumeCommand):
+            _resume(command, prepare)
+        elif isinstance(command, StatusCommand):
+            _status(command.folder)
+        else:
+            _show(command, prepare)
+
+
+def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
+    """A warning as the sentence that it is."""
+    print("stickslip:", message, file=sys.stderr)
 
 
 def _sweep(command: SweepCommand, prepare: _Prepare) -> None:
@@ -76,10 +86,12 @@ def _show(command: ShowCommand, prepare: _Prepare) -> None:
     from .._sweep.store import Store  # noqa: PLC0415
 
     prepare(Store.reading(command.folder).body["deciding"]["dtype"])
+    if command.out is not None:
+        _check_figure(command.out, command.force)
     dataset = stored_dataset(command.folder)
     names = _print_table(dataset, command.statistics)
     if command.out is not None:
-        _draw(dataset, names, command.out)
+        _draw(dataset, names, command.out, command.force)
         print(f"The figure is in {command.out}.")
 
 
@@ -91,7 +103,7 @@ def _print_table(dataset: "xarray.Dataset", wanted: tuple[str, ...] = ()) -> lis
     return names
 
 
-def _draw(dataset: "xarray.Dataset", names: list[str], path: Path) -> None:
+def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
     from .. import plot  # noqa: PLC0415 - slow to load
     from .._sweep.errors import StudyError  # noqa: PLC0415
 
@@ -100,4 +112,16 @@ def _draw(dataset: "xarray.Dataset", names: list[str], path: Path) -> None:
             f"option --out draws studies of one or two parameters, but this one has {len(dataset['samples'].dims)} "
             "dimensions; in Python, plot.parameter_study(results.isel(...), names) draws a part of it."
         )
-    plot.save(plot.parameter_study(dataset, names), path)
+    plot.save(plot.parameter_study(dataset, names), path, overwrite=force)
+
+
+def _check_figure(path: Path, force: bool) -> None:
+    """Raise StudyError where no figure can be written."""
+    from .._files import file_to_write  # noqa: PLC0415
+    from .._sweep.errors import StudyError  # noqa: PLC0415
+
+    try:
+        file_to_write(path, overwrite=force)
+    except (ValueError, OSError) as error:
+        said = str(error).replace("Argument path", "option --out").replace("overwrite=True", "--force")
+        raise StudyError(said) from None

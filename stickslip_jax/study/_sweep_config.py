@@ -1,5 +1,6 @@
 """A parametric study: the sections of its TOML file."""
 
+import math
 import re
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -8,9 +9,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from .._checks import one_of
+from .._checks import LARGEST, one_of
+from .._sweep.points import MOST_POINTS
 from ._config import FileConfig, MassSpringPointConfig, MotorCartPointConfig, PointConfig
-from ._sections import Section, toml_value
+from ._sections import Section, shown_value
 from ._systems_config import MassSpringConfig, MotorCartConfig
 
 _RANGES = {"linspace": np.linspace, "logspace": np.geomspace}
@@ -38,7 +40,22 @@ class OverConfig(Section):
         given = self.model_extra or {}
         if not given:
             raise ValueError("a parameter must be given with its values, such as mu = [0.5, 1.0].")
+        points = math.prod(_number_of_values(value) for value in given.values())
+        if points > MOST_POINTS:
+            raise ValueError(
+                f"its parameters must have at most {MOST_POINTS} combinations, but have "
+                f"{points if points < 10**20 else f'about 1e{len(str(points)) - 1}'}; give fewer values."
+            )
         return {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
+
+
+def _number_of_values(given: Any) -> int:
+    """How many values a parameter has, before there are any; 1 where what is given is none of the possible things."""
+    if isinstance(given, dict):
+        (limits, *_) = given.values() or [None]
+        number = limits[2] if isinstance(limits, list) and len(limits) == 3 else 1
+        return max(number, 1) if isinstance(number, int) else 1
+    return max(len(given), 1) if isinstance(given, list) else 1
 
 
 def _values(name: str, given: Any) -> np.ndarray:
@@ -49,13 +66,13 @@ def _values(name: str, given: Any) -> np.ndarray:
         wanted = (
             "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else "a list, { linspace = ... } or { logspace = ... }"
         )
-        raise ValueError(f"{name} must be {wanted}, but {toml_value(given)} was given.")
+        raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
     rows = given if several else [[one] for one in given]
     width = name.count(",") + 1
     for row in rows:
         if not (isinstance(row, list) and len(row) == width and all(map(_is_number, row))):
             wanted = f"rows of {width} numbers" if several else "numbers"
-            raise ValueError(f"{name} must hold {wanted}, but {toml_value(row if several else row[0])} was given.")
+            raise ValueError(f"{name} must hold {wanted}, but {shown_value(row if several else row[0])} was given.")
     return np.array(rows if several else given, float)
 
 
@@ -67,24 +84,34 @@ def _range(name: str, given: dict[str, Any]) -> np.ndarray:
         hint = f"; did you mean {near[0].replace('geom', 'log')}?" if near else ""
         dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
         raise ValueError(
-            f"{name} must be a list, or a table with {one_of(_RANGES)}, but {toml_value(given)} was given"
+            f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"
             f"{hint or dotted or '.'}"
         )
     ends = limits if isinstance(limits, list) else []
-    if len(ends) != 3 or not all(map(_is_number, ends)) or not isinstance(ends[2], int) or ends[2] < 1:
+    if (
+        len(ends) != 3
+        or not all(_is_number(end) and abs(end) <= LARGEST for end in ends)
+        or not isinstance(ends[2], int)
+        or ends[2] < 1
+    ):
         raise ValueError(
-            f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], but {toml_value(limits)} "
+            f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], but {shown_value(limits)} "
             "was given."
         )
     if kind == "logspace" and min(ends[:2]) <= 0:
         raise ValueError(
-            f"logspace of {name} must go from and to positive numbers, but {toml_value(limits)} was given."
+            f"logspace of {name} must go from and to positive numbers, but {shown_value(limits)} was given."
         )
     return _RANGES[kind](*ends)
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    """Whether it is a number; whole ones of a size that can be computed with."""
+    return (
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and (isinstance(value, float) or abs(value) <= LARGEST)
+    )
 
 
 class ParametricStudyConfig(Section):

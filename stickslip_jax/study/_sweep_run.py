@@ -1,5 +1,6 @@
 """Parametric studies of the command: made from their file, run, resumed."""
 
+import asyncio
 import re
 import warnings
 from collections.abc import Iterator
@@ -103,12 +104,31 @@ def _client(address: str) -> Iterator[Any]:
     """A client of the dask scheduler at `address`. Raises StudyError if there is none."""
     if find_spec("distributed") is None:
         raise StudyError("Option --dask needs distributed: pip install 'stickslip_jax[cluster]'.")
+    kind, _, _ = address.rpartition("://")
+    if kind not in ("", "tcp", "ws"):
+        raise StudyError(
+            f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} was "
+            f"given; {kind}:// needs a client with settings of its own: in Python, study.run(executor=client) takes it."
+        )
+    distributed = import_module("distributed")
     try:
-        client = import_module("distributed").Client(address, timeout=_SECONDS_TO_CONNECT)
-    except (OSError, ValueError) as error:
+        # Asked first: the client itself waits for ever where something listens that is no scheduler.
+        asyncio.run(asyncio.wait_for(_identity(distributed, address), _SECONDS_TO_CONNECT))
+        client = distributed.Client(address, timeout=_SECONDS_TO_CONNECT)
+    except Exception as error:  # whatever speaks there may answer anything
+        reason = " ".join(str(error).split()) or f"none within {_SECONDS_TO_CONNECT} s"
         raise StudyError(
             f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} gave "
-            f"no answer ({error}); start one with `dask scheduler`."
+            f"no answer ({reason}); start one with `dask scheduler`."
         ) from None
     with client:
         yield client
+
+
+async def _identity(distributed: Any, address: str) -> Any:
+    """What the scheduler at `address` says of itself. Raises ValueError for something else that speaks there."""
+    async with distributed.rpc(address) as scheduler:
+        found = await scheduler.identity()
+    if "Scheduler" not in str(found["type"]):
+        raise ValueError(f"a {found['type']} is there")
+    return found

@@ -250,6 +250,18 @@ def test_a_base_without_a_value_is_reported(base, method):
     assert 4.9 < float(one.time_reached) < 5.2
 
 
+@pytest.mark.slow
+def test_a_base_without_an_acceleration_in_adaptive_steps():
+    """Which solve the motion without it, but find no stick where it is missing."""
+    method = ss.Regularized(1e-2)
+    one = ss.simulate(SYSTEM, Hidden(), t1=10.0, method=method)
+    assert ss.Status(int(one.status)) is ss.Status.NOT_FINITE
+    many = ss.simulate_ensemble(
+        SYSTEM, Hidden(), t1=10.0, samples=3, key=KEY, y0=(ss.Uniform(0.0, 1.0), 0.0), method=method
+    )
+    assert many.status_counts[ss.Status.NOT_FINITE] == 3
+
+
 class Atoms(ss.RandomNumber):
     """One of two numbers, as likely as each other."""
 

@@ -20,15 +20,18 @@ TESTS = Path(__file__).parents[1]
 
 # From the ground up: a module imports only from its own folder and from entries before its own.
 ROWS = (
+    "_starting",
     "_types",
     "_status",
     "_checks",
     "_methods",
     "_claims",
     "_diffrax",
+    "_files",
     "_html",
     "_fields",
     "_fast_cpu",
+    "_forks",
     "_compilation_cache",
     "_numerics",
     "_distributions",

@@ -31,6 +31,7 @@ def refuses(make, name: str, value) -> None:
     assert sentence.endswith("."), sentence
     assert "\n" not in sentence.replace(repr(value), ""), sentence
     shown = [" ".join(repr(value).split()), str(value), f"shape {np.shape(value)}"]
+    shown += [f"the class {value.__name__}"] if isinstance(value, type) else []
     assert any(text in sentence for text in shown), sentence
 
 

@@ -173,7 +173,8 @@ def test_failure_in_the_middle_leaves_all_as_it_was(capsys, tmp_path, monkeypatc
 
     monkeypatch.setattr("stickslip_jax.study._run.write_netcdf", write_half)
     said = _refused(capsys, ["study", config_file(tmp_path), "--out", "result", *force], code)
-    assert "No space left" in said or "Interrupted" in said
+    full = "'result' cannot be written (No space left on device); make room: nothing was changed."
+    assert full in said or "Interrupted" in said
     if force:
         assert os.listdir("result") == [DATA]
         assert (tmp_path / "result" / DATA).read_text() == "old"

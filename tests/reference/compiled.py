@@ -11,11 +11,11 @@ lies an event where the gap changes its sign, or where its slope does and the mi
 """
 
 import math
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+
+from reference.compiling import compiled
 
 RELEASED, BASE_SWITCHED, HORIZON = 0, 1, 2  # as the codes of `ss.Ending`
 CONSTANT, WEAKENING, STRIBECK, HUMP = range(4)
@@ -66,13 +66,6 @@ class Found(NamedTuple):
     state: np.ndarray
     close: float
     crossings: int
-
-
-def compiled(function: Any) -> Any:
-    """`function` compiled by Numba; where there is none, for the newest Python, it runs slowly as it is written."""
-    if find_spec("numba") is None:
-        return function
-    return import_module("numba").njit(cache=True, error_model="numpy")(function)
 
 
 @compiled

@@ -73,7 +73,9 @@ def test_tables_hold_every_slip(many, tmp_path, ending, read):
 
 
 def test_tables_of_other_formats_are_refused(many, tmp_path, annotations_unchecked):
-    with pytest.raises(ValueError, match=r"Argument path must end in \.csv or \.parquet, but .*sticks\.xlsx"):
+    with pytest.raises(
+        ValueError, match=r"Argument path must be a file name that ends in \.csv or \.parquet, but .*sticks\.xlsx"
+    ):
         many.write_sticks(tmp_path / "sticks.xlsx")
     assert list(tmp_path.iterdir()) == []
 

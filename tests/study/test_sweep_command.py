@@ -256,6 +256,11 @@ def test_status_and_table_of_a_finished_study(capsys, finished):
     assert "did you mean mean_slip_count?" in said
     assert cli.main(["show", str(finished), "--out", "figure.png"]) == 0
     assert Path("figure.png").read_bytes().startswith(b"\x89PNG")
+    capsys.readouterr()
+    said = _refused(capsys, "show", finished, "--out", "figure.png")
+    assert "option --out must be a new file" in said
+    assert "--force" in said
+    assert cli.main(["show", str(finished), "--out", "figure.png", "--force"]) == 0
 
 
 def test_looking_changes_nothing_and_leaves_damaged_pieces_out(capsys, finished, tmp_path):

@@ -73,7 +73,7 @@ def failing(folder: Path, fail: Callable[[int, str, Any], None]) -> Iterator[Non
     The operations are those of the store: what is between two of them leaves nothing on the disk but a part of a file
     with a temporary name, which is there when ``fsync`` is called.
     """
-    from stickslip_jax._sweep import files  # noqa: PLC0415
+    from stickslip_jax import _files  # noqa: PLC0415
 
     number = 0
 
@@ -99,7 +99,7 @@ def failing(folder: Path, fail: Callable[[int, str, Any], None]) -> Iterator[Non
     with pytest.MonkeyPatch.context() as patch:
         for name in ("replace", "unlink", "mkdir"):
             patch.setattr(Path, name, method(name))
-        patch.setattr(files, "os", SimpleNamespace(**{**vars(os), "fsync": fsync}))
+        patch.setattr(_files, "os", SimpleNamespace(**{**vars(os), "fsync": fsync}))
         yield
 
 

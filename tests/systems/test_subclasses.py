@@ -80,6 +80,29 @@ def test_motions_under_friction():
 
 
 @pytest.mark.slow
+class Slippery(ss.Coulomb):
+    @property
+    def static(self):
+        return 0.5 * self.mu
+
+
+class Rising(ss.FrictionLaw):
+    @property
+    def static(self):
+        return 0.3
+
+    def kinetic(self, speed):
+        return 0.4 + 0.1 * speed
+
+
+def test_static_friction_that_holds_less_than_a_slip():
+    message = r"static friction coefficient of \w+ must be at least kinetic\(0\) = 0\.4\d*, but "
+    for make in (lambda: Slippery(0.4), Rising):
+        with pytest.raises(ValueError, match=message):
+            make()
+    assert float(Sticky(0.4).static) == pytest.approx(0.6)
+
+
 def test_statements_made_anew_hold():
     halved, plain = (ss.MassSpring(1.0, 4.0, 1.0, friction) for friction in (Halved(0.8), ss.Coulomb(0.4)))
     base = POISSON.sample(jax.random.key(0), 20.0)

@@ -17,7 +17,7 @@ from ..method import Regularized
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
 from ..varying import with_leaves
 from .engine import Field, FixedLane, advance_fixed, start_fixed
-from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection
+from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
 from .stick_detector import Criterion, StickDetector
 from .switch import Switch
 
@@ -132,7 +132,7 @@ def solve_batch(
             lambda _, index: index >= solution.steps,
             lambda _: no_stick(dtype) if keep else None,
         )
-        return detector, solution.status, records
+        return detector, status_of(solution, detector), records
 
     detectors, statuses, records = jax.vmap(one)(
         jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), own

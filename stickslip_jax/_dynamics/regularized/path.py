@@ -24,7 +24,7 @@ from ..time_scales import max_steps_advice, step_for
 from .engine import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
 from .lanes import criterion_of, field_of
 from .settings import as_arrays, fixed_steps, resolved
-from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, table_sizes
+from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
 from .stick_detector import StickDetector, hermite
 
 _MOST_SLOPES = 8  # by more numbers, going back over the steps takes less time
@@ -166,7 +166,7 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
     )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(excitation, tables, passages, solution.steps, solution.time_reached, final)
-    return _run(records, detector, solution.status, solution.time_reached, final, path)
+    return _run(records, detector, status_of(solution, detector), solution.time_reached, final, path)
 
 
 def _run(

@@ -167,5 +167,13 @@ def detect_in_step(
         criterion, detector, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
     )
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
+    # A base acceleration that is NaN hides sticks, although the motion does not need it: `status_of`.
+    hidden = jnp.isnan(detector.slid_from) | (live & (jnp.isnan(seen.slope0) | jnp.isnan(seen.slope1)))
+    moved = moved._replace(slid_from=jnp.where(hidden, jnp.nan, moved.slid_from))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
     return moved, record, Passage(t, y, rates, end_rates)
+
+
+def status_of(solution: Solution, detector: StickDetector) -> IntArray:
+    """How a solution ended whose steps the `detector` has seen."""
+    return jnp.where(jnp.isnan(detector.slid_from), jnp.int8(Status.NOT_FINITE), solution.status)

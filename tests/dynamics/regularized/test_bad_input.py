@@ -109,7 +109,10 @@ def test_none_is_no_width():
         (lambda: ss.Regularized(0.1, adjoint="forward"), r"adjoint must be one of diffrax's, .*but 'forward' was"),
         (lambda: ss.Regularized(0.1, adjoint=diffrax.Tsit5()), r"adjoint must be one of diffrax's, .*, but Tsit5"),
         (lambda: run("regularized"), r"method must be Exact\(\.\.\.\) or Regularized\(width\), but 'regularized' was"),
-        (lambda: run(ss.Regularized), r"method must be Exact\(\.\.\.\) or Regularized\(width\), but <class"),
+        (
+            lambda: run(ss.Regularized),
+            r"method must be Exact\(\.\.\.\) or Regularized\(width\), but the class Regularized",
+        ),
     ],
 )
 def test_refused(call, message):
@@ -139,6 +142,13 @@ def test_a_step_too_long_is_refused_with_max_steps_too():
     """The number of steps is then given, and the length must be looked at all the same."""
     with pytest.raises(ValueError, match=r"\AArgument step must be at most 0\.3142 s, .* natural period"):
         run(ss.Regularized(0.1, step=0.6, max_steps=100))
+
+
+def test_a_step_too_long_for_a_fast_motor():
+    """At 8 V a step of 1 ms was off by 0.67 rad/s, twenty times as much as at half the length."""
+    cart, voltage = ss.MotorCart(mu=0.2), ss.SourceVoltage(8.0, 4.0, 10.0)
+    with pytest.raises(ValueError, match=r"\AArgument step must be at most 0\.0002542 s, .* of the fastest motion"):
+        ss.simulate(cart, voltage, t1=1.0, y0=(0.7, 0.0, 0.0), method=ss.Regularized(1e-2, step=1e-3))
 
 
 def test_traced_lengths_need_max_steps():

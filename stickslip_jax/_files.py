@@ -1,0 +1,153 @@
+"""Files that are either whole or not there, whenever the program or the machine stops."""
+
+import contextlib
+import errno
+import os
+import re
+import stat
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from . import _checks
+
+_UNFINISHED = ".unfinished"
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+"""Numbers of errors that mean that there is no room."""
+_SIGNATURES = {b"\x89HDF\r\n\x1a\n": "a NetCDF or HDF5 file", b"PAR1": "a parquet table", b"\x89PNG": "a figure"}
+
+
+def file_to_write(path: Any, endings: tuple[str, ...] = (), *, overwrite: bool = False) -> Path:
+    """`path` as the name of a file that can be written now.
+
+    - `endings`: what the name may end in, in lower case; any if empty. `overwrite`: whether it may replace a file.
+
+    Raises ValueError for what is no file name or ends otherwise, FileNotFoundError for a folder that does not exist,
+    and FileExistsError for a file that may not be replaced.
+    """
+    path = _checks.path("path", path, "a file name")
+    _checks.truth("overwrite", overwrite)
+    shown = repr(str(path))
+    if endings and path.suffix.lower() not in endings:
+        raise ValueError(
+            f"Argument path must be a file name that ends in {' or '.join(endings)}, but {shown} was given."
+        )
+    try:
+        found = path.stat().st_mode
+    except FileNotFoundError:
+        found = None
+    except OSError as error:
+        reason = error.strerror or error
+        raise ValueError(
+            f"Argument path must be a file name, but {_checks.show(path.name)} cannot be one ({reason})."
+        ) from None
+    if found is None and not path.parent.is_dir():
+        raise FileNotFoundError(
+            f"Argument path must lie in a folder that exists, but there is no folder {str(path.parent)!r}; make it "
+            f"first (the working folder is {str(Path.cwd())!r})."
+        )
+    if found is not None and not stat.S_ISREG(found):
+        kind = "a folder" if stat.S_ISDIR(found) else "no ordinary file"
+        raise ValueError(f"Argument path must be a file name, but {shown} is {kind}; choose another name.")
+    if found is not None and not overwrite:
+        raise FileExistsError(
+            f"Argument path must be a new file, but {shown} is there already ({_kind_of(path)}); choose another name, "
+            "or replace it with overwrite=True."
+        )
+    return path
+
+
+def _kind_of(path: Path) -> str:
+    """What a file is, in a few words."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+        size = path.stat().st_size
+    except OSError as error:
+        return f"it cannot be read: {error.strerror}"
+    found = next((kind for signature, kind in _SIGNATURES.items() if start.startswith(signature)), "a file")
+    return f"{found} of {size:,} bytes{_program_of(path) if 'HDF5' in found else ''}"
+
+
+def _program_of(path: Path) -> str:
+    """By which program a NetCDF file says that it was written."""
+    with contextlib.suppress(Exception):  # an extra that may be missing, and whatever it raises for a damaged file
+        import h5py  # noqa: PLC0415
+
+        with h5py.File(path) as file:
+            return f", written by {file.attrs['source']}"
+    return ", which does not say by which program it was written"
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write into, under a temporary name; at the end it is put on the disk and gets its name.
+
+    The name is new or replaces an older file at once. If that or the block fails, nothing is left behind and an older
+    file is as it was. Raises OSError that says so.
+    """
+    path = path.resolve() if path.is_symlink() else path  # what a link points to is replaced, not the link
+    # Of its own for each writer: on another machine one may have the same process number.
+    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:12]}{_UNFINISHED}")
+    try:
+        with temporary.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        with contextlib.suppress(OSError):
+            temporary.chmod(stat.S_IMODE(path.stat().st_mode))
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def write_whole(path: Path, data: bytes | memoryview) -> None:
+    """Write the bytes of a file by `whole_file`."""
+    with whole_file(path) as file:
+        file.write(data)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Make an OSError of the block a sentence about the file or folder that is written."""
+    try:
+        yield
+    except OSError as error:
+        todo = "make room" if error.errno in FULL else "choose another folder, or make it writable"
+        said = OSError(f"{str(path)!r} cannot be written ({error.strerror or error}); {todo}: nothing was changed.")
+        said.errno = error.errno
+        raise said from error
+
+
+@contextlib.contextmanager
+def file_for_user(path: Path) -> Iterator[IO[bytes]]:
+    """`whole_file`, whose OSError is a sentence."""
+    with writing(path), whole_file(path) as file:
+        yield file
+
+
+def sync_folder(folder: Path) -> None:
+    """Make sure that the names in a folder are on the disk, where the system can do that."""
+    with contextlib.suppress(OSError):  # Windows cannot open folders
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def finished_name(name: str) -> str | None:
+    """The name that a file would have got, if a program was stopped while it wrote it; None for other files."""
+    found = re.fullmatch(rf"(.+)\.[0-9a-f]+{re.escape(_UNFINISHED)}", name)
+    return found and found[1]
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what killed programs left of files that they were writing. Only for who holds the lock of the folder."""
+    for path in folder.glob(f"*{_UNFINISHED}"):
+        if finished_name(path.name):
+            path.unlink(missing_ok=True)

@@ -1,0 +1,106 @@
+"""Forks: a process that was forked after JAX had started says so, and does not wait for threads that are not there."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from stickslip_jax import _forks
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+
+# In its fork: the name of each entry point, and what it says or does.
+PROGRAM = """
+import os, sys, warnings
+import jax
+import stickslip_jax as ss
+
+warnings.simplefilter("ignore")  # of JAX, about forks and about single precision
+system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(0.5))
+base, options = ss.Constant(0.5), {"t1": 5.0, "samples": 4, "y0": (ss.Uniform(0.0, 1.0), 0.0)}
+EARLY
+def key():
+    return jax.random.key(0)
+
+def tries():
+    yield "simulate", lambda: ss.simulate(system, base, t1=5.0).status
+    yield "simulate_ensemble", lambda: ss.simulate_ensemble(system, base, key=key(), **options).samples
+    yield "sensitivity", lambda: ss.sensitivity(ss.stick_fraction, system, base, wrt="mu", key=key(), **options)
+    if study is not None:
+        yield "Study.run", lambda: study.run(threads=1, progress=False)
+        yield "extended", lambda: many.extended(samples=2)
+
+def told():
+    for name, call in tries():
+        try:
+            call()
+            print(name, "ran", flush=True)
+        except RuntimeError as error:
+            print(name, "said", error, flush=True)
+        if study is None:
+            return
+
+for generation in range(2):  # a fork of the fork, too
+    child = os.fork()
+    if child:
+        assert os.waitpid(child, 0)[1] == 0
+        break
+    told()
+if not generation:
+    print("first", ss.simulate(system, base, t1=5.0).status, flush=True)
+os._exit(0)
+"""
+STARTED = """
+study = ss.Study(system, base, over={"mu": [0.5, 1.0]}, key=jax.random.key(0), keep="totals", **options)
+many = ss.simulate_ensemble(system, base, key=jax.random.key(0), keep="totals", **options)
+key = jax.random.key(0)
+key = lambda key=key: key
+"""
+
+
+def lines_of(program: str) -> list[str]:
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_a_fork_after_jax_has_started_is_told():
+    program = PROGRAM.replace("EARLY", STARTED).replace("def key():\n    return jax.random.key(0)\n", "")
+    *forked, first = lines_of(program)
+    assert first == "first 0"  # the first process goes on
+    assert len(forked) == 2 * 5
+    for line in forked:
+        said = line.partition(" said ")[2]
+        assert re.fullmatch(
+            r'JAX cannot run in a fork [^.]*; start processes by .*"spawn".*Study\.run\(workers=.*\.', said
+        )
+
+
+def test_jax_that_only_made_a_key_has_started():
+    program = PROGRAM.replace("EARLY", "study = None\nkey_made = jax.random.key(0)\n")
+    assert [line.partition(" JAX")[0] for line in lines_of(program)] == ["simulate said"] * 2 + ["first 0"]
+
+
+def test_a_fork_before_jax_has_started_is_a_process_like_others():
+    lines = [line.partition(" JAX")[0] for line in lines_of(PROGRAM.replace("EARLY", "study = None"))]
+    assert lines == ["simulate ran", "simulate said", "first 0"]  # the fork of the fork came after it had run
+
+
+def test_the_question_changes_nothing():
+    """Whether JAX has started is asked of it without a trace."""
+    program = """
+import jax
+from stickslip_jax import _forks
+before = jax.config.jax_num_cpu_devices
+print(_forks._has_started(), jax.config.jax_num_cpu_devices == before)
+jax.config.update("jax_num_cpu_devices", 3)
+print(_forks._has_started(), len(jax.devices("cpu")), _forks._has_started(), jax.config.jax_num_cpu_devices)
+"""
+    assert lines_of(program) == ["False True", "False 3 True 3"]
+
+
+def test_this_process_is_no_fork():
+    _forks.require_threads_of_jax()
