@@ -78,10 +78,13 @@ class Store:
         if not (self.folder / PIECES).is_dir():
             missing.append(PIECES)
         if missing:
-            raise StudyError(
-                f"{self.folder} was removed, or changed, while the study ran in it ({missing[0]} is gone); run it "
-                "again, in a folder that is left alone until it ends."
-            )
+            raise self._taken_away(missing[0])
+
+    def _taken_away(self, name: str) -> StudyError:
+        return StudyError(
+            f"{self.folder} was removed, or changed, while the study ran in it ({name} is gone); run it again, in a "
+            "folder that is left alone until it ends."
+        )
 
     # --- pieces
 
@@ -183,6 +186,9 @@ class Store:
         self.check_kept()
         try:
             write_whole(path, sealed(self.mark, path.name, data))
+        except FileNotFoundError as error:  # while the folder is being removed, the rest may still be there
+            self.check_kept()
+            raise self._taken_away(path.name) from error
         except OSError as error:
             self.check_kept()
             raise cannot_write(self.folder, error) from error

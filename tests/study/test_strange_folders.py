@@ -11,6 +11,7 @@ from support.faults import assert_same, one_sentence, run, study_of
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import run as run_module
+from stickslip_jax._sweep import store as store_module
 from stickslip_jax._sweep import workers
 from stickslip_jax._sweep.looking import status_of, stored_dataset
 
@@ -91,6 +92,21 @@ def test_command_in_a_folder_that_is_taken_away_fails(tmp_path, monkeypatch, cap
     taking(monkeypatch, lambda: shutil.rmtree(folder, ignore_errors=True))
     assert cli.main(["sweep", str(config), "--out", str(folder), "--threads", "2"]) == 2
     assert "was removed, or changed, while the study ran" in capsys.readouterr().err
+
+
+def test_pieces_taken_away_while_one_is_written(tmp_path, monkeypatch):
+    """What removes a folder may have come no further than to the piece that is being written."""
+    folder = tmp_path / "study"
+
+    def taken(path, data):
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+
+    write = store_module.write_whole
+    monkeypatch.setattr(
+        store_module, "write_whole", lambda path, data: (taken if path.parent.name == "pieces" else write)(path, data)
+    )
+    with pytest.raises(ss.StudyError, match=r"was removed, or changed, while the study ran in it \(.*\.zip is gone\)"):
+        run(study_of(), folder)
 
 
 def test_folder_taken_away_at_the_end(tmp_path, monkeypatch):
