@@ -26,11 +26,11 @@ class Method(eqx.Module):
         __tracebackhide__ = True
         return self.__func__(self.__self__, *args, **kwargs)
 
-    def __get__(self, instance: Any, owner: Any = None) -> "Method":
+    def __get__(self, instance: object, owner: type | None = None) -> "Method":
         return self  # with this, inspect takes it for a routine, and shows its signature and docstring
 
     @property
-    def __wrapped__(self) -> Any:
+    def __wrapped__(self) -> types.MethodType:
         return types.MethodType(self.__func__, self.__self__)
 
     if not TYPE_CHECKING:
@@ -40,13 +40,27 @@ class Method(eqx.Module):
         return f"<bound method {self.__func__.__qualname__} of a {type(self.__self__).__name__}>"
 
 
+class _Function:
+    # A function in a class: a module of the class that is asked for it gives a `Method`, the class the function.
+
+    def __init__(self, function: types.FunctionType):
+        self.function = function
+
+    def __get__(self, instance: eqx.Module | None, owner: type | None = None) -> Callable:
+        return self.function if instance is None else Method(self.function, instance)
+
+
 class WithMethods(eqx.Module):
     """A module with such methods."""
 
-    if not TYPE_CHECKING:  # which knows the attributes otherwise
+    if not TYPE_CHECKING:
+        # Python's own in C, since Equinox's runs in Python whatever attribute is asked for.
+        __getattribute__ = object.__getattribute__
 
-        def __getattribute__(self, name: str) -> Any:
-            found = object.__getattribute__(self, name)
-            if type(found) is types.MethodType and found.__self__ is self and not name.startswith("__"):
-                return Method(found.__func__, self)
-            return found
+    def __init_subclass__(cls, **kwargs: Any):
+        super().__init_subclass__(**kwargs)
+        for name, value in list(vars(cls).items()):
+            if type(value) is types.FunctionType and not (
+                name.startswith("__") or getattr(value, "__isabstractmethod__", False)
+            ):
+                setattr(cls, name, _Function(value))

@@ -43,11 +43,22 @@ def test_help_of_methods(one):
 def test_inherited_docstrings_are_shown():
     """`PoissonSwitching.next_interval` has none of its own."""
     assert "next_interval" in vars(ss.PoissonSwitching)
-    assert vars(ss.PoissonSwitching)["next_interval"].__doc__ is None
+    assert ss.PoissonSwitching.next_interval.__doc__ is None
     assert shown(LAW.next_interval)[1].startswith("    Duration (s) and velocity (m/s) of an interval")
     assert repr(LAW.next_interval) == "<bound method PoissonSwitching.next_interval of a PoissonSwitching>"
     assert list(inspect.signature(LAW.next_interval).parameters) == ["memory", "drawn", "dtype"]
     assert LAW.sample.__name__ == "sample"
+
+
+def test_attributes_are_looked_up_without_python():
+    """Those of Equinox run a function written in Python for each."""
+    assert type(SYSTEM).__getattribute__ is object.__getattribute__
+
+
+def test_help_of_a_class_shows_its_methods():
+    text = pydoc.render_doc(ss.PoissonSwitching, renderer=pydoc.plaintext)
+    assert " |  sample(self, key: " in text
+    assert " |  next_interval(self, memory, drawn, dtype)" in text
 
 
 def test_methods_are_still_trees(one):
