@@ -23,10 +23,10 @@ from .._dynamics.regularized.settings import as_arrays
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
-from .._fast_cpu import cores
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Model
 from .._numerics.packing import Layout, packed
+from .._processor import cores
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
 from .._types import Array

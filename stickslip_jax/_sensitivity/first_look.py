@@ -11,10 +11,10 @@ from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._excitation.excitation import GivenSteps, is_random, key_data_for
 from .._excitation.piecewise import VelocitySteps
-from .._fast_cpu import cores
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Inputs, Model
 from .._inputs.numbers import parameters_of
+from .._processor import cores
 from .._systems.system import require_system
 from .problem import Pilot, Problem
 from .statistic import statistic_of

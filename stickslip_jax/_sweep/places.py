@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 
 from .. import _checks
-from .._fast_cpu import cores
+from .._processor import cores
 from .dask_executor import DaskCluster
 from .executors import Executor, Threads
 from .plan import Plan

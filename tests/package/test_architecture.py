@@ -21,6 +21,7 @@ TESTS = Path(__file__).parents[1]
 # From the ground up: a module imports only from its own folder and from entries before its own.
 ROWS = (
     "_starting",
+    "_public_names",
     "_types",
     "_status",
     "_checks",
@@ -30,7 +31,7 @@ ROWS = (
     "_files",
     "_html",
     "_fields",
-    "_fast_cpu",
+    "_processor",
     "_forks",
     "_compilation_cache",
     "_numerics",
@@ -126,16 +127,18 @@ def test_all_but_the_public_modules_are_private():
         assert not [name for name in namespace.__all__ if isinstance(getattr(namespace, name), ModuleType)]
 
 
-def test_type_checkers_know_what_is_loaded_when_asked_for():
-    """The names and modules that ``__init__`` finds for whoever asks, and where they are."""
-    found = {}
-    for node in tree_of(ROOT / "__init__.py").body:
-        if isinstance(node, ast.If):
-            assert ast.unparse(node.test) == "TYPE_CHECKING"
-            found |= {alias.name: part.module for part in node.body for alias in part.names}
-    assert found == ss._HOMES | dict.fromkeys(ss._MODULES)
-    assert found.keys() <= set(dir(ss))
-    assert not [name for name in found if getattr(ss, name) is None]
+def test_the_stub_names_all_that_is_public():
+    """Type checkers read it, and ``__init__`` finds the names of ``__all__`` by it."""
+    imported = [node for node in tree_of(ROOT / "__init__.pyi").body if isinstance(node, ast.ImportFrom)]
+    found = [alias.name for node in imported for alias in node.names]
+    assert [name for name in found if getattr(ss, name) is None] == []
+    assert all(alias.asname == alias.name for node in imported for alias in node.names)  # else it is private
+    modules = {"design", "papers", "plot", "study"}
+    assert len(found) == len({*found})
+    assert {*found} == {*ss.__all__} | modules
+    assert dir(ss) == sorted({*ss.__all__, *modules, "__version__"})
+    with pytest.raises(AttributeError, match="simulat"):
+        getattr(ss, "simulat")
 
 
 def test_only_systems_ask_which_class_a_system_is():

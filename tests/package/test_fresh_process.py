@@ -170,24 +170,6 @@ def test_stored_classes_are_found_though_nobody_has_asked_for_them():
     assert python(LOADED + READ_AGAIN, lines).splitlines() == ["[]", *map(repr, stored)]
 
 
-OLD_NAME = """
-import os, warnings
-import jax, stickslip_jax
-before, settings = dict(os.environ), dict(jax.config.values)
-with warnings.catch_warnings(record=True) as told:
-    warnings.simplefilter("always")
-    for _ in range(2):
-        assert stickslip_jax.enable_fast_cpu() is None
-assert [(warning.category, warning.filename) for warning in told] == [(DeprecationWarning, "<string>")], told
-assert (dict(os.environ), dict(jax.config.values)) == (before, settings)
-jax.config.update("jax_num_cpu_devices", 2)  # raises RuntimeError if JAX has started
-"""
-
-
-def test_the_old_name_for_process_wide_options_does_nothing_and_says_so_once():
-    python(OLD_NAME)
-
-
 FOLDERS = ("stickslip_jax", "docs", "notebooks", "benchmarks")
 ADVICE = ("XLA_FLAGS", "LIBTPU_INIT_ARGS", "os.environ[", "os.environ.update", "os.environ.setdefault", "os.putenv")
 WRITTEN = sorted(path for name in FOLDERS for end in ("py", "md") for path in (ROOT / name).rglob(f"*.{end}"))
@@ -198,5 +180,3 @@ def test_nothing_sets_process_wide_options(path):
     """Nor tells anybody to."""
     text = path.read_text(encoding="utf-8")
     assert [name for name in ADVICE if name in text] == []
-    if ROOT / "stickslip_jax" not in path.parents:  # which defines the old name
-        assert "enable_fast_cpu" not in text

@@ -8,8 +8,6 @@ from stickslip_jax import design, plot
 
 PAGES = sorted((Path(__file__).parents[2] / "docs" / "reference").glob("*.md"))
 DIRECTIVE = r"^\.\. (?:auto\w+|py:data):: (\w+)$|^\.\. currentmodule:: (\S+)$"
-NOT_SHOWN = {"enable_fast_cpu"}
-"""Deprecated."""
 
 
 def shown():
@@ -25,7 +23,7 @@ def shown():
 def test_every_public_name_has_its_place():
     found = shown()
     assert len(found) == len(set(found))
-    wanted = {f"stickslip_jax.{name}" for name in set(ss.__all__) - NOT_SHOWN}
+    wanted = {f"stickslip_jax.{name}" for name in ss.__all__}
     wanted |= {f"stickslip_jax.design.{name}" for name in design.__all__}
     wanted |= {f"stickslip_jax.plot.{name}" for name in plot.__all__}
     assert not wanted - set(found)

@@ -1,0 +1,121 @@
+"""What the package shows: every public name once, and the module that defines it.
+
+Type checkers read this file; `__init__.py` reads it too, and loads a name when it is asked for.
+"""
+
+from . import design as design, papers as papers, plot as plot, study as study
+from ._distributions.copula import GaussianCopula as GaussianCopula
+from ._distributions.families import (
+    Beta as Beta,
+    Discrete as Discrete,
+    Exponential as Exponential,
+    LogNormal as LogNormal,
+    Normal as Normal,
+    Triangular as Triangular,
+    Uniform as Uniform,
+    Weibull as Weibull,
+)
+from ._distributions.random_number import RandomNumber as RandomNumber, Truncated as Truncated
+from ._dynamics.method import Exact as Exact, Regularized as Regularized
+from ._ensemble.call import simulate_ensemble as simulate_ensemble
+from ._ensemble.collecting import concatenate as concatenate, load as load
+from ._ensemble.parts import Keep as Keep
+from ._ensemble.result import Ensemble as Ensemble
+from ._events.sticks import Slips as Slips, Sticks as Sticks
+from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
+from ._excitation.gaussian import GaussianProcess as GaussianProcess
+from ._excitation.ground import GroundAcceleration as GroundAcceleration, GroundMotion as GroundMotion
+from ._excitation.kanai_tajimi import KanaiTajimi as KanaiTajimi
+from ._excitation.laws import (
+    BangBangLaw as BangBangLaw,
+    Constant as Constant,
+    PiecewiseConstant as PiecewiseConstant,
+    PoissonSwitching as PoissonSwitching,
+    RandomSteps as RandomSteps,
+    SquareWave as SquareWave,
+)
+from ._excitation.piecewise import VelocitySteps as VelocitySteps
+from ._excitation.random import InitialState as InitialState, RandomPhase as RandomPhase
+from ._excitation.reading import (
+    read_acceleration_csv as read_acceleration_csv,
+    read_at2 as read_at2,
+    read_recorded_csv as read_recorded_csv,
+)
+from ._excitation.recorded import Recorded as Recorded
+from ._excitation.segments import SegmentLaw as SegmentLaw, VelocitySegments as VelocitySegments
+from ._excitation.semi_markov import SemiMarkovSwitching as SemiMarkovSwitching
+from ._excitation.smooth import Harmonic as Harmonic, Signal as Signal, SumOfHarmonics as SumOfHarmonics
+from ._excitation.spectra import (
+    CloughPenzienSpectrum as CloughPenzienSpectrum,
+    KanaiTajimiSpectrum as KanaiTajimiSpectrum,
+    PowerSpectrum as PowerSpectrum,
+    TabulatedSpectrum as TabulatedSpectrum,
+    VelocitySpectrum as VelocitySpectrum,
+)
+from ._excitation.voltage import SourceVoltage as SourceVoltage
+from ._fields import Quantity as Quantity
+from ._sensitivity import (
+    RealizationMeanDuration as RealizationMeanDuration,
+    Sensitivities as Sensitivities,
+    Sensitivity as Sensitivity,
+    StickDuration as StickDuration,
+    StickFunctional as StickFunctional,
+    StickSequence as StickSequence,
+    StickStart as StickStart,
+    StickStatistic as StickStatistic,
+    differentiable as differentiable,
+    sensitivity as sensitivity,
+)
+from ._simulation.call import simulate as simulate
+from ._simulation.energy import Energies as Energies
+from ._simulation.result import Simulation as Simulation
+from ._statistics.bootstrap import bootstrap_interval as bootstrap_interval
+from ._statistics.convergence import (
+    Convergence as Convergence,
+    HistogramConvergence as HistogramConvergence,
+    convergence as convergence,
+    histogram_convergence as histogram_convergence,
+)
+from ._statistics.distribution import Distribution as Distribution, Histogram as Histogram, common_bins as common_bins
+from ._statistics.ensemble_statistics import (
+    EnsembleStatistics as EnsembleStatistics,
+    OrderStatistics as OrderStatistics,
+)
+from ._statistics.estimate import Estimate as Estimate
+from ._statistics.first_sticks import FirstSticks as FirstSticks, first_stick as first_stick
+from ._statistics.identical import identically_distributed as identically_distributed
+from ._statistics.independence import independent as independent, independent_and_identical as independent_and_identical
+from ._statistics.joint import (
+    ConditionalMeans as ConditionalMeans,
+    JointDistribution as JointDistribution,
+    JointHistogram as JointHistogram,
+)
+from ._statistics.registry import (
+    StickQuantity as StickQuantity,
+    StickValue as StickValue,
+    TestedQuantity as TestedQuantity,
+    mean_slip_count as mean_slip_count,
+    mean_slip_duration as mean_slip_duration,
+    mean_stick_count as mean_stick_count,
+    mean_stick_duration as mean_stick_duration,
+    mean_total_stick_time as mean_total_stick_time,
+    stick_fraction as stick_fraction,
+)
+from ._statistics.sobol_indices import SobolIndices as SobolIndices, sobol_indices as sobol_indices
+from ._statistics.verdicts import HypothesisTest as HypothesisTest, Verdict as Verdict
+from ._status import Ending as Ending, Status as Status
+from ._sweep.errors import StudyError as StudyError
+from ._sweep.study import Study as Study
+from ._systems.friction import (
+    Coulomb as Coulomb,
+    FrictionCurve as FrictionCurve,
+    FrictionLaw as FrictionLaw,
+    Stribeck as Stribeck,
+    VelocityWeakening as VelocityWeakening,
+)
+from ._systems.mass_spring import MassSpring as MassSpring
+from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
+from ._systems.switched_system import SwitchedSystem as SwitchedSystem
+from ._systems.system import Coordinate as Coordinate, System as System
+
+__version__: str
