@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .._compiler import Layout, packed, unpacked
 from .._events.sticks import NUMBERS
-from .._numerics.packing import Layout, packed, unpacked
 from .._numerics.random_bits import stored_words
 from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
 

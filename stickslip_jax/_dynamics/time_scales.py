@@ -11,8 +11,8 @@ from .._excitation.excitation import Excitation
 from .._numerics.known import NotKnown, largest, plain, smallest
 from .._systems.system import OWN_TIME, StepCount, System
 from .._types import Scalar
-from .blocks import few_sizes
 from .method import Regularized
+from .stopping_scan import padded_length
 
 _USUAL = StepCount(1.0, 1.0)
 
@@ -63,7 +63,7 @@ def max_steps_advice(system: System, excitation: Excitation, method: Any, t1: Sc
         lengths = [method.step]
     found = _known(lengths)
     step = min((step for step in found if step < math.inf), default=0.01) / (1 if len(found) == len(lengths) else 4)
-    steps = few_sizes(math.ceil(1.5 * horizon / step) + 96)
+    steps = padded_length(math.ceil(1.5 * horizon / step) + 96)
     return f"max_steps={steps} is room for {horizon:g} s in steps of {step:.3g} s; too many cost nothing but memory"
 
 

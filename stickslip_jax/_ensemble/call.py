@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._compiler import Layout, packed
 from .._design.design import Design
 from .._distributions.copula import GaussianCopula
-from .._dynamics.chunks import chunks_of, solve_chunk
+from .._dynamics.compiled import compiled_for, solve_chunk
 from .._dynamics.lanes import BLOCK, Engine, LaneResults
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.regularized.lanes import AdaptiveBatch
@@ -25,7 +26,6 @@ from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Model
-from .._numerics.packing import Layout, packed
 from .._processor import cores
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
@@ -255,7 +255,7 @@ def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAc
 def _streamer(run: Run, plan: _Plan) -> _Simulate:
     """The same as `_simulator`, for ``keep="totals"``."""
     assert isinstance(run.engine, Engine)
-    summarize = chunks_of(run.engine, with_records=run.inputs.has_sampled_law).summarize
+    summarize = compiled_for(run.engine, with_records=run.inputs.has_sampled_law).summarize
 
     def simulate(first: int, number: int) -> Part:
         job = run.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
@@ -268,7 +268,7 @@ def _streamer(run: Run, plan: _Plan) -> _Simulate:
 def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(run.engine, Engine)
-    _, begin, record = chunks_of(run.engine, with_records=run.inputs.has_sampled_law)
+    _, begin, record = compiled_for(run.engine, with_records=run.inputs.has_sampled_law)
     own = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
     lane = np.arange(plan.lanes)

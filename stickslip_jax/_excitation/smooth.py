@@ -14,7 +14,7 @@ from jax import lax
 
 from .. import _checks
 from .._fields import Checked, Quantity
-from .._numerics.sharing import sincos
+from .._numerics.elementary import sincos
 from .._types import AnyArray, FloatArray, Number, Scalar
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .._compiler import computed_once
 from .._types import FloatArray
-from .compiling import computed_once
 
 _SIN = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
         2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
@@ -48,13 +48,18 @@ def _horner(coefficients: tuple[float, ...], z: FloatArray) -> FloatArray:
 
 
 @jax.custom_jvp
-def sincos(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``(sin(angle), cos(angle))``, the angle in radians and below 2^30. NaN where it is NaN or infinite."""
+def _sincos(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     r, quadrant = _reduced(angle)
     sine, cosine = _polynomials(r)
     swap = (quadrant & 1) == 1
     s, c = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
     return jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
+
+
+@jax.jit  # traced once, so that `sharing` recognises calls with the same angle
+def sincos(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """``(sin(angle), cos(angle))``, the angle in radians and below 2^30. NaN where it is NaN or infinite."""
+    return _sincos(angle)
 
 
 @computed_once
@@ -70,10 +75,10 @@ def _polynomials(r: FloatArray):
     return r + r * z * _horner(_SIN, z), 1 - 0.5 * z + z * z * _horner(_COS, z)
 
 
-@sincos.defjvp
+@_sincos.defjvp
 def _sincos_jvp(primals, tangents):
     (angle,), (d_angle,) = primals, tangents
-    s, c = sincos(angle)
+    s, c = _sincos(angle)
     return (s, c), (c * d_angle, -s * d_angle)
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from .sharing import sharing
+from .._compiler import sharing
 
 _call = Primitive("call_with_own_derivative")
 _tangent = Primitive("tangent_of_call")

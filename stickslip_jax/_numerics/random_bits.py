@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._checks import show
+from .._compiler import computed_once
 from .._types import Array, FloatArray, KeyData
-from .compiling import computed_once
 from .elementary import log
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from .._types import FloatArray
-from .sharing import sincos
+from .elementary import sincos
 
 _SERIES = 0.1  # below this |(beta^2 - omega^2) h^2|, damped rotations are summed as series
 

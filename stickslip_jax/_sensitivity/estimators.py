@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._dynamics.chunks import chunks_of
+from .._dynamics.compiled import compiled_for
 from .._dynamics.lanes import Engine, Job
 from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
@@ -257,7 +257,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Values:
             engine, own = engine.drawn(own)
         job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)), own)
         with_records = problem.random is not None and problem.random.inputs.has_sampled_law
-        results = chunks_of(engine, with_records=with_records).summarize(
+        results = compiled_for(engine, with_records=with_records).summarize(
             job, lanes=lanes, rows=rows, dtype=problem.dtype
         )
         totals = np.stack([_flat(leaf, number) for leaf in (results.stick_time, results.sticks)], axis=-1)

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._compiler import WIDE_VECTORS, CompiledNatively
 from .._dynamics.lanes import Job, summarize
 from .._inputs.numbers import Path, number_at, with_numbers
-from .._numerics.compiling import CompiledNatively
 from .._numerics.moments import Moments
 from .._status import Status
 from .._types import AnyInteger, Array
@@ -171,9 +171,9 @@ def _values(
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
-# Native loops and wide vectors only where all compiled functions are the package's own (see `_dynamics/chunks.py`).
+# Native loops and wide vectors only where all compiled functions are the package's own (see `_dynamics/compiled.py`).
 count_chunk = {
-    True: CompiledNatively(_count, _COUNT_STATIC, compiler_options={"xla_cpu_prefer_vector_width": 512}),
+    True: CompiledNatively(_count, _COUNT_STATIC, compiler_options=WIDE_VECTORS),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),
 }
 _BUFFER = ("statistic", "lanes", "buffer", "dtype")

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .._compiler import sharing
 from .._dynamics.switched.engine import Lane, SegmentLaws, following_segments
 from .._excitation.segments import SegmentState
 from .._numerics.primal import without_derivatives
 from .._numerics.roots import steepest_fall
-from .._numerics.sharing import sharing
 from .._systems.switched_model import Segments, State, SwitchedModel
 from .._types import BoolArray, FloatArray
 from .edges import Edges, Number

@@ -25,9 +25,8 @@ from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Choice, Quantity
-from .._numerics.elementary import sincos_of_small
+from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.runge_kutta import runge_kutta_step
-from .._numerics.sharing import sincos
 from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from .._excitation.smooth import added_up, angle
+from .._numerics.elementary import sincos
 from .._numerics.known import bounds_of, values_of
-from .._numerics.sharing import sincos
 from .._types import FloatArray, Scalar
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits

@@ -7,9 +7,10 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.blocks import BLOCK, few_sizes, scan_in_blocks
+from stickslip_jax._compiler import sharing
+from stickslip_jax._dynamics.stopping_scan import CHECK_EVERY, padded_length, stopping_scan
+from stickslip_jax._numerics.elementary import sincos
 from stickslip_jax._numerics.known import NotKnown, bounds_of
-from stickslip_jax._numerics.sharing import sharing, sincos
 
 BASE, T1, START = ss.Harmonic(1.0, 0.8), 10.0, (0.3, 0.0)
 METHODS = {"exact": ss.Exact(), "regularised": ss.Regularized(0.05, step=0.02)}
@@ -104,18 +105,18 @@ def test_spare_steps_change_no_number(method):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), few, many)
 
 
-def test_blocks_after_the_end_are_not_computed():
-    """Counted by the blocks that call back: the batch ends after two blocks of forty."""
+def test_steps_after_the_end_are_not_computed():
+    """Counted by calls back at each check: the batch ends at the second of forty."""
     done = []
 
     def follow(x):
         def turn(carry, index):
             x, turns = carry
-            jax.lax.cond(index % BLOCK == 0, lambda: jax.debug.callback(lambda: done.append(1)), lambda: None)
+            jax.lax.cond(index % CHECK_EVERY == 0, lambda: jax.debug.callback(lambda: done.append(1)), lambda: None)
             return (jnp.sin(x), turns + 1), x
 
-        (x, _), _ = scan_in_blocks(
-            turn, (x, 0), 40 * BLOCK, lambda carry, _: carry[1] >= 2 * BLOCK - 1, lambda carry: carry[0]
+        (x, _), _ = stopping_scan(
+            turn, (x, 0), 40 * CHECK_EVERY, lambda carry, _: carry[1] >= 2 * CHECK_EVERY - 1, lambda carry: carry[0]
         )
         return x
 
@@ -127,7 +128,7 @@ def test_blocks_after_the_end_are_not_computed():
 
 @pytest.mark.slow
 def test_the_question_whether_all_have_ended_stays_one_question():
-    """Asked of each lane, both branches would be computed always: the condition of the blocks has no batch."""
+    """Asked of each lane, both branches would be computed always: the condition has no batch."""
     method = ss.Exact(step=0.19, max_steps=640)
     for transform in (lambda f: f, jax.grad):
         text = jax.make_jaxpr(jax.vmap(transform(lambda mu: stick_time(mu, method=method))))(jnp.ones(3))
@@ -158,10 +159,10 @@ def test_sums_of_harmonics_compile_to_the_same_size_whatever_their_number():
     assert compiled_size(3) == compiled_size(40)
 
 
-def test_few_sizes():
-    sizes = [few_sizes(number) for number in range(1, 5000)]
+def test_padded_lengths_are_few():
+    sizes = [padded_length(number) for number in range(1, 5000)]
     assert len(set(sizes)) < 20
-    assert all(number <= size <= max(BLOCK, 1.5 * number) for number, size in zip(range(1, 5000), sizes, strict=True))
+    assert all(number <= size <= max(CHECK_EVERY, 1.5 * number) for number, size in enumerate(sizes, 1))
 
 
 def test_what_is_shared_is_computed_once_and_right():

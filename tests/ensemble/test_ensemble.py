@@ -129,9 +129,9 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
         law = ss.PoissonSwitching(1.0, rate)
         ss.simulate_ensemble(system, law, t1=t1, samples=samples, key=jax.random.key(seed), chunk=64)
 
-    from stickslip_jax._dynamics.chunks import chunks_of  # noqa: PLC0415 - the cache under test
+    from stickslip_jax._dynamics.compiled import compiled_for  # noqa: PLC0415 - the cache under test
 
-    summarize, begin, record = chunks_of(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
+    summarize, begin, record = compiled_for(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
     chunks = (summarize.native, begin, record.native)
     run(1.0, 1.0, 0, 10, 5.0)
     before = [compiled._cache_size() for compiled in chunks]

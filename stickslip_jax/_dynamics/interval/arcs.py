@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..._numerics.compiling import computed_once
+from ..._compiler import computed_once
 from ..._numerics.elementary import angle_of, sincos
 from ..._types import BoolArray, FloatArray
 

@@ -21,8 +21,8 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 
+from ..._compiler import computed_once, native_loop, native_loops_work
 from ..._events.sticks import NUMBERS, StickRecord, Totals, closed_up, start_totals
-from ..._numerics.compiling import computed_once, native_loop, native_loops_work
 from ..._types import Array, IntArray
 from .engine import Motion, Scales, cross_live_interval, run_intervals, start_motion
 from .ties import is_tie

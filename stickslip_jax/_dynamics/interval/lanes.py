@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from ..._compiler import computed_once
 from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.laws import BangBangLaw
-from ..._numerics.compiling import computed_once
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
 from ..lanes import Engine, LaneResults

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ..._compiler import sharing
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
-from ..._numerics.sharing import sharing
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
 from ..._types import FloatArray, IntArray
 from ..switched.engine import SegmentLaws, following_segments, is_spent

@@ -11,9 +11,9 @@ from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
 from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray, Scalar
-from ..blocks import scan_in_blocks
 from ..lanes import Engine, LaneResults
 from ..method import Regularized
+from ..stopping_scan import stopping_scan
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
 from ..varying import with_leaves
 from .engine import Field, FixedLane, advance_fixed, start_fixed
@@ -125,7 +125,7 @@ def solve_batch(
             return detector, record if keep else None
 
         start = start_detection(field, tables, criterion, solution.y[0])
-        detector, records = scan_in_blocks(
+        detector, records = stopping_scan(
             one_step,
             start,
             most,

@@ -16,9 +16,9 @@ from ..._numerics.known import NotKnown
 from ..._numerics.slopes import with_slopes
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, IntArray, Scalar
-from ..blocks import few_sizes, scan_in_blocks
 from ..method import Regularized
 from ..path import Path, Run
+from ..stopping_scan import padded_length, stopping_scan
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
 from ..time_scales import max_steps_advice, step_for
 from .engine import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
@@ -106,7 +106,7 @@ def follow_regularized(
 def _fixed_steps(system: Any, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
     """Upper bound of the number of fixed steps of the trajectory."""
     try:
-        return few_sizes(fixed_steps(system, excitation, method, t1))
+        return padded_length(fixed_steps(system, excitation, method, t1))
     except NotKnown:
         raise ValueError(
             "Argument method must give max_steps, Regularized(..., max_steps=...), when t1 or the step is an argument "
@@ -131,7 +131,7 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
         lane, record, passage = advance_fixed(field, segment_laws, criterion, t1, jnp.asarray(method.step), most, lane)
         return lane, (record, passage)
 
-    return scan_in_blocks(
+    return stopping_scan(
         one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), lambda lane: nothing_seen(lane.y)
     )
 
@@ -161,7 +161,7 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
         return detector, (record, passage)
 
     start = start_detection(field, tables, criterion, solution.y[0])
-    detector, (records, passages) = scan_in_blocks(
+    detector, (records, passages) = stopping_scan(
         one_step, start, steps, lambda _, index: index >= solution.steps, lambda _: nothing_seen(tuple(solution.y[0]))
     )
     final = tuple(solution.y[solution.steps])

@@ -25,12 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..._compiler import sharing
 from ..._events.sticks import StickRecord, Totals, start_totals
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import SegmentLaw, SegmentState, following_segment, is_invalid
 from ..._numerics.primal import without_derivatives
 from ..._numerics.roots import look_ahead
-from ..._numerics.sharing import sharing
 from ..._status import Ending, Status
 from ..._systems.switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from ..._systems.system import System

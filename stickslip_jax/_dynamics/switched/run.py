@@ -13,7 +13,7 @@ from ..._excitation.segments import first_segment
 from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, Scalar
-from ..blocks import few_sizes, scan_in_blocks
+from ..stopping_scan import padded_length, stopping_scan
 from .engine import Lane, SegmentLaws, advance, has_ended, start_lane, status_of_lane
 
 MOST_STEPS = 2**30  # steps are counted in 32 bits
@@ -83,9 +83,7 @@ def run_trajectory(
     def idle(lane):
         return no_stick(dtype), beginning(lane)
 
-    lane, (records, beginnings) = scan_in_blocks(
-        one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle
-    )
+    lane, (records, beginnings) = stopping_scan(one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle)
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
 
 
@@ -106,7 +104,7 @@ def state_in_step(model: Any, begun: Beginnings, h: FloatArray) -> State:
 def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> int:
     """Number of loop steps that suffices for nearly every trajectory: by the time steps and segments until `t1`.
 
-    Rounded up by `few_sizes`, so that similar lengths share a compilation; the loop stops when the trajectory ends.
+    Rounded up by `padded_length`, so that similar lengths share a compilation; the loop stops when the trajectory ends.
     Raises NotKnown where a number that it depends on is traced, ValueError for more steps than 32 bits can count.
     """
     horizon, shortest = largest(t1), smallest(step)
@@ -121,4 +119,4 @@ def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> 
             f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
             "segments of the motion."
         )
-    return few_sizes(math.ceil(steps))
+    return padded_length(math.ceil(steps))

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from .switch import PLAIN
+
 
 class Layout(NamedTuple):
     """How to unpack a pytree; may be a static argument of ``jax.jit``."""
 
-    structure: Any
-    kinds: tuple[tuple[Any, tuple[int, ...]], ...]  # type and shape of each leaf
+    structure: jax.tree_util.PyTreeDef
+    kinds: tuple[tuple[jnp.dtype, tuple[int, ...]], ...]  # type and shape of each leaf
 
     @classmethod
     def of(cls, tree: Any) -> "Layout":
@@ -24,7 +26,9 @@ class Layout(NamedTuple):
 
 def packed(tree: Any) -> tuple[jax.Array, ...]:
     """The arrays of a pytree, those of the same type and shape stacked."""
-    together: dict[Any, list[Any]] = {}
+    if PLAIN:
+        return tuple(jax.tree.leaves(tree))
+    together: dict[tuple[jnp.dtype, tuple[int, ...]], list[jax.Array]] = {}
     for leaf in jax.tree.leaves(tree):
         together.setdefault((leaf.dtype, leaf.shape), []).append(leaf)
     return tuple(jnp.stack(leaves) for leaves in together.values())
@@ -32,5 +36,7 @@ def packed(tree: Any) -> tuple[jax.Array, ...]:
 
 def unpacked(arrays: tuple[jax.Array, ...], layout: Layout) -> Any:
     """The pytree that was `packed`."""
+    if PLAIN:
+        return jax.tree.unflatten(layout.structure, arrays)
     together = {kind: iter(array) for kind, array in zip(dict.fromkeys(layout.kinds), arrays, strict=True)}
     return jax.tree.unflatten(layout.structure, [next(together[kind]) for kind in layout.kinds])

@@ -17,11 +17,20 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 
 from .native_call import NATIVE, native_call
+from .switch import PLAIN
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 _OWN_CALL = {"inlineable": "false"}
+
+WIDE_VECTORS: dict[str, Any] = {} if PLAIN else {"xla_cpu_prefer_vector_width": 512}
+"""Option of ``jax.jit``: vectors of 512 bits halve the run time on CPUs that have them, and change nothing on others.
+
+With them jaxlib 0.10.2 computes ``jnp.arctan`` wrong, by up to pi/2; the package's own functions do not use it.
+"""
+COMPILED_QUICKLY: dict[str, Any] = {} if PLAIN else {"xla_llvm_disable_expensive_passes": True}
+"""Option of ``jax.jit``: without passes of LLVM that do not speed up these loops, and take a quarter of the time."""
 
 
 def native_loop(
@@ -51,7 +60,7 @@ def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Argument
     compiled = jax.jit(function)
 
     @wraps(function)
-    def call(*args: Any, **options: Any) -> Any:
+    def call(*args: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
         if not native_loops_work():
             return function(*args, **options)
         return set_xla_metadata(compiled(*args, **options), **_OWN_CALL)
@@ -67,17 +76,17 @@ class CompiledNatively(Generic[_Arguments, _Result]):
 
     def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
         self.native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
-        self.plain = jax.jit(function, static_argnames=static_argnames, **options)
-        self._refused = set()
+        self.usual = jax.jit(function, static_argnames=static_argnames, **options)
+        self._refused: set[jax.tree_util.PyTreeDef] = set()
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         kind = jax.tree.structure((args, named))
         if kind in self._refused:
-            return self.plain(*args, **named)
+            return self.usual(*args, **named)
         try:
             return self.native(*args, **named)
         except jax.errors.JaxRuntimeError as error:
-            result = self.plain(*args, **named)  # fails likewise if native compilation was not the reason
+            result = self.usual(*args, **named)  # fails likewise if native compilation was not the reason
             self._refused.add(kind)
             warnings.warn(
                 "This version of XLA does not compile the simulation into a native loop; it runs more slowly, and as "
@@ -90,8 +99,8 @@ class CompiledNatively(Generic[_Arguments, _Result]):
 
 @cache
 def native_loops_work() -> bool:
-    """Whether this version of JAX compiles a tagged loop for the CPU, and correctly."""
-    if jax.default_backend() != "cpu":
+    """Whether this version of JAX compiles a tagged loop for the CPU, and correctly, and is asked to."""
+    if PLAIN or jax.default_backend() != "cpu":
         return False
 
     def loop(x):

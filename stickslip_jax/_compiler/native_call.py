@@ -6,9 +6,9 @@ needed. This primitive has no rule for removing anything, so that after all tran
 every result kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,15 +21,17 @@ NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 _call = Primitive("native_call")
 _call.multiple_results = True
+_Leaf: TypeAlias = Any  # a number or an array, traced or not; or ``ad.Zero`` as a tangent
+_Axis: TypeAlias = int | None
 _KEPT = 512  # functions and their derivatives, so that those called outside ``jax.jit`` are not compiled again
 
 
-def native_call(closed: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf]) -> list[_Leaf]:
     """The results of `closed`. Works under jit, vmap and jvp, not in reverse mode, as the loops inside."""
     return _call.bind(*args, closed=closed)
 
 
-def _as_native(*args: Any, closed: ClosedJaxpr) -> list[Any]:
+def _as_native(*args: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
     def reading_all(*args):
         firsts = [jnp.ravel(jnp.asarray(array))[0].astype(float) for array in args if jnp.size(array)]
         return jaxpr_as_fun(closed)(*args), sum(firsts)
@@ -42,17 +44,17 @@ def _as_native(*args: Any, closed: ClosedJaxpr) -> list[Any]:
 
 
 @lru_cache(_KEPT)
-def _compiled(closed: ClosedJaxpr) -> Any:
+def _compiled(closed: ClosedJaxpr) -> Callable[..., list[_Leaf]]:
     return jax.jit(lambda *args: native_call(closed, args))
 
 
 @_call.def_impl
-def _run(*args: Any, closed: ClosedJaxpr) -> list[Any]:
+def _run(*args: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
     return _compiled(closed)(*args)
 
 
 @_call.def_abstract_eval
-def _shapes(*_: Any, closed: ClosedJaxpr) -> list[Any]:
+def _shapes(*_: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
     return list(closed.out_avals)
 
 
@@ -75,7 +77,9 @@ def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[Closed
     return jax.make_jaxpr(both)(list(closed.in_avals), tangents), real
 
 
-def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, closed: ClosedJaxpr) -> tuple[list[Any], list[Any]]:
+def _jvp(
+    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr
+) -> tuple[list[_Leaf], list[_Leaf]]:
     moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
     both, real = _with_tangents(closed, moved)
     results = native_call(both, [*primals, *(tangent for tangent, m in zip(tangents, moved, strict=True) if m)])
@@ -87,7 +91,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, closed: ClosedJaxpr
 
 
 @lru_cache(_KEPT)
-def _batched(closed: ClosedJaxpr, axes: tuple[Any, ...], size: int) -> tuple[ClosedJaxpr, tuple[Any, ...]]:
+def _batched(closed: ClosedJaxpr, axes: tuple[_Axis, ...], size: int) -> tuple[ClosedJaxpr, tuple[_Axis, ...]]:
     """The function of batched arguments, and the axes of its results (None: without one)."""
 
     def with_axis(aval, axis):
@@ -108,7 +112,9 @@ def _batched(closed: ClosedJaxpr, axes: tuple[Any, ...], size: int) -> tuple[Clo
     return jax.make_jaxpr(jax.vmap(jaxpr_as_fun(closed), axes, list(out_axes)))(*args), out_axes
 
 
-def _batch(args: Sequence[Any], axes: Sequence[Any], *, closed: ClosedJaxpr) -> tuple[list[Any], Sequence[Any]]:
+def _batch(
+    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr
+) -> tuple[list[_Leaf], tuple[_Axis, ...]]:
     size = next(arg.shape[axis] for arg, axis in zip(args, axes, strict=True) if axis is not None)
     batched, out_axes = _batched(closed, tuple(axes), size)
     return native_call(batched, args), out_axes

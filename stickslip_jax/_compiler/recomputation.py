@@ -6,9 +6,9 @@ that is used more than once, and costs more than storing it, becomes the result 
 does not inline.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial, wraps
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -16,15 +16,15 @@ import numpy as np
 from jax.extend import core
 
 from .. import _checks
-from . import elementary
-from .compiling import computed_once
+from .native_loops import computed_once
+from .switch import PLAIN
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-sincos = jax.jit(elementary.sincos)
-"""`elementary.sincos`, traced once, so that `sharing` recognises calls with the same angle."""
-
+_Atom: TypeAlias = core.Var | core.Literal
+_Leaf: TypeAlias = Any  # a number or an array, traced or not
+_Known: TypeAlias = tuple[list[_Leaf], list[_Leaf]]  # the results of an operation, and its operands
 # The cost of an operation, in additions. Operations that are not listed are opaque.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
          "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
@@ -41,6 +41,8 @@ _WORTH = 4  # cheaper values are computed again
 
 def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """`function` of scalars (pytrees of them), cut so that no costly value is computed twice, in any transformation."""
+    if PLAIN:
+        return function
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
@@ -62,12 +64,12 @@ def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Re
     return call
 
 
-def _shared(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
+def _shared(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> list[_Leaf]:
     """The results of `closed`, cut."""
     return _evaluated(jax.make_jaxpr(lambda *leaves: _inlined(closed, leaves, {}))(*leaves), leaves)
 
 
-def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, Any]) -> list[Any]:
+def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf], known: dict[Hashable, _Known]) -> list[_Leaf]:
     """The results of `closed`, calls inside it inlined, values that are `known` not computed again."""
     jaxpr, values = closed.jaxpr, _Values(closed, leaves)
     for equation in jaxpr.eqns:
@@ -85,19 +87,19 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[Any], known: dict[Any, A
     return values.of(jaxpr.outvars)
 
 
-def _name(value: Any) -> Any:
+def _name(value: _Leaf) -> Hashable:
     """Identity of an operand: of a tracer the object, of a number its value."""
     return id(value) if _checks.is_traced(value) else (str(jax.typeof(value)), np.asarray(value).tobytes())
 
 
-def _details(equation: Any) -> Any:
+def _details(equation: core.JaxprEqn) -> Hashable:
     """Identity of the operation of an equation: its parameters; of an opaque one the equation itself, which is the same
     object in a function that jit has traced once.
     """
     return str(equation.params) if equation.primitive.name in _COSTS else id(equation)
 
 
-def _with_sharing(equation: Any) -> Any:
+def _with_sharing(equation: core.JaxprEqn) -> core.JaxprEqn:
     """The call of a function with a custom derivative, its value cut."""
     closed = equation.params["call_jaxpr"]
     call = jax.make_jaxpr(lambda *leaves: _shared(closed, leaves))(*closed.in_avals)
@@ -107,21 +109,21 @@ def _with_sharing(equation: Any) -> Any:
 class _Values:
     """The values of the variables of a jaxpr."""
 
-    def __init__(self, closed: core.ClosedJaxpr, leaves: Sequence[Any]):
-        self._known = {}
+    def __init__(self, closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]):
+        self._known: dict[core.Var, _Leaf] = {}
         self.update(closed.jaxpr.constvars, closed.consts)
         self.update(closed.jaxpr.invars, leaves)
 
-    def of(self, atoms: Sequence[Any]) -> list[Any]:
+    def of(self, atoms: Sequence[_Atom]) -> list[_Leaf]:
         """The values of some variables or literals."""
         return [atom.val if isinstance(atom, core.Literal) else self._known[atom] for atom in atoms]
 
-    def update(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
+    def update(self, variables: Sequence[core.Var], values: Sequence[_Leaf]) -> None:
         """Set the values of some variables."""
         self._known.update(zip(variables, values, strict=True))
 
 
-def _bound(equation: Any, given: Sequence[Any]) -> list[Any]:
+def _bound(equation: core.JaxprEqn, given: Sequence[_Leaf]) -> list[_Leaf]:
     """The results of one equation."""
     how = equation.primitive.get_bind_params(equation.params)
     functions, params = how if isinstance(how, tuple) else ((), how)  # versions of JAX differ
@@ -129,7 +131,7 @@ def _bound(equation: Any, given: Sequence[Any]) -> list[Any]:
     return list(results) if equation.primitive.multiple_results else [results]
 
 
-def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
+def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> list[_Leaf]:
     """The results of `closed`, each stored variable computed by a call of its own."""
     jaxpr, values = closed.jaxpr, _Values(closed, leaves)
     kept = _kept(jaxpr)
@@ -150,30 +152,30 @@ def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[Any]) -> list[Any]:
     return values.of(jaxpr.outvars)
 
 
-def _computed(cone: list[Any], inputs: list[Any], *given: Any) -> Any:
+def _computed(cone: list[core.JaxprEqn], inputs: list[core.Var], *given: _Leaf) -> _Leaf:
     """The result of the last equation of a cone."""
-    known = dict(zip(inputs, given, strict=True))
+    known: dict[_Atom, _Leaf] = dict(zip(inputs, given, strict=True))
     for part in cone:
         values = [atom.val if isinstance(atom, core.Literal) else known[atom] for atom in part.invars]
         (known[part.outvars[0]],) = _bound(part, values)
     return known[cone[-1].outvars[0]]
 
 
-def _variables(equation: Any) -> list[Any]:
+def _variables(equation: core.JaxprEqn) -> list[core.Var]:
     """The variables that an equation takes, each once."""
     return list(dict.fromkeys(atom for atom in equation.invars if not isinstance(atom, core.Literal)))
 
 
-def _kept(jaxpr: core.Jaxpr) -> set[Any]:
+def _kept(jaxpr: core.Jaxpr) -> set[core.Var]:
     """The variables whose values are stored: results, operands of opaque operations, and costly values used again."""
-    uses: dict[Any, int] = {}
+    uses: dict[core.Var, int] = {}
     kept = {atom for atom in jaxpr.outvars if not isinstance(atom, core.Literal)}
     for equation in jaxpr.eqns:
         for atom in _variables(equation):
             uses[atom] = uses.get(atom, 0) + 1
             if equation.primitive.name not in _COSTS:
                 kept.add(atom)
-    costs: dict[Any, float] = {}
+    costs: dict[core.Var, float] = {}
     for equation in jaxpr.eqns:
         own = _COSTS.get(equation.primitive.name)
         if own is not None:
@@ -185,11 +187,11 @@ def _kept(jaxpr: core.Jaxpr) -> set[Any]:
     return kept
 
 
-def _cone(equation: Any, made_by: dict[Any, Any], kept: set[Any]) -> list[Any]:
+def _cone(equation: core.JaxprEqn, made_by: dict[core.Var, core.JaxprEqn], kept: set[core.Var]) -> list[core.JaxprEqn]:
     """The equations behind a variable, back to those whose results are stored, in order."""
-    found: dict[int, Any] = {}
+    found: dict[int, core.JaxprEqn] = {}
 
-    def visit(part):
+    def visit(part: core.JaxprEqn) -> None:
         if id(part) in found:
             return
         for atom in _variables(part):

@@ -11,8 +11,14 @@ import numpy as np
 import pytest
 from jax import lax
 
-from stickslip_jax._numerics import compiling, native_call
-from stickslip_jax._numerics.compiling import CompiledNatively, computed_once, native_loop, native_loops_work
+from stickslip_jax._compiler import (
+    CompiledNatively,
+    computed_once,
+    native_call,
+    native_loop,
+    native_loops,
+    native_loops_work,
+)
 
 X = np.linspace(0.1, 0.9, 8)
 LARGE = 1 << 12  # loops over less become native without being asked to
@@ -130,7 +136,7 @@ def test_errors_of_the_function_itself_are_not_hidden():
 
 
 def test_without_native_loops_everything_still_works(monkeypatch):
-    monkeypatch.setattr(compiling, "native_loops_work", lambda: False)
+    monkeypatch.setattr(native_loops, "native_loops_work", lambda: False)
     np.testing.assert_allclose(native_loop(doubling)(X), doubling(X), rtol=1e-15)
     text = compiled_text(native_loop(doubling), np.ones(LARGE))
     assert "xla_cpu_small_call" not in text
@@ -140,7 +146,7 @@ def test_without_native_loops_everything_still_works(monkeypatch):
 DROPPING = """
 import jax, jax.numpy as jnp
 from jax import lax
-from stickslip_jax._numerics.compiling import native_loop
+from stickslip_jax._compiler import native_loop
 
 def loop(x, unread, kept, first):
     def step(carry):
