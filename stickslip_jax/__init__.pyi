@@ -4,8 +4,8 @@ Type checkers read this file; `__init__.py` reads it too, and loads a name when 
 """
 
 from . import design as design, papers as papers, plot as plot, study as study
-from ._distributions.copula import GaussianCopula as GaussianCopula
-from ._distributions.families import (
+from ._uncertainty.copula import GaussianCopula as GaussianCopula
+from ._uncertainty.families import (
     Beta as Beta,
     Discrete as Discrete,
     Exponential as Exponential,
@@ -15,7 +15,7 @@ from ._distributions.families import (
     Uniform as Uniform,
     Weibull as Weibull,
 )
-from ._distributions.random_number import RandomNumber as RandomNumber, Truncated as Truncated
+from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
 from ._dynamics.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
 from ._ensemble.collecting import concatenate as concatenate, load as load

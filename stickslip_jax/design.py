@@ -12,8 +12,8 @@ In designs of values, these take the place of the numbers that stand there:
 - `grid`: all combinations. `table`: any table, such as a DataFrame or the design matrix of another program.
 """
 
-from ._design.design import Design
-from ._design.sampling import latin_hypercube, random, saltelli, sobol
-from ._design.values import grid, table
+from ._uncertainty.design import Design
+from ._uncertainty.uniform_designs import latin_hypercube, random, saltelli, sobol
+from ._uncertainty.value_designs import grid, table
 
 __all__ = ["Design", "grid", "latin_hypercube", "random", "saltelli", "sobol", "table"]

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import _checks
-from ._distributions.families import Uniform
 from ._excitation.laws import BangBangLaw, Constant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
@@ -29,6 +28,7 @@ from ._systems.mass_spring import MassSpring
 from ._systems.motor_cart import MotorCart
 from ._systems.system import System
 from ._types import Array, Float, Scalar
+from ._uncertainty.families import Uniform
 
 BELT_SPEED = 1.0
 """Absolute value of the belt velocity, m/s (conference paper, section 3)."""

@@ -8,10 +8,10 @@ from .._excitation.excitation import GivenSteps, excitation_of
 from .._excitation.laws import BangBangLaw
 from .._excitation.merged import merged
 from .._excitation.piecewise import VelocitySteps
-from .._inputs.inputs import Inputs
 from .._numerics.known import largest
 from .._systems.system import System
 from .._types import Scalar
+from .._uncertainty.inputs import Inputs
 from .interval.lanes import IntervalEngine
 from .interval.path import follow_intervals
 from .lanes import Engine

@@ -12,11 +12,11 @@ from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_ra
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
 from .._excitation.smooth import UserMotion
-from .._inputs.inputs import varying
-from .._inputs.numbers import shown
 from .._numerics.known import plain
 from .._systems.system import System
 from .._types import AnyArray, Scalar
+from .._uncertainty.inputs import varying
+from .._uncertainty.numbers import shown
 from .method import Exact, Regularized
 from .time_scales import step_for
 

@@ -14,8 +14,6 @@ import numpy as np
 
 from .. import _checks
 from .._compiler import Layout, packed
-from .._design.design import Design
-from .._distributions.copula import GaussianCopula
 from .._dynamics.compiled import compiled_for, solve_chunk
 from .._dynamics.lanes import BLOCK, Engine, LaneResults
 from .._dynamics.method import EXACT, Exact, Regularized
@@ -25,11 +23,13 @@ from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
-from .._inputs.inputs import Model
 from .._processor import cores
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
 from .._types import Array
+from .._uncertainty.copula import GaussianCopula
+from .._uncertainty.design import Design
+from .._uncertainty.inputs import Model
 from .origins import check_extendable
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .progress import progress_bar

@@ -14,11 +14,11 @@ import jax
 import numpy as np
 
 from .. import _diffrax as diffrax
-from .._design.design import Design
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.moments import Moments
 from .._numerics.power_sums import PowerSums
 from .._statistics.accumulator import StickAccumulator
+from .._uncertainty.design import Design
 from .origins import GivenMotions, Origin
 from .unknown import Unknown, UnknownSystem
 

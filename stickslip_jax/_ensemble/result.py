@@ -13,13 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks, _html
-from .._design.design import Design
-from .._distributions.copula import GaussianCopula
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Slips, Sticks
-from .._excitation.excitation import is_random
+from .._excitation.excitation import is_random, law_of
 from .._files import file_to_write
-from .._inputs.inputs import Inputs, Model
 from .._numerics.moments import Moments
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering, StickAccumulator
@@ -28,6 +25,9 @@ from .._statistics.registry import STATISTICS, TOTALS
 from .._statistics.summary import Summary, summary_of
 from .._status import Status
 from .._systems.system import System
+from .._uncertainty.copula import GaussianCopula
+from .._uncertainty.design import Design
+from .._uncertainty.inputs import Inputs, Model
 from .given import fields_of_simulations, fields_of_sticks, numbering_of
 from .kept import Retained, SampleTotals
 from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
@@ -169,7 +169,7 @@ class Ensemble:
         """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
         samples = self.first_sample + self.samples if self.design is None else self.design
         key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
-        return Inputs.of(Model(self.system, self.law, self.y0), samples, key, self.copula)
+        return Inputs.of(Model(self.system, law_of(self.law), self.y0), samples, key, self.copula)
 
     @cached_property
     def input_values(self) -> dict[str, np.ndarray]:

@@ -7,19 +7,19 @@ import jax
 import numpy as np
 
 from .. import _checks
-from .._design.design import Design
-from .._distributions.copula import GaussianCopula
 from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
 from .._dynamics.lanes import Engine, Job
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
 from .._dynamics.validation import check_method, state_of, working_dtype
 from .._dynamics.varying import VaryingEngine, with_leaves
-from .._excitation.excitation import is_random, key_data_for
-from .._inputs.inputs import Inputs, Model
+from .._excitation.excitation import is_random, key_data_for, law_of
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
 from .._types import AnyArray, Array
+from .._uncertainty.copula import GaussianCopula
+from .._uncertainty.design import Design
+from .._uncertainty.inputs import Inputs, Model
 from .parts import Keep
 
 MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
@@ -81,7 +81,7 @@ class Run:
             )
         _checks.chosen("keep", keep, get_args(Keep))
         dtype = working_dtype(stacklevel=5)
-        inputs = Inputs.of(model, total, key, correlation)
+        inputs = Inputs.of(model._replace(law=law_of(model.law)), total, key, correlation)
         inputs.check(dtype)
         first = inputs.of_sample(0, dtype)
         require_system(first.system)

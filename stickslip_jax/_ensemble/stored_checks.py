@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._distributions.random_number import RandomNumber
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
@@ -14,6 +13,7 @@ from .._statistics.accumulator import StickAccumulator
 from .._statistics.registry import TOTALS
 from .._status import Ending, Status
 from .._systems.system import System
+from .._uncertainty.random_number import RandomNumber
 from .run import MOST_SAMPLES
 from .unknown import Unknown
 

@@ -12,12 +12,12 @@ from .. import _checks
 from .._claims import keeps
 from .._numerics.random_bits import key_data_of, random_words
 from .._types import Array, KeyData, Scalar
+from .._uncertainty.sampled_law import SampledLaw, UserLaw
 from .ground import GroundAcceleration, GroundMotion
 from .laws import BangBangLaw
 from .piecewise import VelocitySteps
 from .random import RandomSignal
 from .recorded import Recorded
-from .sampled import SampledLaw, UserLaw
 from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
 from .voltage import SourceVoltage

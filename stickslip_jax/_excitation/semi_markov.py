@@ -10,11 +10,11 @@ import numpy as np
 
 from .. import _checks
 from .._claims import keeps
-from .._distributions.families import Discrete
-from .._distributions.random_number import RandomNumber, Truncated
 from .._fields import Choice, is_of_package
 from .._numerics.random_bits import fine_uniform, random_words
 from .._types import Array, FloatArray, Scalar
+from .._uncertainty.families import Discrete
+from .._uncertainty.random_number import RandomNumber, Truncated
 from .laws import BangBangLaw, Interval
 from .segments import BEGINNING
 

@@ -14,10 +14,10 @@ from .._ensemble.call import simulate_piece
 from .._ensemble.parts import RETAINED
 from .._ensemble.run import Run
 from .._events.sticks import FlatSticks
-from .._inputs.inputs import Model
-from .._inputs.numbers import Parameter, check_numbers, with_numbers
 from .._statistics.accumulator import Numbering
 from .._status import Status
+from .._uncertainty.inputs import Model
+from .._uncertainty.numbers import Parameter, check_numbers, with_numbers
 from .problem import Problem, lanes_and_rows
 from .statistic import OfTotals, StickSequence, StickStatistic
 

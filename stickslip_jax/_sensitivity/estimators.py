@@ -8,9 +8,9 @@ import numpy as np
 
 from .._dynamics.compiled import compiled_for
 from .._dynamics.lanes import Engine, Job
-from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
 from .._systems.own import is_own
+from .._uncertainty.numbers import Parameter, Path, check_numbers, with_numbers
 from .counting import IntervalCounting, Likelihood
 from .ensembles import ends_of, samples_per_task, simulated
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.interval.engine import scales_of, start_motion
-from .._inputs.numbers import Parameter, Path, number_at, with_numbers
 from .._numerics.random_bits import random_words
 from .._types import Array
+from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
 from .edges import relative_excess
 from .problem import Problem
 

@@ -9,13 +9,13 @@ from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
-from .._excitation.excitation import GivenSteps, is_random, key_data_for
+from .._excitation.excitation import GivenSteps, is_random, key_data_for, law_of
 from .._excitation.piecewise import VelocitySteps
 from .._forks import require_threads_of_jax
-from .._inputs.inputs import Inputs, Model
-from .._inputs.numbers import parameters_of
 from .._processor import cores
 from .._systems.system import require_system
+from .._uncertainty.inputs import Inputs, Model
+from .._uncertainty.numbers import parameters_of
 from .problem import Pilot, Problem
 from .statistic import statistic_of
 
@@ -47,7 +47,7 @@ def problem_of(
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
     check_method(method)
     number = _checks.whole_number("samples", samples, minimum=2, maximum=2**31)
-    inputs = Inputs.of(Model(system, law, y0), number, key)
+    inputs = Inputs.of(Model(system, law_of(law), y0), number, key)
     dtype = jnp.result_type(float)
     inputs.check(dtype)
     first = inputs.of_sample(0, dtype)

@@ -9,9 +9,9 @@ from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
 from .._excitation.excitation import place_in_excitation
 from .._excitation.merged import merged, place_in_merged
-from .._inputs.inputs import Inputs, Model
-from .._inputs.numbers import Parameter, Path
 from .._types import AnyArray, Array
+from .._uncertainty.inputs import Inputs, Model
+from .._uncertainty.numbers import Parameter, Path
 from .random_inputs import RandomInputs
 from .sequences import BufferSizes
 from .statistic import OfTotals, StickStatistic

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .._distributions.random_number import RandomNumber
 from .._dynamics.engine_choice import engines_of_all, sample_engines
 from .._dynamics.varying import VaryingEngine
-from .._inputs.inputs import Inputs
-from .._inputs.numbers import Path
 from .._types import AnyArray
+from .._uncertainty.inputs import Inputs
+from .._uncertainty.numbers import Path
+from .._uncertainty.random_number import RandomNumber
 
 
 class RandomEngine(VaryingEngine):

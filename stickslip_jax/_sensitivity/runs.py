@@ -10,10 +10,10 @@ import numpy as np
 
 from .._compiler import WIDE_VECTORS, CompiledNatively
 from .._dynamics.lanes import Job, summarize
-from .._inputs.numbers import Path, number_at, with_numbers
 from .._numerics.moments import Moments
 from .._status import Status
 from .._types import AnyInteger, Array
+from .._uncertainty.numbers import Path, number_at, with_numbers
 from .sequences import BufferSizes, features_of, record_sequences
 from .statistic import StickStatistic
 

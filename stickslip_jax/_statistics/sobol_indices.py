@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from .. import _checks
-from .._design.design import Design
+from .._uncertainty.design import Design
 from .estimate import check_level
 
 if TYPE_CHECKING:

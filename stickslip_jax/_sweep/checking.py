@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._fields import Checked, Quantity, described, modules_in, varies
-from .._inputs.numbers import Path, number_at, with_numbers
+from .._uncertainty.numbers import Path, number_at, with_numbers
 from .points import Points
 from .setting import Setter, Setting
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _checks
-from .._inputs.numbers import Path, number_at, paths_of_numbers, shown
+from .._uncertainty.numbers import Path, number_at, paths_of_numbers, shown
 
 
 class Group(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _checks
-from .._design.design import Design, given_twice
+from .._uncertainty.design import Design, given_twice
 
 POINT = "point"
 """The dimension of the points of a design."""

@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _checks
-from .._distributions.random_number import RandomNumber
 from .._excitation.excitation import excitation_of, law_of
-from .._excitation.sampled import SampledLaw
 from .._excitation.smooth import SIGNAL_UNIT
 from .._fields import Quantity, described
-from .._inputs.inputs import Model
-from .._inputs.numbers import Path, check_numbers, matching, number_at, paths_of_numbers, shown, with_numbers
 from .._systems.system import checked_system, require_system
+from .._uncertainty.inputs import Model
+from .._uncertainty.numbers import Path, check_numbers, matching, number_at, paths_of_numbers, shown, with_numbers
+from .._uncertainty.random_number import RandomNumber
+from .._uncertainty.sampled_law import SampledLaw
 from .groups import GROUPS
 
 

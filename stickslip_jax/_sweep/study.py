@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._design.design import Design
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method
 from .._ensemble.call import simulate_ensemble
@@ -22,6 +21,7 @@ from .._forks import require_threads_of_jax
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
 from .._types import Array
+from .._uncertainty.design import Design
 from .errors import StudyError
 from .plan import (
     Plan,

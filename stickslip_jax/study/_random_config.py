@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .._distributions.families import Discrete, Exponential, LogNormal, Normal, Triangular, Uniform, Weibull
 from .._excitation.gaussian import GaussianProcess
 from .._excitation.semi_markov import SemiMarkovSwitching
 from .._excitation.spectra import CloughPenzienSpectrum, KanaiTajimiSpectrum, TabulatedSpectrum, VelocitySpectrum
+from .._uncertainty.families import Discrete, Exponential, LogNormal, Normal, Triangular, Uniform, Weibull
 from ._sections import DescribedSection, Section, section_of
 
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, create_model, model_validator
 
 from .._checks import one_of
-from .._distributions.families import Uniform
 from .._excitation.smooth import SIGNAL_UNIT
 from .._fields import Choice, Quantity, described
+from .._uncertainty.families import Uniform
 
 
 class Section(BaseModel):

@@ -17,7 +17,7 @@ from scipy import stats
 import stickslip_jax as ss
 from stickslip_jax._excitation.excitation import excitation_of, place_in_excitation
 from stickslip_jax._excitation.segments import first_segment, following_segment
-from stickslip_jax._inputs.numbers import number_at
+from stickslip_jax._uncertainty.numbers import number_at
 
 CHANCE = 1e-3
 KEY = jax.random.key(5)

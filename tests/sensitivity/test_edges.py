@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._inputs.numbers import with_numbers
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._numerics.roots import steepest_fall
 from stickslip_jax._sensitivity import sequences, windows
@@ -18,6 +17,7 @@ from stickslip_jax._sensitivity.random_inputs import inside, over
 from stickslip_jax._sensitivity.runs import Accumulator, derivatives_of
 from stickslip_jax._sensitivity.statistic import StickSequence
 from stickslip_jax._sensitivity.traces import traced
+from stickslip_jax._uncertainty.numbers import with_numbers
 
 LANES = 512
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import _checks
 from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, refuse_first
-from .sampling import realizations
+from .uniform_designs import realizations
 
 
 def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:

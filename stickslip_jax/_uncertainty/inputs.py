@@ -11,16 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._design.design import Design
-from .._distributions.copula import GaussianCopula
-from .._distributions.random_number import RandomNumber
-from .._excitation.excitation import law_of
-from .._excitation.sampled import SampledLaw
 from .._fields import Checked, Quantity, described, is_distribution, varies
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array
+from .copula import GaussianCopula
+from .design import Design
 from .numbers import Path, matching, number_at, places_in, shown, with_numbers
+from .random_number import RandomNumber
 from .realizations import check_realizations
+from .sampled_law import SampledLaw
 
 _FIRST_STATE, _FIRST_NAMED = 0xFFFFFE00, 1 << 31
 """Numbers of the random words that initial values and other inputs are drawn from; laws draw from those below."""
@@ -83,12 +82,12 @@ class Inputs:
     def of(
         cls, model: Model, samples: int | Design, key: Array | None, copula: GaussianCopula | None = None
     ) -> "Inputs":
-        """The inputs in `model`. Raises ValueError for arrays of another length than `samples`, names that fit no
+        """The inputs in `model`, whose law is one of the package or a `SampledLaw`. Raises ValueError for arrays of another length than `samples`, names that fit no
         input, or a missing key.
         """
         design = samples if isinstance(samples, Design) else None
         samples = samples.samples if isinstance(samples, Design) else samples
-        model = model._replace(law=law_of(model.law), y0=_columns(model.y0))
+        model = model._replace(y0=_columns(model.y0))
         if design is not None and not design.is_uniform:
             model = _with_values(model, design)
         entries = tuple(Input(path, *found) for path, *found in varying(model))

@@ -1,1 +1,0 @@
-"""Designs: which numbers and which realisation each sample of an ensemble takes."""

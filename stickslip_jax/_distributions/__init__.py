@@ -1,1 +1,0 @@
-"""Distributions of random numbers: what differs from sample to sample of an ensemble."""

@@ -1,1 +1,0 @@
-"""Numbers of a system, its excitation and its start: by name, and those that differ from sample to sample."""
