@@ -82,8 +82,9 @@ class Inputs:
     def of(
         cls, model: Model, samples: int | Design, key: Array | None, copula: GaussianCopula | None = None
     ) -> "Inputs":
-        """The inputs in `model`, whose law is one of the package or a `SampledLaw`. Raises ValueError for arrays of another length than `samples`, names that fit no
-        input, or a missing key.
+        """The inputs in `model`, whose law is one of the package or a `SampledLaw`.
+
+        Raises ValueError for arrays of another length than `samples`, names that fit no input, or a missing key.
         """
         design = samples if isinstance(samples, Design) else None
         samples = samples.samples if isinstance(samples, Design) else samples
