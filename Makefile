@@ -19,7 +19,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast coverage check-slow docs notebooks lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain coverage check-slow docs notebooks lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -31,11 +31,16 @@ test: $(READY)
 test-fast: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal tests/package/test_architecture.py $(FAST)
 
+# The same without what the package asks of the compiler beyond jax.jit (docs/compiler.md): slower.
+test-plain: export STICKSLIP_PLAIN_JAX = 1
+test-plain: test-fast
+
 # Lines and branches that the quick tests of all parts run; under two minutes once the compilation cache is warm.
 coverage: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal --cov=stickslip_jax $(MEASURED)
 
-# The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest.
+# The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest; and on each
+# with plain jax.jit (docs/compiler.md).
 versions:
 	$(PYTHON) tools/versions.py --tests $(FAST)
 

@@ -2,7 +2,8 @@
 
 `lowest`: those that pyproject.toml names as lower bounds. `pinned`: those of constraints.txt.
 `newest`: whatever pip finds for the newest Python on this machine. Each in an environment of its own in a temporary
-folder. A dependency whose newest release has left a Python behind resolves to its last one for that Python.
+folder. A dependency whose newest release has left a Python behind resolves to its last one for that Python. Then the
+tests run again with STICKSLIP_PLAIN_JAX=1, which tells a fault of the compiler from one of the package.
 """
 
 import argparse
@@ -80,7 +81,7 @@ def versions(python: Path) -> str:
 
 
 def main() -> int:
-    """Test on each set of versions; returns how many sets failed."""
+    """Test on each set of versions; returns how many runs of the tests failed."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("which", nargs="*", default=[], help="lowest, pinned, newest; by default all of them")
     options.add_argument("--python", default=sys.executable, help="for the lowest and the pinned versions")
@@ -97,8 +98,10 @@ def main() -> int:
             own = environment(which, Path(folder), python)
             print(f"--- {which}: {versions(own)}", flush=True)
             command = [str(own), "-m", "pytest", "-p", "no:cacheprovider", *chosen.tests]
-            if subprocess.run(command, cwd=ROOT, check=False).returncode != 0:
-                failed.append(which)
+            for plain, name in (("0", which), ("1", f"{which} with plain jax.jit")):
+                variables = os.environ | {"STICKSLIP_PLAIN_JAX": plain}
+                if subprocess.run(command, cwd=ROOT, env=variables, check=False).returncode != 0:
+                    failed.append(name)
     print(f"failed: {', '.join(failed)}" if failed else "all passed")
     return len(failed)
 
