@@ -58,7 +58,7 @@ CIRCLES = {
     tuple(f"_dynamics/{name}" for name in ("method", "regularized", "switched", "time_scales", "validation")),
     ("_statistics/ensemble_statistics", "_statistics/slip_statistics", "_statistics/summary"),
 }
-"""Known circles of files and subfolders that import each other. None may be added; one that is undone leaves the list."""
+"""Known circles of files and subfolders that import each other. None may be added; one undone leaves the list."""
 
 # CONTRIBUTING asks for 400 and 60; a file or function that reads better in one may be longer.
 FILE_LINES, FUNCTION_LINES = 500, 90
