@@ -30,10 +30,8 @@ from ._statistics.distribution import Distribution, Histogram, common_bins
 from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
 from ._statistics.estimate import Estimate
 from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
-from ._statistics.registry import (
-    StickQuantity,
-    StickValue,
-    TestedQuantity,
+from ._statistics.quantities import StickQuantity, StickValue, TestedQuantity
+from ._statistics.totals import (
     mean_slip_count,
     mean_slip_duration,
     mean_stick_count,

@@ -10,7 +10,7 @@ from .._events.stick_stream import StickCollector, StickStream
 from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Status
 from .kept import Retained, SampleTotals
 

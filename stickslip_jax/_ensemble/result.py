@@ -24,8 +24,8 @@ from .._numerics.moments import Moments
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
-from .._statistics.registry import STATISTICS, TOTALS
 from .._statistics.summary import Summary, summary_of
+from .._statistics.totals import STATISTICS, TOTALS
 from .._status import Status
 from .._systems.system import System
 from .given import fields_of_simulations, fields_of_sticks, numbering_of

@@ -11,7 +11,7 @@ from .. import _checks
 from .._events.sticks import NUMBERS, FlatSticks
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Status
 from .._systems.system import Coordinate
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression

@@ -11,7 +11,7 @@ from .._dynamics.method import Exact, Regularized
 from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
 from .._statistics.accumulator import StickAccumulator
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Ending, Status
 from .._systems.system import System
 from .run import MOST_SAMPLES

@@ -62,25 +62,12 @@ class StickStream(NamedTuple):
         count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
         return StickStream(count, last, *(column[..., inside] for column in self[2:]))
 
-    def later_than(self, skipped: np.ndarray) -> "StickStream":
-        """The same without the first `skipped` sticks of each sample, (samples,); slips are as they were."""
-        if not np.any(skipped):
-            return self
-        inside = self.order >= skipped[self.owner]
-        return StickStream(self.count - skipped, self.last, *(column[..., inside] for column in self[2:]))
-
     def in_order(self) -> FlatSticks:
         """The sticks in order of their samples."""
         first = np.cumsum(self.count) - self.count
         columns = (self.start, self.end, self.position, self.ending, self.further)
         start, end, position, ending, further = into = tuple(np.empty_like(column) for column in columns)
-        compiled = loops.compiled()
-        if compiled is not None:
-            compiled.put_in_order(first, self.owner, self.order, columns, into)
-        else:
-            at = first[self.owner] + self.order
-            for to, column in zip(into, columns, strict=True):
-                to[..., at] = column
+        loops.compiled().put_in_order(first, self.owner, self.order, columns, into)
         return FlatSticks._make((self.count, start, end, position, *further, ending))
 
 
@@ -113,40 +100,8 @@ class StickCollector:
             self._lanes = (np.full(lanes, -1), np.zeros(lanes, np.int32), np.zeros(lanes, dtype))
             self._of_samples = (np.zeros(self._samples, np.int64), np.zeros(self._samples, dtype))
         columns = self._buffer(ending.size, dtype)
-        compiled = loops.compiled()
-        if compiled is None:
-            self._number += self._gather(values, ending, sample, columns)
-            return
         records = (loops.read_only(array) for array in (values, ending, sample))
-        self._number += compiled.gather(*records, self._samples, *self._lanes, *self._of_samples, *columns)
-
-    def _gather(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray, into: tuple[np.ndarray, ...]) -> int:
-        """Put the sticks of some blocks into the columns `into`; returns their number."""
-        whose, so_far, last = self._lanes
-        count, finish = self._of_samples
-        found = 0
-        for of_lanes, part, endings in zip(sample, *(np.split(a, len(sample)) for a in (values, ending)), strict=True):
-            change = of_lanes != whose
-            whose[:] = of_lanes
-            so_far[change], last[change] = 0, 0
-            lane, slot = np.nonzero((endings >= 0).T & (of_lanes < self._samples)[:, None])  # lane by lane
-            number = np.bincount(lane, minlength=len(whose))
-            first = np.cumsum(number) - number
-            start, end, position, *further = (part[slot, row, lane] for row in range(part.shape[1]))
-            before = np.empty_like(end)
-            before[1:] = end[:-1]
-            has = number > 0
-            before[first[has]] = last[has]
-            last[has] = end[(first + number - 1)[has]]
-            order = so_far[lane] + np.arange(len(lane)) - first[lane]
-            so_far += number.astype(so_far.dtype)
-            known = of_lanes < self._samples
-            count[of_lanes[known]], finish[of_lanes[known]] = so_far[known], last[known]
-            new = (start, end, position, start - before, endings[slot, lane], of_lanes[lane], order)
-            for column, numbers in zip(into, (*new, np.reshape(further, (len(FURTHER), len(lane)))), strict=True):
-                column[..., found : found + len(lane)] = numbers
-            found += len(lane)
-        return found
+        self._number += loops.compiled().gather(*records, self._samples, *self._lanes, *self._of_samples, *columns)
 
     def _buffer(self, more: int, dtype: Any) -> tuple[np.ndarray, ...]:
         """The slots for up to `more` further sticks, enlarged as needed."""

@@ -5,20 +5,17 @@ Accumulators of parts of an ensemble are merged exactly: sums of deviations by t
 cut into parts.
 """
 
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._events.stick_stream import StickStream
 from .._events.sticks import FlatSticks
-from .._numerics import loops
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .._status import Ending
-from . import stick_sums
 from .distribution import BINS
-from .registry import STICK_QUANTITIES
+from .stick_sums import sums_of_orders, sums_of_sticks
 
 MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
 
@@ -54,7 +51,7 @@ class Numbering(NamedTuple):
 
 
 class StickAccumulator(NamedTuple):
-    """Sums and histograms of the sticks and slips of finished samples. Times in s. Quantities as in `registry.py`.
+    """Sums and histograms of the sticks and slips of finished samples. Times in s. Quantities as in `quantities.py`.
 
     A stick that begins at t = 0 is left out of all but the numbers and the stick fractions of samples, unless it is
     numbered (see `Numbering`).
@@ -98,10 +95,9 @@ class StickAccumulator(NamedTuple):
         at_zero = np.flatnonzero(sticks.start == 0)[: int(np.sum(skipped))]
         endings = [np.count_nonzero(sticks.ending == code) - np.sum(sticks.ending[at_zero] == code) for code in Ending]
         counts = (sticks.count, np.asarray(slips, np.int64))
-        by = _summing_module()
         return cls(
-            **by.sums_of_sticks(sticks, skipped, t1)._asdict(),
-            **by.sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
+            **sums_of_sticks(sticks, skipped, t1)._asdict(),
+            **sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
             samples=PowerSums.of(*counts, fraction),
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),
@@ -112,16 +108,6 @@ class StickAccumulator(NamedTuple):
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":
         """The accumulator of both parts together."""
         return StickAccumulator(*(_merged(*pair) for pair in zip(self, other, strict=True)))
-
-
-def _summing_module() -> ModuleType:
-    """The module that sums the sticks: loops, where they can be compiled and know every quantity, or else NumPy."""
-    if loops.compiled() is None:
-        return stick_sums
-    from . import compiled_stick_sums  # noqa: PLC0415 - imports Numba
-
-    know_all = len(STICK_QUANTITIES) == len(compiled_stick_sums.QUANTITIES)
-    return compiled_stick_sums if know_all else stick_sums
 
 
 def _merged(one: Any, other: Any) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 from .. import _checks
 from .._events.sticks import FlatSticks
 from .._status import Ending
-from .registry import DURATION, SLIP_DURATION, SLIP_START, TESTED
+from .quantities import DURATION, SLIP_DURATION, SLIP_START, TESTED
 from .source import StickSource
 
 

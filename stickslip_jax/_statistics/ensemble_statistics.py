@@ -20,7 +20,7 @@ from .distribution import Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labeled import dataset_of_statistics
-from .registry import (
+from .quantities import (
     BY_NAME,
     FIRST_TWO,
     OWN_MEAN_DURATION,
@@ -31,7 +31,6 @@ from .registry import (
     SLIP_DURATION,
     STICK_QUANTITIES,
     STREAMED_PAIRS,
-    TOTALS,
     SampledQuantity,
     StickValue,
     ordinal,
@@ -39,6 +38,7 @@ from .registry import (
 from .slip_statistics import SlipStatistics
 from .source import origin_of, require_ensemble
 from .summary import Summary, summary_of_distributions, summary_of_statistics
+from .totals import TOTALS
 
 if TYPE_CHECKING:
     import xarray

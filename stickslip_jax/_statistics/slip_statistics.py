@@ -15,7 +15,7 @@ from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
 from .distribution import BINS, Distribution
 from .estimate import Estimate
-from .registry import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity, ordinal
+from .quantities import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity, ordinal
 from .summary import Summary, summary_of_distributions
 
 

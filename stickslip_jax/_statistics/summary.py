@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from .. import _html
 from .distribution import Distribution
 from .estimate import Estimate, format_with_error
-from .registry import DISTRIBUTIONS, STICK_QUANTITIES
+from .quantities import DISTRIBUTIONS, STICK_QUANTITIES
 from .source import require_ensemble
 
 if TYPE_CHECKING:

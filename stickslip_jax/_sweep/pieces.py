@@ -17,7 +17,7 @@ from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
 from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity
-from .._statistics.registry import DIFFERENTIABLE
+from .._statistics.totals import DIFFERENTIABLE
 from .._status import Status
 from .errors import DamagedPieceError
 from .plan import RETAINED, Plan, Task

@@ -15,7 +15,8 @@ from .._ensemble.run import MOST_SAMPLES, Run
 from .._inputs.numbers import parameters_of
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import Numbering
-from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
+from .._statistics.quantities import DISTRIBUTIONS
+from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .checking import check_points
 from .points import Points
 from .setting import Setter, Setting, setter_of

@@ -7,7 +7,7 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._events.slips import slips_among
 from stickslip_jax._events.sticks import FlatSticks
-from stickslip_jax._statistics.registry import ordinal
+from stickslip_jax._statistics.quantities import ordinal
 
 KEY = jax.random.key(2)
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
