@@ -27,9 +27,10 @@ from ._simulation.call import simulate
 from ._simulation.energy import Energies
 from ._simulation.result import Simulation
 from ._statistics.distribution import Distribution, Histogram, common_bins
-from ._statistics.ensemble_statistics import EnsembleStatistics, OrderStatistics
+from ._statistics.ensemble_statistics import EnsembleStatistics
 from ._statistics.estimate import Estimate
 from ._statistics.joint import ConditionalMeans, JointDistribution, JointHistogram
+from ._statistics.orders import OrderStatistics
 from ._statistics.quantities import StickQuantity, StickValue, TestedQuantity
 from ._statistics.totals import (
     mean_slip_count,

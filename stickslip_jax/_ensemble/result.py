@@ -24,7 +24,7 @@ from .._numerics.moments import Moments
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
-from .._statistics.summary import Summary, summary_of
+from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
 from .._status import Status
 from .._systems.system import System
@@ -34,6 +34,7 @@ from .origins import Origin, Realization, check_dtype, given_realization, part_w
 from .parts import Keep
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
+from .summary import summary_of
 from .unknown import Unknown, UnknownSystem, require_known
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ class Ensemble:
 
     def summary(self) -> Summary:
         """The statistics as a readable table, for text and notebooks. Raises ValueError if ``keep="totals"``."""
-        return summary_of(self)
+        return summary_of(self.statistics, self.status_counts, self.near_grazing_samples)
 
     @cached_property
     def sticks(self) -> Sticks:
