@@ -110,12 +110,12 @@ def _summed(
 ) -> dict[str, Any]:
     """The fields of an `Ensemble` that follow from its sticks, and those that say how long it took."""
     samples = len(results.status)
-    known = not np.any(np.isnan(sticks.position))
-    # Positions that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
-    counted = sticks if known else sticks._replace(position=np.zeros_like(sticks.position))
+    # Columns that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
+    unknown = np.isnan(sticks.numbers).all(axis=1)
+    counted = sticks._replace(numbers=np.where(unknown[:, None], 0, sticks.numbers))
     part = Part.of(results, counted, t1, numbering, True, period)
-    if not known and part.sticks is not None:
-        part = part._replace(sticks=part.sticks._replace(position=np.full_like(part.sticks.position, np.nan)))
+    if part.sticks is not None:
+        part.sticks.numbers[unknown] = np.nan
     accumulator = EnsembleAccumulator(samples, "sticks")
     accumulator.add(part)
     return {
@@ -134,7 +134,7 @@ def _of_batch(result: Simulation) -> tuple[FlatSticks, LaneResults]:
     """The sticks of a batch without padding, and the totals of each simulation."""
     mask = np.asarray(result.sticks.mask)
     columns = {name: np.asarray(getattr(result.sticks, name))[mask] for name in (*NUMBERS, "ending")}
-    sticks = FlatSticks(mask.sum(axis=1), **columns)
+    sticks = FlatSticks.of(mask.sum(axis=1), **columns)
     totals = result.totals
     number, censored, time = (np.asarray(part) for part in (totals.sticks, totals.censored, totals.stick_time))
     slips = number + 1 - sticks.begins_at_zero - censored

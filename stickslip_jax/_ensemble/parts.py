@@ -7,7 +7,7 @@ import numpy as np
 
 from .._dynamics.lanes import LaneResults
 from .._events.stick_stream import StickCollector, StickStream
-from .._events.sticks import NUMBERS, FlatSticks
+from .._events.sticks import NUMBERS, FlatSticks, with_columns
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
@@ -46,7 +46,7 @@ class Part(NamedTuple):
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
         done, found = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks.sticks, None
         if period is not None:
-            done = done._replace(position=within_period(done.position, period))
+            done = with_columns(done, position=within_period(done.position, period))
         if not np.all(finished):
             found = done.only(finished).in_order()
             done = StickStream.of(found.only(finished))

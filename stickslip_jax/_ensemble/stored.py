@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
-from .._events.sticks import NUMBERS, FlatSticks
+from .._events.sticks import FURTHER, NUMBERS, FlatSticks
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
@@ -155,8 +155,10 @@ def _origin(origin: Any, position: Coordinate) -> Any:
 
 
 def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
-    columns = {name: dataset[f"stick_{name}"].to_numpy() for name in (*NUMBERS, "ending")}
-    sticks = FlatSticks(dataset["stick_count"].to_numpy(), **columns)
+    # A file of a version that had fewer columns is as good as any: the others are not known.
+    names = [name for name in (*NUMBERS, "ending") if name not in FURTHER or f"stick_{name}" in dataset]
+    columns = {name: dataset[f"stick_{name}"].to_numpy() for name in names}
+    sticks = FlatSticks.of(dataset["stick_count"].to_numpy(), **columns)
     owner, first = dataset["stick_sample"].to_numpy(), dataset[sample].to_numpy()
     if int(sticks.count.sum()) != len(sticks.start) or not np.array_equal(first[sticks.sample], owner):
         raise ValueError(f"it has {len(sticks.start)} of {int(sticks.count.sum())} sticks")

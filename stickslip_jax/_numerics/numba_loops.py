@@ -28,10 +28,9 @@ def _loop(function: Any) -> Any:
 @_loop
 @no_type_check
 def gather(
-    values, ending, sample, samples, whose, so_far, last, count, finish, start, end, position, slip, endings, owner,
-    order, further,
+    values, ending, sample, samples, begin_at, whose, so_far, last, count, finish, numbers, slip, endings, owner, order
 ):  # fmt: skip
-    """Put the sticks among records into columns, and return their number.
+    """Put the sticks among records into columns from `begin_at` on, and return where the columns end then.
 
     `whose`, `so_far`, `last`, (lanes,): the sample that each lane is in, its sticks so far, and the end of the last;
     `count`, `finish`, (samples,): the same of each sample.
@@ -40,7 +39,8 @@ def gather(
     slots = len(ending) // blocks
     found = np.empty(lanes + 1, np.uint32)
     skipped = np.empty(lanes, np.int8)
-    one, at = np.uint64(1), np.uint64(0)  # unsigned: Numba tests whether signed indices are negative
+    one, at = np.uint64(1), np.uint64(begin_at)  # unsigned: Numba tests whether signed indices are negative
+    start, end, position, further = numbers[0], numbers[1], numbers[2], numbers[3:]
     for block in range(blocks):
         for lane in range(lanes):
             of_lane = sample[block, lane]
@@ -71,18 +71,17 @@ def gather(
 
 @_loop
 @no_type_check
-def put_in_order(first, owner, order, columns, ordered):
+def put_in_order(first, owner, order, columns, ending, ordered, endings):
     """Put each stick where the sticks of its sample begin, `first` (samples,), plus its `order` among them.
 
-    `columns`, `ordered`: start, end, position, ending, and further numbers, (columns, sticks).
+    `columns`, `ending`: of the sticks; `ordered`, `endings`: where they are put. Tuples of columns, because the rows of
+    a part of a larger array are contiguous, and it is not.
     """
-    start, end, position, ending, further = columns
-    starts, ends, positions, endings, others = ordered
     for i in range(len(owner)):
         at = np.uint64(first[np.uint64(owner[i])] + order[i])
-        starts[at], ends[at], positions[at], endings[at] = start[i], end[i], position[i], ending[i]
-        for row in range(len(further)):
-            others[row, at] = further[row, i]
+        endings[at] = ending[i]
+        for row in range(len(columns)):
+            ordered[row][at] = columns[row][i]
 
 
 @_loop

@@ -26,7 +26,6 @@ from .quantities import (
     DISTRIBUTIONS,
     FIRST_TWO,
     OWN_MEAN_DURATION,
-    POSITION,
     SAMPLE_QUANTITIES,
     SLIP_AFTER,
     SLIP_AFTER_START,
@@ -96,8 +95,9 @@ class EnsembleStatistics(ByQuantity):
 
     @cached_property
     def missing(self) -> frozenset[str]:
-        """The names of quantities that the sticks do not have, because nobody measured them."""
-        return frozenset({POSITION.name} if np.any(np.isnan(self.sticks.position)) else ())
+        """The names of quantities that the sticks do not have: not measured, or not summed by an older version."""
+        summed = len(self.accumulator.stick_bins)
+        return frozenset(name for at, name in enumerate(NAMES) if at >= summed or np.any(np.isnan(self._column(name))))
 
     def known(self, quantities: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
         """Those of the `quantities` that the sticks have."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._events.stick_stream import StickStream
-from .._events.sticks import FURTHER
+from .._events.sticks import NUMBERS
 from .._numerics import loops
 from .._numerics.dyadic import BinnedNumbers, DyadicCounts
 from .._numerics.power_sums import PowerSums
@@ -20,7 +20,7 @@ BINS_OF_PAIRS = 128  # at most, along each axis
 
 _NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
 _SLIP = len(_NAMES)  # the column of slips, after those of the sticks
-_OTHERS = [tuple(FURTHER).index(name) for name in _NAMES[3:]]  # rows of `StickStream.further`
+_OTHERS = [NUMBERS.index(name) for name in _NAMES[3:]]  # rows of `StickStream.numbers`
 _X, _Y = ([_NAMES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
 
 
@@ -61,7 +61,7 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
     # A sample that begins with a stick has no slip there.
     all_slips = skip_rest or not np.any(sticks.begins_at_zero)
     columns = (
-        sticks.start, sticks.end, sticks.position, sticks.slip, sticks.further[_OTHERS], skip_rest, all_slips
+        sticks.start, sticks.end, sticks.position, sticks.slip, sticks.numbers[_OTHERS], skip_rest, all_slips
     )  # fmt: skip
     number, low, high, total = np.zeros(d, np.int64), np.full(d, np.inf), np.full(d, -np.inf), np.zeros(d)
     compiled.survey(*columns, number, low, high, total)
@@ -119,7 +119,7 @@ def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], or
     most = max(2, min(orders, int(sticks.count.max(initial=0))))
     columns, number = np.empty((_SLIP, most, len(sticks.count))), np.zeros(most, np.int64)
     earlier, pair = np.empty(len(sticks.count)), np.empty((2, len(sticks.count)))
-    of_sticks = (sticks.start, sticks.end, sticks.position, sticks.further[_OTHERS], sticks.owner, sticks.order)
+    of_sticks = (sticks.start, sticks.end, sticks.position, sticks.numbers[_OTHERS], sticks.owner, sticks.order)
     loops.compiled().numbered(*of_sticks, skipped, columns, number, earlier, pair)
     first_two = pair[0, : number[1]], pair[1, : number[1]]
     in_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)

@@ -74,7 +74,7 @@ def packed(ensemble: Ensemble) -> bytes:
     }
     arrays = {"floats": encoder.floats, "integers": encoder.integers}
     if retained is not None:
-        arrays |= {f"stick_{name}": column for name, column in retained.sticks._asdict().items()}
+        arrays |= {f"stick_{name}": column for name, column in retained.sticks.columns.items()}
         arrays["totals"] = retained.totals
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -108,7 +108,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
         decoder = Decoder(arrays["floats"], arrays["integers"])
         found = {name: decoder.decoded(head[name]) for name in _SUMS}
         sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
-        retained = Retained(FlatSticks(**sticks), arrays["totals"]) if sticks else None
+        retained = Retained(FlatSticks.of(**sticks), arrays["totals"]) if sticks else None
         counts = dict(zip(Status, head["status_counts"], strict=True))
         numbers = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
     except _UNFIT as error:

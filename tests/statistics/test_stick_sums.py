@@ -12,7 +12,7 @@ from support.statistics import made_up_sticks, sticks_from
 
 import stickslip_jax as ss
 from stickslip_jax._events.stick_stream import StickCollector, StickStream
-from stickslip_jax._events.sticks import FURTHER, NUMBERS
+from stickslip_jax._events.sticks import FURTHER, NUMBERS, with_columns
 from stickslip_jax._numerics import loops, numba_loops
 from stickslip_jax._numerics.dyadic import DyadicCounts
 from stickslip_jax._numerics.power_sums import PowerSums
@@ -94,7 +94,8 @@ def test_sticks_come_in_order_of_samples_and_time(seed, dtype, compiled, monkeyp
             kept = [one if chosen is None or chosen[i] else [] for i, one in enumerate(found)]
             assert sticks.count.tolist() == [len(one) for one in kept]
             assert sticks.start.dtype == dtype
-            for column, entries in zip(sticks[1:], zip(*joined(kept), strict=True), strict=True):
+            columns = (*sticks.numbers, sticks.ending)
+            for column, entries in zip(columns, zip(*joined(kept), strict=True), strict=True):
                 np.testing.assert_array_equal(column, np.array(entries, column.dtype))
 
 
@@ -194,7 +195,7 @@ def assert_same(one, other):
 def test_many_sticks_and_none(samples, dtype):
     """Tens of thousands of sticks: many blocks of the compiled loops, the last not full; against sums by NumPy."""
     sticks = made_up_sticks(np.random.default_rng(samples), samples)
-    sticks = sticks._replace(**{name: getattr(sticks, name).astype(dtype) for name in ("start", "end", "position")})
+    sticks = sticks._replace(numbers=sticks.numbers.astype(dtype))
     nothing = sticks_from([[]] * samples)
     for one in (sticks, nothing):
         stream = StickStream.of(one)
@@ -217,7 +218,7 @@ def test_many_sticks_and_none(samples, dtype):
 def test_numbers_that_are_nan_are_refused():
     """They would have no bin, and the loops write where they are told."""
     sticks = made_up_sticks(np.random.default_rng(0), 3)
-    stream = StickStream.of(sticks._replace(position=np.full_like(sticks.position, np.nan)))
+    stream = StickStream.of(with_columns(sticks, position=np.full_like(sticks.position, np.nan)))
     with pytest.raises(ValueError, match="must have finite starts, ends and positions"):
         stick_sums.sums_of_sticks(stream, np.zeros(3, int), T1)
 
@@ -229,14 +230,14 @@ def test_a_further_quantity_needs_no_loop_of_its_own(rest, monkeypatch):
     stream = collected([(values, ending, sample)], 9)
     skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
     before = stick_sums.sums_of_sticks(stream, skipped, T1), stick_sums.sums_of_orders(stream, skipped, 3)
-    monkeypatch.setattr(stick_sums, "_OTHERS", [0])
+    at = NUMBERS.index(next(iter(FURTHER)))
+    monkeypatch.setattr(stick_sums, "_OTHERS", [at])
     monkeypatch.setattr(stick_sums, "_SLIP", 4)
     sums, orders = stick_sums.sums_of_sticks(stream, skipped, T1), stick_sums.sums_of_orders(stream, skipped, 3)
     assert_same(sums.stick_bins[:3], before[0].stick_bins)
     for name in ("slips", "slip_bins", "pair_bins"):
         assert_same(getattr(sums, name), getattr(before[0], name))
     assert_same(orders.order_bins[:3], before[1].order_bins)
-    at = NUMBERS.index(next(iter(FURTHER)))
     numbered = [[row[at] for row in one[skip:]] for one, skip in zip(found, skipped, strict=True)]
     assert_bins(sums.stick_bins[3], [(value,) for value in joined(numbered)])
     assert sums.sticks.mean[3] == pytest.approx(np.mean(joined(numbered)), rel=1e-13)
