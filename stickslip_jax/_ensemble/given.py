@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._dynamics.lanes import LaneResults
+from .._dynamics.lanes import SampleTotals
 from .._events.sticks import NUMBERS, FlatSticks
 from .._simulation.result import Simulation
 from .._statistics.accumulator import MOST_ORDERS, Numbering
@@ -93,7 +93,7 @@ def fields_of_sticks(
     none = np.zeros(len(count), np.int32)
     touching = np.bincount(sticks.sample[sticks.touches], minlength=len(count))
     slips = count + 1 - starts_stuck - ends_stuck - touching
-    results = LaneResults(count.astype(np.int32), slips, time, none, none)
+    results = SampleTotals(count.astype(np.int32), slips, time, none, none)
     about = "measured sticks"
     return {
         **_summed(results, sticks, float(t1), numbering, position.period),
@@ -106,7 +106,7 @@ def fields_of_sticks(
 
 
 def _summed(
-    results: LaneResults, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None
+    results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None
 ) -> dict[str, Any]:
     """The fields of an `Ensemble` that follow from its sticks, and those that say how long it took."""
     samples = len(results.status)
@@ -130,7 +130,7 @@ def _summed(
     }
 
 
-def _of_batch(result: Simulation) -> tuple[FlatSticks, LaneResults]:
+def _of_batch(result: Simulation) -> tuple[FlatSticks, SampleTotals]:
     """The sticks of a batch without padding, and the totals of each simulation."""
     mask = np.asarray(result.sticks.mask)
     columns = {name: np.asarray(getattr(result.sticks, name))[mask] for name in (*NUMBERS, "ending")}
@@ -138,7 +138,7 @@ def _of_batch(result: Simulation) -> tuple[FlatSticks, LaneResults]:
     totals = result.totals
     number, censored, time = (np.asarray(part) for part in (totals.sticks, totals.censored, totals.stick_time))
     slips = number + 1 - sticks.begins_at_zero - censored
-    return sticks, LaneResults(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
+    return sticks, SampleTotals(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
 
 
 def _shared(part: Any, samples: int) -> Any:

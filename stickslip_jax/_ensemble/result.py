@@ -15,6 +15,7 @@ import numpy as np
 from .. import _checks, _html
 from .._design.design import Design
 from .._distributions.copula import GaussianCopula
+from .._dynamics.lanes import SampleTotals
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Slips, Sticks
 from .._excitation.excitation import is_random
@@ -29,9 +30,8 @@ from .._statistics.totals import STATISTICS, TOTALS
 from .._status import Status
 from .._systems.system import System
 from .given import fields_of_simulations, fields_of_sticks, numbering_of
-from .kept import Retained, SampleTotals
 from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
-from .parts import Keep
+from .parts import Keep, Retained
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
 from .summary import summary_of

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
+from .._dynamics.lanes import SampleTotals
 from .._events.sticks import FURTHER, NUMBERS, FlatSticks
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering
@@ -17,8 +18,8 @@ from .._systems.system import Coordinate
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
 from .given import numbering_of
-from .kept import Retained, SampleTotals
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
+from .parts import Retained
 from .stored_checks import check_fields
 from .unknown import Unknown, UnknownSystem
 

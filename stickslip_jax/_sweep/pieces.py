@@ -12,8 +12,7 @@ import numpy as np
 
 from .._ensemble.call import simulate_piece
 from .._ensemble.encoding import Decoder, Encoder
-from .._ensemble.kept import Retained
-from .._ensemble.parts import EnsembleAccumulator
+from .._ensemble.parts import EnsembleAccumulator, Retained
 from .._ensemble.result import Ensemble
 from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import _checks
 from .._ensemble.parts import Keep
-from .._ensemble.run import MOST_SAMPLES, Run
+from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._inputs.numbers import parameters_of
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import Numbering
@@ -83,10 +83,10 @@ class Plan:
                 key = jax.random.fold_in(key, int(word, 16))
         return key
 
-    def run_at(self, point: int) -> Run:
+    def run_at(self, point: int) -> EnsembleSetup:
         """The checked ensemble of a point."""
         setting = self.setting_at(point)
-        return Run.checked(
+        return EnsembleSetup.checked(
             setting.model, self.t1, self.samples, 0, self.key_at(point), None,
             setting.method, self.keep, self.numbering,
         )  # fmt: skip
