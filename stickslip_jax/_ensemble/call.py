@@ -27,7 +27,7 @@ from .._fast_cpu import cores
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Model
 from .._numerics.packing import Layout, packed
-from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._statistics.accumulator import Numbering
 from .._systems.system import System
 from .._types import Array
 from .origins import check_extendable
@@ -95,18 +95,16 @@ def simulate_ensemble(
     mean stick duration (pooled): 0.2540 +- 0.0011 s
     """
     require_threads_of_jax()
-    numbering = _numbering(orders, count_initial_rest)
-    setup = EnsembleSetup.checked(
-        Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering
-    )
+    numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
+    setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
     samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
     found = _found(setup, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress)
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found)
 
 
 def _found(
-    setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None, chunk: int | None,
-    progress: bool | None,
+    setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None,
+    chunk: int | None, progress: bool | None,
 ) -> dict[str, Any]:  # fmt: skip
     """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
@@ -185,11 +183,6 @@ def _simulate_all(
         for number, part in _in_order(simulate, plan, samples):
             accumulator.add(part)
             bar.advance(number)
-
-
-def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
-    _checks.truth("count_initial_rest", count_initial_rest)
-    return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
 
 
 class _Plan(NamedTuple):

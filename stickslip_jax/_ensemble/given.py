@@ -11,7 +11,7 @@ from .. import _checks
 from .._dynamics.lanes import SampleTotals
 from .._events.sticks import NUMBERS, FlatSticks
 from .._simulation.result import Simulation
-from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._statistics.accumulator import Numbering
 from .._status import Ending
 from .._systems.system import Coordinate
 from .measured import measured_sticks
@@ -27,12 +27,6 @@ def _check_unit(unit: Any) -> None:
         raise ValueError(
             f"Argument position_unit must be a unit such as 'm', 'mm' or 'rad', but {_checks.show(unit)} was given."
         )
-
-
-def numbering_of(orders: int, count_initial_rest: bool) -> Numbering:
-    """The numbering with these options of `simulate_ensemble`. Raises ValueError for options out of bounds."""
-    _checks.truth("count_initial_rest", count_initial_rest)
-    return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
 
 
 def fields_of_simulations(result: Any, numbering: Numbering) -> dict[str, Any]:

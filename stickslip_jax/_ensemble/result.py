@@ -29,7 +29,7 @@ from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
 from .._status import Status
 from .._systems.system import System
-from .given import fields_of_simulations, fields_of_sticks, numbering_of
+from .given import fields_of_simulations, fields_of_sticks
 from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
 from .parts import Keep, Retained
 from .slips import padded_slips
@@ -103,7 +103,7 @@ class Ensemble:
         among the samples are arrays (samples,). ``realization(i)`` returns the base motion that sample i was given, and
         the state at t = 0, to the last digit or two. Raises ValueError for anything else.
         """
-        return cls(**fields_of_simulations(result, numbering_of(orders, count_initial_rest)))
+        return cls(**fields_of_simulations(result, Numbering.checked(orders, count_initial_rest)))
 
     @classmethod
     def from_sticks(
@@ -133,7 +133,7 @@ class Ensemble:
         raises ValueError and says so. Raises ValueError for a table that lacks a column or has sticks that overlap, lie
         outside ``[0, t1]`` or have no length.
         """
-        numbering = numbering_of(orders, count_initial_rest)
+        numbering = Numbering.checked(orders, count_initial_rest)
         return cls(**fields_of_sticks(table, t1, samples, position_unit, period, numbering))
 
     @classmethod

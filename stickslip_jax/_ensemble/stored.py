@@ -17,7 +17,6 @@ from .._status import Status
 from .._systems.system import Coordinate
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
-from .given import numbering_of
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
 from .parts import Retained
 from .stored_checks import check_fields
@@ -112,7 +111,7 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
     if state["totals"] != TOTALS:
         raise ValueError(f"it sums {state['totals']}")
-    numbering = numbering_of(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
+    numbering = Numbering.checked(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
     key_data = attributes.get("key_data")
     counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
     keep = str(attributes["keep"])

@@ -8,7 +8,9 @@ cut into parts.
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
+from .. import _checks
 from .._events.stick_stream import StickStream
 from .._events.sticks import FlatSticks
 from .._numerics.dyadic import DyadicCounts
@@ -29,13 +31,21 @@ class Numbering(NamedTuple):
     orders: int
     count_initial_rest: bool
 
-    def order_of(self, sticks: FlatSticks) -> np.ndarray:
-        """The number of each stick in its sample, from 1; 0 for one that is not numbered. (sticks,)."""
+    @classmethod
+    def checked(cls, orders: int, count_initial_rest: bool) -> "Numbering":
+        """The numbering with these options of `simulate_ensemble`. Raises ValueError for options out of bounds."""
+        _checks.truth("count_initial_rest", count_initial_rest)
+        return cls(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
+
+    def order_of(self, sticks: FlatSticks) -> Int[np.ndarray, " sticks"]:
+        """The number of each stick in its sample, from 1; 0 for one that is not numbered."""
         before = sticks.first + self.skipped(sticks)
         return np.arange(len(sticks.start)) - np.repeat(before, sticks.count) + 1
 
-    def rest(self, sticks: FlatSticks | StickStream) -> tuple[np.ndarray, np.ndarray]:
-        """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered, (samples,) each."""
+    def rest(
+        self, sticks: FlatSticks | StickStream
+    ) -> tuple[Float[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
+        """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered."""
         skipped = self.skipped(sticks)
         time = np.zeros(len(skipped))
         if np.any(skipped):
@@ -44,8 +54,8 @@ class Numbering(NamedTuple):
             time[owner[at_zero]] = sticks.end[at_zero]
         return time, skipped
 
-    def skipped(self, sticks: FlatSticks | StickStream) -> np.ndarray:
-        """How many sticks of each sample come before its first numbered one: 0 or 1, (samples,)."""
+    def skipped(self, sticks: FlatSticks | StickStream) -> Int[np.ndarray, " samples"]:
+        """How many sticks of each sample come before its first numbered one: 0 or 1."""
         begins = sticks.begins_at_zero
         return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
 
@@ -106,7 +116,12 @@ class StickAccumulator(NamedTuple):
         )
 
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":
-        """The accumulator of both parts together."""
+        """The accumulator of both parts together. Raises ValueError for one that a version with other sums stored."""
+        if len(self.stick_bins) != len(other.stick_bins):
+            raise ValueError(
+                f"Ensembles must have sums of the same quantities, but {len(self.stick_bins)} and "
+                f"{len(other.stick_bins)} quantities of sticks were summed; simulate the older one again."
+            )
         return StickAccumulator(*(_merged(*pair) for pair in zip(self, other, strict=True)))
 
 
