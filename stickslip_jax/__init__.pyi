@@ -90,10 +90,13 @@ from ._statistics.joint import (
     JointDistribution as JointDistribution,
     JointHistogram as JointHistogram,
 )
-from ._statistics.registry import (
+from ._statistics.quantities import (
     StickQuantity as StickQuantity,
     StickValue as StickValue,
     TestedQuantity as TestedQuantity,
+)
+from ._statistics.sobol_indices import SobolIndices as SobolIndices, sobol_indices as sobol_indices
+from ._statistics.totals import (
     mean_slip_count as mean_slip_count,
     mean_slip_duration as mean_slip_duration,
     mean_stick_count as mean_stick_count,
@@ -101,7 +104,6 @@ from ._statistics.registry import (
     mean_total_stick_time as mean_total_stick_time,
     stick_fraction as stick_fraction,
 )
-from ._statistics.sobol_indices import SobolIndices as SobolIndices, sobol_indices as sobol_indices
 from ._statistics.verdicts import HypothesisTest as HypothesisTest, Verdict as Verdict
 from ._status import Ending as Ending, Status as Status
 from ._sweep.errors import StudyError as StudyError

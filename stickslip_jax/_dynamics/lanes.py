@@ -24,8 +24,10 @@ from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
 BLOCK = 24  # intervals or steps in a block; after the end of a sample a lane idles for half a block on average
 
 
-class LaneResults(NamedTuple):
-    """Results that the statistics need from each sample, one entry for each."""
+class SampleTotals(NamedTuple):
+    """What is recorded of each sample: numbers of sticks and slips, total stick time (s), `Status` code, and number of
+    near-grazing instants (see `Simulation`); one entry for each sample.
+    """
 
     sticks: AnyArray
     slips: AnyArray
@@ -75,7 +77,7 @@ class Blocks(NamedTuple):
 
     row: AnyArray
     ended: AnyArray
-    results: LaneResults
+    results: SampleTotals
 
 
 class Engine(eqx.Module):
@@ -118,7 +120,7 @@ class Engine(eqx.Module):
 
     @abc.abstractmethod
     def results(self, sample: Any, motion: Any) -> Any:
-        """The results of one sample: `LaneResults`, or what else the engine computes."""
+        """The results of one sample: `SampleTotals`, or what else the engine computes."""
 
 
 class Job(NamedTuple):

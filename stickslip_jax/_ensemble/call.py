@@ -15,7 +15,7 @@ import numpy as np
 from .. import _checks
 from .._compiler import Layout, packed
 from .._dynamics.compiled import compiled_for, solve_chunk
-from .._dynamics.lanes import BLOCK, Engine, LaneResults
+from .._dynamics.lanes import BLOCK, Engine, SampleTotals
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.regularized.lanes import AdaptiveBatch
 from .._dynamics.regularized.settings import as_arrays
@@ -24,7 +24,7 @@ from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._processor import cores
-from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._statistics.accumulator import Numbering
 from .._systems.system import System
 from .._types import Array
 from .._uncertainty.copula import GaussianCopula
@@ -34,7 +34,7 @@ from .origins import check_extendable
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .progress import progress_bar
 from .result import Ensemble
-from .run import MOST_SAMPLES, Run
+from .setup import MOST_SAMPLES, EnsembleSetup
 
 _Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
 _ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
@@ -95,23 +95,23 @@ def simulate_ensemble(
     mean stick duration (pooled): 0.2540 +- 0.0011 s
     """
     require_threads_of_jax()
-    numbering = _numbering(orders, count_initial_rest)
-    run = Run.checked(Model(system, law, y0), t1, samples, first_sample, key, correlation, method, keep, numbering)
-    samples, first = run.inputs.samples - int(first_sample), int(first_sample)
-    found = _found(run, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress)
-    return Ensemble(**run.fields(), samples=samples, first_sample=first, **found)
+    numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
+    setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
+    samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
+    found = _found(setup, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress)
+    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found)
 
 
 def _found(
-    run: Run, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None, chunk: int | None,
-    progress: bool | None,
+    setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None,
+    chunk: int | None, progress: bool | None,
 ) -> dict[str, Any]:  # fmt: skip
     """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
-    plan = (_Plan.of_batches if isinstance(run.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
+    plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     started = time.perf_counter()
-    simulate = _simulator(run, plan, accumulator)
-    _compile(simulate, run, accumulator.keep)
+    simulate = _simulator(setup, plan, accumulator)
+    _compile(simulate, setup, accumulator.keep)
     compiled = time.perf_counter()
     _simulate_all(lambda begin, number: simulate(first + begin, number), plan, samples, accumulator, progress)
     return {
@@ -134,10 +134,10 @@ def _extended(
     key = None if words is None else jax.random.wrap_key_data(jnp.array(words, jnp.uint32))
     model = Model(ensemble.system, ensemble.law, ensemble.y0)
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
-    run = Run.checked(model, ensemble.t1, samples, first, key, *options)
+    setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, key, *options)
     accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)
     accumulator.add_ensemble(ensemble)
-    found = _found(run, first, samples, accumulator, threads, chunk, progress)
+    found = _found(setup, first, samples, accumulator, threads, chunk, progress)
     for name in ("compile_seconds", "run_seconds"):
         found[name] += getattr(ensemble, name)
     return dataclasses.replace(ensemble, samples=ensemble.samples + samples, **found)
@@ -146,29 +146,31 @@ def _extended(
 Ensemble._extend = staticmethod(_extended)
 
 
-def simulate_piece(run: Run, first: int, samples: int, keep: Keep, *, retained: int, fewest: int) -> Ensemble:
+def simulate_piece(
+    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int
+) -> Ensemble:
     """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
 
     `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any piece of the whole
     has; programs compiled for one piece fit all others with the same `fewest`.
     """
-    adaptive = isinstance(run.engine, AdaptiveBatch)
+    adaptive = isinstance(setup.engine, AdaptiveBatch)
     plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)
     accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
-    simulate = _simulator(run, plan, accumulator)
+    simulate = _simulator(setup, plan, accumulator)
     for begin in range(0, samples, plan.samples_per_task):
         accumulator.add(simulate(first + begin, min(plan.samples_per_task, samples - begin)))
     spent = time.perf_counter() - started
     return Ensemble(
-        **run.fields(), samples=samples, first_sample=first, **accumulator.found(), threads=1, compile_seconds=0.0,
+        **setup.fields(), samples=samples, first_sample=first, **accumulator.found(), threads=1, compile_seconds=0.0,
         run_seconds=spent,
     )  # fmt: skip
 
 
-def _compile(simulate: _Simulate, run: Run, keep: Keep) -> None:
+def _compile(simulate: _Simulate, setup: EnsembleSetup, keep: Keep) -> None:
     """Compile before the threads start, so that not each of them compiles the same code."""
     with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
-        prepared = pool.submit(prepare, run.dtype) if keep != "totals" else None
+        prepared = pool.submit(prepare, setup.dtype) if keep != "totals" else None
         simulate(0, 0)
         if prepared is not None:
             prepared.result()
@@ -181,11 +183,6 @@ def _simulate_all(
         for number, part in _in_order(simulate, plan, samples):
             accumulator.add(part)
             bar.advance(number)
-
-
-def _numbering(orders: int, count_initial_rest: bool) -> Numbering:
-    _checks.truth("count_initial_rest", count_initial_rest)
-    return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
 
 
 class _Plan(NamedTuple):
@@ -221,63 +218,63 @@ class _Plan(NamedTuple):
         return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
 
 
-def _simulator(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _simulator(setup: EnsembleSetup, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """A function that simulates samples ``first .. first + number - 1`` and records what `accumulator` keeps."""
-    if isinstance(run.engine, AdaptiveBatch):
-        return _solver(run, run.engine, plan, accumulator)
-    return _streamer(run, plan) if accumulator.keep == "totals" else _recorder(run, plan, accumulator)
+    if isinstance(setup.engine, AdaptiveBatch):
+        return _solver(setup, setup.engine, plan, accumulator)
+    return _streamer(setup, plan) if accumulator.keep == "totals" else _recorder(setup, plan, accumulator)
 
 
-def _solver(run: Run, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, for adaptive steps."""
-    dtype, sizes = run.dtype, tuple(int(size) for size in batch.sizes)
+    dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
     system, excitation, _, t1, y0, _ = as_arrays(batch._replace(sizes=()), dtype)
     arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0, ())
-    how = {"samples": plan.lanes, "places": run.places, "sizes": sizes,
+    how = {"samples": plan.lanes, "places": setup.places, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 
     def simulate(first: int, number: int) -> Part:
-        own = tuple(jnp.asarray(column) for column in run.own_leaves(first, plan.lanes))
-        numbers = jnp.asarray(run.inputs.realization_numbers(first, plan.lanes))
-        results, records = solve_chunk(arrays, own, run.key_data, numbers, jnp.uint32(number), **how)
-        results = LaneResults(*(np.asarray(leaf)[:number] for leaf in results))
+        own = tuple(jnp.asarray(column) for column in setup.own_leaves(first, plan.lanes))
+        numbers = jnp.asarray(setup.inputs.realization_numbers(first, plan.lanes))
+        results, records = solve_chunk(arrays, own, setup.key_data, numbers, jnp.uint32(number), **how)
+        results = SampleTotals(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
         *numbers, ending = (np.asarray(column).T for column in records)
         sticks = StickCollector()
         sticks.restart(number)
         sticks.add(np.stack(numbers, axis=1), ending, np.arange(plan.lanes)[None, :])
-        return Part.of(results, sticks, run.t1, run.numbering, accumulator.wants_sticks, run.period)
+        return Part.of(results, sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
 
     return simulate
 
 
-def _streamer(run: Run, plan: _Plan) -> _Simulate:
+def _streamer(setup: EnsembleSetup, plan: _Plan) -> _Simulate:
     """The same as `_simulator`, for ``keep="totals"``."""
-    assert isinstance(run.engine, Engine)
-    summarize = compiled_for(run.engine, with_records=run.inputs.has_sampled_law).summarize
+    assert isinstance(setup.engine, Engine)
+    summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
 
     def simulate(first: int, number: int) -> Part:
-        job = run.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
-        results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=run.dtype)
+        job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
+        results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
         return Part(_first_samples(results, number))
 
     return simulate
 
 
-def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _recorder(setup: EnsembleSetup, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
-    assert isinstance(run.engine, Engine)
-    _, begin, record = compiled_for(run.engine, with_records=run.inputs.has_sampled_law)
+    assert isinstance(setup.engine, Engine)
+    _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     own = threading.local()  # memory of each thread, reused because allocating it for every task is slow
-    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), run.dtype
+    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), setup.dtype
     lane = np.arange(plan.lanes)
 
     def simulate(first: int, number: int) -> Part:
         if not hasattr(own, "sticks"):
             own.sticks = StickCollector()
         rows = -(-number // plan.lanes)
-        job = jax.tree.map(jnp.asarray, run.job(first, rows, plan.lanes * plan.rows))
+        job = jax.tree.map(jnp.asarray, setup.job(first, rows, plan.lanes * plan.rows))
         now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
         own.sticks.restart(number)
         ended, unfinished = [], True
@@ -289,12 +286,12 @@ def _recorder(run: Run, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simul
             ended.append((sample[progress.ended], *(column[progress.ended] for column in progress.results)))
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
         results = _of_samples(ended, rows * plan.lanes, number)
-        return Part.of(results, own.sticks, run.t1, run.numbering, accumulator.wants_sticks, run.period)
+        return Part.of(results, own.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
 
     return simulate
 
 
-def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> LaneResults:
+def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> SampleTotals:
     """The results of the first `number` of `samples` samples, in order.
 
     `ended`: sample numbers and results, in the order in which the samples ended.
@@ -303,12 +300,12 @@ def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) 
     ordered = [np.empty(samples, column.dtype) for column in columns]
     for to, column in zip(ordered, columns, strict=True):
         to[sample] = column
-    return LaneResults(*(column[:number] for column in ordered))
+    return SampleTotals(*(column[:number] for column in ordered))
 
 
-def _first_samples(results: LaneResults, number: int) -> LaneResults:
+def _first_samples(results: SampleTotals, number: int) -> SampleTotals:
     """The first `number` samples of `results` (rows, lanes), as NumPy arrays (number,)."""
-    return LaneResults(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
+    return SampleTotals(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
 
 
 def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:

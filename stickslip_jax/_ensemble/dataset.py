@@ -7,7 +7,7 @@ import numpy as np
 
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FURTHER, FlatSticks
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Ending, Status
 from .encoding import Encoder
 from .origins import known_inputs

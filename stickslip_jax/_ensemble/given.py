@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._dynamics.lanes import LaneResults
+from .._dynamics.lanes import SampleTotals
 from .._events.sticks import NUMBERS, FlatSticks
 from .._simulation.result import Simulation
-from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._statistics.accumulator import Numbering
 from .._status import Ending
 from .._systems.system import Coordinate
 from .measured import measured_sticks
@@ -27,12 +27,6 @@ def _check_unit(unit: Any) -> None:
         raise ValueError(
             f"Argument position_unit must be a unit such as 'm', 'mm' or 'rad', but {_checks.show(unit)} was given."
         )
-
-
-def numbering_of(orders: int, count_initial_rest: bool) -> Numbering:
-    """The numbering with these options of `simulate_ensemble`. Raises ValueError for options out of bounds."""
-    _checks.truth("count_initial_rest", count_initial_rest)
-    return Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
 
 
 def fields_of_simulations(result: Any, numbering: Numbering) -> dict[str, Any]:
@@ -93,7 +87,7 @@ def fields_of_sticks(
     none = np.zeros(len(count), np.int32)
     touching = np.bincount(sticks.sample[sticks.touches], minlength=len(count))
     slips = count + 1 - starts_stuck - ends_stuck - touching
-    results = LaneResults(count.astype(np.int32), slips, time, none, none)
+    results = SampleTotals(count.astype(np.int32), slips, time, none, none)
     about = "measured sticks"
     return {
         **_summed(results, sticks, float(t1), numbering, position.period),
@@ -106,16 +100,16 @@ def fields_of_sticks(
 
 
 def _summed(
-    results: LaneResults, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None
+    results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None
 ) -> dict[str, Any]:
     """The fields of an `Ensemble` that follow from its sticks, and those that say how long it took."""
     samples = len(results.status)
-    known = not np.any(np.isnan(sticks.position))
-    # Positions that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
-    counted = sticks if known else sticks._replace(position=np.zeros_like(sticks.position))
+    # Columns that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
+    unknown = np.isnan(sticks.numbers).all(axis=1)
+    counted = sticks._replace(numbers=np.where(unknown[:, None], 0, sticks.numbers))
     part = Part.of(results, counted, t1, numbering, True, period)
-    if not known and part.sticks is not None:
-        part = part._replace(sticks=part.sticks._replace(position=np.full_like(part.sticks.position, np.nan)))
+    if part.sticks is not None:
+        part.sticks.numbers[unknown] = np.nan
     accumulator = EnsembleAccumulator(samples, "sticks")
     accumulator.add(part)
     return {
@@ -130,15 +124,15 @@ def _summed(
     }
 
 
-def _of_batch(result: Simulation) -> tuple[FlatSticks, LaneResults]:
+def _of_batch(result: Simulation) -> tuple[FlatSticks, SampleTotals]:
     """The sticks of a batch without padding, and the totals of each simulation."""
     mask = np.asarray(result.sticks.mask)
     columns = {name: np.asarray(getattr(result.sticks, name))[mask] for name in (*NUMBERS, "ending")}
-    sticks = FlatSticks(mask.sum(axis=1), **columns)
+    sticks = FlatSticks.of(mask.sum(axis=1), **columns)
     totals = result.totals
     number, censored, time = (np.asarray(part) for part in (totals.sticks, totals.censored, totals.stick_time))
     slips = number + 1 - sticks.begins_at_zero - censored
-    return sticks, LaneResults(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
+    return sticks, SampleTotals(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
 
 
 def _shared(part: Any, samples: int) -> Any:

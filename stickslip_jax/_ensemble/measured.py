@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._events.sticks import FlatSticks
+from .._events.sticks import NUMBERS, FlatSticks
 from .._status import Ending
 
-_NEEDED = ("sample", "start", "end", "duration", "position", "slip_displacement", "ending")
+_OPTIONAL = NUMBERS[2:]  # numbers of a stick that need not be measured
+_READ = ("sample", "start", "end", "duration", *_OPTIONAL, "ending")
 _ROUND_OFF = 1e-9  # of the duration of the measurement: ends within it of the next start, or of t1, are on time
 _MOST_SAMPLES = 10**8
 _ROUNDED = 1e-5  # of the duration of the measurement: by so much columns of few digits may contradict each other
@@ -34,13 +35,10 @@ def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSti
     # An end within round-off of the next start is that start.
     late = np.flatnonzero((number[1:] == number[:-1]) & (end[:-1] > start[1:]))
     end[late] = start[late + 1]
-    nothing = np.full(len(start), np.nan)
-    position, displacement = (
-        _numbers(name, columns)[order] if name in columns else nothing for name in ("position", "slip_displacement")
-    )
+    others = {name: _numbers(name, columns)[order] for name in _OPTIONAL if name in columns}
     ending = _endings(columns["ending"])[order] if "ending" in columns else np.where(end == t1, Ending.HORIZON, 0)
     count = np.bincount(number, minlength=samples)
-    return FlatSticks(count, start, end, position, displacement, ending.astype(np.int8)), unit
+    return FlatSticks.of(count, start, end, ending.astype(np.int8), **others), unit
 
 
 def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
@@ -54,7 +52,7 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
         ) from None
     found, unit = {}, None
     for name, column in given.items():
-        short = next((one for one in _NEEDED if name == one or name.startswith(f"{one}_")), None)
+        short = next((one for one in _READ if name == one or name.startswith(f"{one}_")), None)
         if short is None or (short in found and name != short):
             continue
         if short in ("start", "end", "duration") and name not in (short, f"{short}_s"):
@@ -73,7 +71,7 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
     if any(len(shape) != 1 for shape in lengths.values()) or len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
         raise ValueError(f"Argument table must have columns of the same length, but their shapes are {shown}.")
-    for name in ("position", "slip_displacement"):  # all empty: not measured
+    for name in _OPTIONAL:  # all empty: not measured
         if name in found and found[name].dtype.kind == "f" and len(found[name]) and np.all(np.isnan(found[name])):
             del found[name]
     return found, unit

@@ -4,15 +4,15 @@ import os
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
-from .._dynamics.lanes import LaneResults
+from .._dynamics.lanes import SampleTotals
 from .._events.stick_stream import StickCollector, StickStream
-from .._events.sticks import NUMBERS, FlatSticks
+from .._events.sticks import NUMBERS, FlatSticks, with_columns
 from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Status
-from .kept import Retained, SampleTotals
 
 Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
 """What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or also every stick."""
@@ -27,14 +27,14 @@ FEWEST = 64
 class Part(NamedTuple):
     """A part of the ensemble: results of consecutive samples, their sticks, and the sums over these sticks."""
 
-    results: LaneResults
+    results: SampleTotals
     sticks: FlatSticks | None = None
     accumulator: StickAccumulator | None = None
     rest: tuple[np.ndarray, np.ndarray] | None = None  # `Numbering.rest` of each sample; None: not known
 
     @classmethod
     def of(
-        cls, results: LaneResults, sticks: StickCollector | FlatSticks, t1: float, numbering: Numbering,
+        cls, results: SampleTotals, sticks: StickCollector | FlatSticks, t1: float, numbering: Numbering,
         keep_sticks: bool, period: float | None = None,
     ) -> "Part":  # fmt: skip
         """The part made from the results and the sticks of consecutive samples, simulated up to `t1` (s).
@@ -46,7 +46,7 @@ class Part(NamedTuple):
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
         done, found = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks.sticks, None
         if period is not None:
-            done = done._replace(position=within_period(done.position, period))
+            done = with_columns(done, position=within_period(done.position, period))
         if not np.all(finished):
             found = done.only(finished).in_order()
             done = StickStream.of(found.only(finished))
@@ -76,7 +76,14 @@ def prepare(dtype: Any) -> None:
     sticks.restart(1)
     sticks.add(np.zeros((1, len(NUMBERS), 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
     one = np.zeros(1)
-    Part.of(LaneResults(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
+    Part.of(SampleTotals(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
+
+
+class Retained(NamedTuple):
+    """The sticks of the first samples that finished, and the `TOTALS` of each."""
+
+    sticks: FlatSticks
+    totals: Float[np.ndarray, "samples totals"]
 
 
 class EnsembleAccumulator:
@@ -122,13 +129,13 @@ class EnsembleAccumulator:
         self._merge(other.moments, other.accumulator)
         if self.keep == "sticks":
             rest = other.numbering.rest(other.flat_sticks)
-            self._keep(Part(LaneResults(*other.totals), rest=rest), other.flat_sticks)
+            self._keep(Part(SampleTotals(*other.totals), rest=rest), other.flat_sticks)
         elif other.retained is not None and self._space > 0:
             totals = other.retained.totals
             none = np.zeros(len(totals), int)
             time, sticks, slips, *rest = totals.T
             self._keep(
-                Part(LaneResults(sticks, slips, time, none, none), rest=(rest[0], rest[1])), other.retained.sticks
+                Part(SampleTotals(sticks, slips, time, none, none), rest=(rest[0], rest[1])), other.retained.sticks
             )
             # Samples that did not finish took space when they were simulated; what others left out ends it.
             self._retained_samples += other.samples - other.finished
@@ -151,7 +158,7 @@ class EnsembleAccumulator:
             fits = int(np.searchsorted(np.cumsum(sticks.count + 1), self._space, side="right"))
             fits = max(fits, min(FEWEST - self._retained_samples, len(sticks.count)))
             self._retained_samples += fits
-            results = LaneResults(*(column[:fits].copy() for column in part.results))
+            results = SampleTotals(*(column[:fits].copy() for column in part.results))
             rest = None if part.rest is None else (part.rest[0][:fits].copy(), part.rest[1][:fits].copy())
             whole = fits == len(sticks.count)
             self._kept.append(Part(results, sticks if whole else sticks.head(fits), rest=rest))
@@ -174,9 +181,7 @@ class EnsembleAccumulator:
 
     def _totals(self) -> SampleTotals:
         """The totals of every kept sample."""
-        columns = [np.concatenate(column) for column in zip(*(part.results for part in self._kept), strict=True)]
-        by_name = dict(zip(LaneResults._fields, columns, strict=True))
-        return SampleTotals(**{name: by_name[name] for name in SampleTotals._fields})
+        return SampleTotals(*map(np.concatenate, zip(*(part.results for part in self._kept), strict=True)))
 
     def _retained(self, sticks: FlatSticks) -> Retained:
         """The sticks and totals of the kept samples that finished."""

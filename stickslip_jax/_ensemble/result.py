@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks, _html
+from .._dynamics.lanes import SampleTotals
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FlatSticks, Slips, Sticks
 from .._excitation.excitation import is_random, law_of
@@ -21,19 +22,19 @@ from .._numerics.moments import Moments
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
-from .._statistics.registry import STATISTICS, TOTALS
-from .._statistics.summary import Summary, summary_of
+from .._statistics.summary import Summary
+from .._statistics.totals import STATISTICS, TOTALS
 from .._status import Status
 from .._systems.system import System
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Inputs, Model
-from .given import fields_of_simulations, fields_of_sticks, numbering_of
-from .kept import Retained, SampleTotals
+from .given import fields_of_simulations, fields_of_sticks
 from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
-from .parts import Keep
+from .parts import Keep, Retained
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
+from .summary import summary_of
 from .unknown import Unknown, UnknownSystem, require_known
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ class Ensemble:
         among the samples are arrays (samples,). ``realization(i)`` returns the base motion that sample i was given, and
         the state at t = 0, to the last digit or two. Raises ValueError for anything else.
         """
-        return cls(**fields_of_simulations(result, numbering_of(orders, count_initial_rest)))
+        return cls(**fields_of_simulations(result, Numbering.checked(orders, count_initial_rest)))
 
     @classmethod
     def from_sticks(
@@ -132,7 +133,7 @@ class Ensemble:
         raises ValueError and says so. Raises ValueError for a table that lacks a column or has sticks that overlap, lie
         outside ``[0, t1]`` or have no length.
         """
-        numbering = numbering_of(orders, count_initial_rest)
+        numbering = Numbering.checked(orders, count_initial_rest)
         return cls(**fields_of_sticks(table, t1, samples, position_unit, period, numbering))
 
     @classmethod
@@ -196,7 +197,7 @@ class Ensemble:
 
     def summary(self) -> Summary:
         """The statistics as a readable table, for text and notebooks. Raises ValueError if ``keep="totals"``."""
-        return summary_of(self)
+        return summary_of(self.statistics, self.status_counts, self.near_grazing_samples)
 
     @cached_property
     def sticks(self) -> Sticks:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from .._events.slips import FlatSlips, slips_among
-from .._events.sticks import Slips
+from .._events.sticks import Slips, in_slots
 from .._status import Status
 
 
@@ -17,12 +17,6 @@ def flat_slips(ensemble: Any) -> FlatSlips:
 def padded_slips(ensemble: Any) -> Slips:
     """The same as `Slips` with arrays (samples, slots), where slots is the largest number of slips (at least 1)."""
     slips = flat_slips(ensemble)
-    count = np.bincount(slips.sample, minlength=ensemble.samples)
-    mask = np.arange(max(1, int(count.max(initial=0)))) < count[:, None]
-
-    def fill(values: np.ndarray, padding: Any) -> np.ndarray:
-        padded = np.full(mask.shape, padding, values.dtype)
-        padded[mask] = values
-        return padded
-
-    return Slips(fill(slips.start, np.nan), fill(slips.end, np.nan), fill(slips.censored, False), mask)
+    columns = {"start": (slips.start, np.nan), "end": (slips.end, np.nan), "censored": (slips.censored, False)}
+    mask, filled = in_slots(np.bincount(slips.sample, minlength=ensemble.samples), columns)
+    return Slips(**filled, mask=mask)

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
-from .._events.sticks import NUMBERS, FlatSticks
+from .._dynamics.lanes import SampleTotals
+from .._events.sticks import FURTHER, NUMBERS, FlatSticks
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Status
 from .._systems.system import Coordinate
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
-from .given import numbering_of
-from .kept import Retained, SampleTotals
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
+from .parts import Retained
 from .stored_checks import check_fields
 from .unknown import Unknown, UnknownSystem
 
@@ -111,7 +111,7 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
     if state["totals"] != TOTALS:
         raise ValueError(f"it sums {state['totals']}")
-    numbering = numbering_of(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
+    numbering = Numbering.checked(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
     key_data = attributes.get("key_data")
     counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
     keep = str(attributes["keep"])
@@ -155,8 +155,10 @@ def _origin(origin: Any, position: Coordinate) -> Any:
 
 
 def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
-    columns = {name: dataset[f"stick_{name}"].to_numpy() for name in (*NUMBERS, "ending")}
-    sticks = FlatSticks(dataset["stick_count"].to_numpy(), **columns)
+    # A file of a version that had fewer columns is as good as any: the others are not known.
+    names = [name for name in (*NUMBERS, "ending") if name not in FURTHER or f"stick_{name}" in dataset]
+    columns = {name: dataset[f"stick_{name}"].to_numpy() for name in names}
+    sticks = FlatSticks.of(dataset["stick_count"].to_numpy(), **columns)
     owner, first = dataset["stick_sample"].to_numpy(), dataset[sample].to_numpy()
     if int(sticks.count.sum()) != len(sticks.start) or not np.array_equal(first[sticks.sample], owner):
         raise ValueError(f"it has {len(sticks.start)} of {int(sticks.count.sum())} sticks")

@@ -10,11 +10,11 @@ from .._dynamics.method import Exact, Regularized
 from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
 from .._statistics.accumulator import StickAccumulator
-from .._statistics.registry import TOTALS
+from .._statistics.totals import TOTALS
 from .._status import Ending, Status
 from .._systems.system import System
 from .._uncertainty.random_number import RandomNumber
-from .run import MOST_SAMPLES
+from .setup import MOST_SAMPLES
 from .unknown import Unknown
 
 _SLACK = 1e-5  # of t1: sticks of single precision may end so much later, and a few sum to so much more

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._events.sticks import FURTHER
 from .._files import file_for_user, file_to_write
-from .._statistics.registry import STICK_QUANTITIES
+from .._statistics.quantities import STICK_QUANTITIES
 from .._status import Ending
 from .origins import known_inputs
 from .slips import flat_slips

@@ -3,9 +3,10 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .._numerics import loops
-from .sticks import FURTHER, NUMBERS, FlatSticks
+from .sticks import NUMBERS, FlatSticks, named_column
 
 
 class StickStream(NamedTuple):
@@ -13,23 +14,22 @@ class StickStream(NamedTuple):
 
     Sorting millions of sticks by sample takes as long as simulating them, and most statistics do not need it.
 
-    - `count`: number of sticks of each sample. `last`: end of its last stick, s (0 without any). (samples,).
-    - `start`, `end`, `position`, `ending`: as in `FlatSticks`, (sticks,).
-    - `owner`: the sample of each stick. `order`: number of sticks of the same sample before it. (sticks,).
-    - `slip`: duration of the slip before each stick, s; 0 where a sample begins with a stick. (sticks,).
-    - `further`: as in `FlatSticks`, (columns, sticks).
+    - `count`: number of sticks of each sample. `last`: end of its last stick, s (0 without any).
+    - `numbers`, `ending`: as in `FlatSticks`; each column is also an attribute of its name.
+    - `slip`: duration of the slip before each stick, s; 0 where a sample begins with a stick.
+    - `owner`: the sample of each stick. `order`: number of sticks of the same sample before it.
     """
 
-    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
-    last: np.ndarray
-    start: np.ndarray
-    end: np.ndarray
-    position: np.ndarray
-    slip: np.ndarray
-    ending: np.ndarray
-    owner: np.ndarray
-    order: np.ndarray
-    further: np.ndarray
+    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
+    last: Float[np.ndarray, " samples"]
+    numbers: Float[np.ndarray, "columns sticks"]
+    slip: Float[np.ndarray, " sticks"]
+    ending: Int[np.ndarray, " sticks"]
+    owner: Int[np.ndarray, " sticks"]
+    order: Int[np.ndarray, " sticks"]
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        return named_column(self, name)
 
     @classmethod
     def of(cls, sticks: FlatSticks) -> "StickStream":
@@ -41,47 +41,34 @@ class StickStream(NamedTuple):
         last = np.zeros(len(has), sticks.end.dtype)
         last[has] = sticks.end[(first + sticks.count - 1)[has]]
         order = np.arange(len(slip)) - np.repeat(first, sticks.count)
-        own = (sticks.start, sticks.end, sticks.position, slip, sticks.ending)
-        return cls(sticks.count, last, *own, sticks.sample.astype(np.int32), order.astype(np.int32), sticks.further)
+        whose = (sticks.sample.astype(np.int32), order.astype(np.int32))
+        return cls(sticks.count, last, sticks.numbers, slip, sticks.ending, *whose)
 
     @property
-    def begins_at_zero(self) -> np.ndarray:
-        """Whether each sample begins with a stick, (samples,)."""
+    def begins_at_zero(self) -> Bool[np.ndarray, " samples"]:
+        """Whether each sample begins with a stick."""
         begins = np.zeros(len(self.count), bool)
         at_zero = np.flatnonzero(self.start == 0)
         begins[self.owner[at_zero]] = True
         return begins
 
-    def slip_after(self, t1: float) -> np.ndarray:
-        """Duration of the slip after each sample's last stick, s; 0 where it ends with a stick. (samples,)."""
+    def slip_after(self, t1: float) -> Float[np.ndarray, " samples"]:
+        """Duration of the slip after each sample's last stick, s; 0 where it ends with a stick."""
         return np.maximum(self.last.dtype.type(t1) - self.last, 0)
 
-    def only(self, kept: np.ndarray) -> "StickStream":
-        """The same without the sticks of the samples that are not `kept`, (samples,)."""
+    def only(self, kept: Bool[np.ndarray, " samples"]) -> "StickStream":
+        """The same without the sticks of the samples that are not `kept`."""
         inside = kept[self.owner]
         count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
         return StickStream(count, last, *(column[..., inside] for column in self[2:]))
 
-    def later_than(self, skipped: np.ndarray) -> "StickStream":
-        """The same without the first `skipped` sticks of each sample, (samples,); slips are as they were."""
-        if not np.any(skipped):
-            return self
-        inside = self.order >= skipped[self.owner]
-        return StickStream(self.count - skipped, self.last, *(column[..., inside] for column in self[2:]))
-
     def in_order(self) -> FlatSticks:
         """The sticks in order of their samples."""
         first = np.cumsum(self.count) - self.count
-        columns = (self.start, self.end, self.position, self.ending, self.further)
-        start, end, position, ending, further = into = tuple(np.empty_like(column) for column in columns)
-        compiled = loops.compiled()
-        if compiled is not None:
-            compiled.put_in_order(first, self.owner, self.order, columns, into)
-        else:
-            at = first[self.owner] + self.order
-            for to, column in zip(into, columns, strict=True):
-                to[..., at] = column
-        return FlatSticks._make((self.count, start, end, position, *further, ending))
+        numbers, ending = np.empty(self.numbers.shape, self.numbers.dtype), np.empty_like(self.ending)
+        columns = (tuple(self.numbers), self.ending, tuple(numbers), ending)
+        loops.compiled().put_in_order(first, self.owner, self.order, *columns)
+        return FlatSticks(self.count, numbers, ending)
 
 
 class StickCollector:
@@ -100,11 +87,18 @@ class StickCollector:
         self._lanes: tuple[np.ndarray, ...] = ()
         self._of_samples: tuple[np.ndarray, ...] = ()
 
-    def add(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray) -> None:
+    def add(
+        self,
+        values: Float[np.ndarray, "slots columns lanes"],
+        ending: Int[np.ndarray, "slots lanes"],
+        sample: Int[np.ndarray, "blocks lanes"],
+    ) -> None:
         """Add the sticks of further blocks of records, which follow those added before.
 
-        - `values`: the numbers of the sticks, (slots, columns, lanes). `ending`: (slots, lanes), negative where there
-          is no stick. `sample`: the sample of each lane in each block of slots, (blocks, lanes).
+        Args:
+            values: The numbers of the sticks.
+            ending: Their `Ending` codes, negative where there is no stick.
+            sample: The sample of each lane in each block of slots.
         """
         lanes, dtype = ending.shape[1], values.dtype
         assert values.shape == (len(ending), len(NUMBERS), lanes)  # compiled loops check no bounds
@@ -112,52 +106,20 @@ class StickCollector:
             # The sample of each lane, the number of its sticks so far, and the end of the last.
             self._lanes = (np.full(lanes, -1), np.zeros(lanes, np.int32), np.zeros(lanes, dtype))
             self._of_samples = (np.zeros(self._samples, np.int64), np.zeros(self._samples, dtype))
-        columns = self._buffer(ending.size, dtype)
-        compiled = loops.compiled()
-        if compiled is None:
-            self._number += self._gather(values, ending, sample, columns)
-            return
+        self._enlarge(self._number + ending.size, dtype)
         records = (loops.read_only(array) for array in (values, ending, sample))
-        self._number += compiled.gather(*records, self._samples, *self._lanes, *self._of_samples, *columns)
+        into = (*self._lanes, *self._of_samples, *self._columns)
+        self._number = int(loops.compiled().gather(*records, self._samples, self._number, *into))
 
-    def _gather(self, values: np.ndarray, ending: np.ndarray, sample: np.ndarray, into: tuple[np.ndarray, ...]) -> int:
-        """Put the sticks of some blocks into the columns `into`; returns their number."""
-        whose, so_far, last = self._lanes
-        count, finish = self._of_samples
-        found = 0
-        for of_lanes, part, endings in zip(sample, *(np.split(a, len(sample)) for a in (values, ending)), strict=True):
-            change = of_lanes != whose
-            whose[:] = of_lanes
-            so_far[change], last[change] = 0, 0
-            lane, slot = np.nonzero((endings >= 0).T & (of_lanes < self._samples)[:, None])  # lane by lane
-            number = np.bincount(lane, minlength=len(whose))
-            first = np.cumsum(number) - number
-            start, end, position, *further = (part[slot, row, lane] for row in range(part.shape[1]))
-            before = np.empty_like(end)
-            before[1:] = end[:-1]
-            has = number > 0
-            before[first[has]] = last[has]
-            last[has] = end[(first + number - 1)[has]]
-            order = so_far[lane] + np.arange(len(lane)) - first[lane]
-            so_far += number.astype(so_far.dtype)
-            known = of_lanes < self._samples
-            count[of_lanes[known]], finish[of_lanes[known]] = so_far[known], last[known]
-            new = (start, end, position, start - before, endings[slot, lane], of_lanes[lane], order)
-            for column, numbers in zip(into, (*new, np.reshape(further, (len(FURTHER), len(lane)))), strict=True):
-                column[..., found : found + len(lane)] = numbers
-            found += len(lane)
-        return found
-
-    def _buffer(self, more: int, dtype: Any) -> tuple[np.ndarray, ...]:
-        """The slots for up to `more` further sticks, enlarged as needed."""
-        begin, end = self._number, self._number + more
-        if not self._columns or end > len(self._columns[0]):
-            kinds = (dtype, dtype, dtype, dtype, np.int8, np.int32, np.int32)
-            larger = (*(np.empty(2 * end, kind) for kind in kinds), np.empty((len(FURTHER), 2 * end), dtype))
-            for new, old in zip(larger, self._columns, strict=False):
-                new[..., :begin] = old[..., :begin]
-            self._columns = larger
-        return tuple(column[..., begin:end] for column in self._columns)
+    def _enlarge(self, slots: int, dtype: Any) -> None:
+        """Make the columns twice as long as `slots` if they are shorter."""
+        if self._columns and slots <= len(self._columns[1]):
+            return
+        kinds = (dtype, np.int8, np.int32, np.int32)
+        larger = (np.empty((len(NUMBERS), 2 * slots), dtype), *(np.empty(2 * slots, kind) for kind in kinds))
+        for new, old in zip(larger, self._columns, strict=False):
+            new[..., : self._number] = old[..., : self._number]
+        self._columns = larger
 
     @property
     def sticks(self) -> StickStream:

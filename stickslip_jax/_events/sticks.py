@@ -1,6 +1,7 @@
 """Sticks of trajectories and the slips between them: as engines record them, and as results return them."""
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -8,14 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Real
 
+from .._status import Ending
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
 
 
 class StickRecord(NamedTuple):
     """The stick of one interval or step, if any: times in s, position in m, and an `Ending` code, or -1 for no stick.
 
-    Defines the columns of a stick; `Sticks` and `FlatSticks` have the same. To add a column, put it before `ending`,
-    describe it in `FURTHER`, and let every engine compute it; nothing else changes.
+    The definition of the columns of a stick. To add one: a field here before `ending`, computed by the three engines
+    that make records (in `_dynamics`: `interval/engine.py`, `switched/engine.py`, `regularized/stick_detector.py`), its
+    line in `FURTHER`, and a field of `Sticks`, which users see. All else that holds sticks, files and tables included,
+    has the columns that stand here.
     """
 
     start: FloatArray
@@ -42,8 +46,18 @@ class Column(NamedTuple):
 
 
 FURTHER = {"slip_displacement": Column("displacement in the slip before the stick", None)}
-"""The columns after start, end and position."""
+"""The columns after start, end and position; a file or a table of measured sticks may lack them (NaN then)."""
 assert tuple(FURTHER) == NUMBERS[3:]
+
+
+def ending_of(is_stick: BoolArray, released: BoolArray, cut: BoolArray) -> IntArray:
+    """The `Ending` code of what ended in a step: -1 where that is no stick.
+
+    A stick that was not `released` was `cut` by the horizon, or else ended with a jump of the base.
+    """
+    code = {ending: np.int8(ending) for ending in Ending}
+    how = jnp.where(released, code[Ending.RELEASED], jnp.where(cut, code[Ending.HORIZON], code[Ending.BASE_SWITCHED]))
+    return jnp.where(is_stick, how, np.int8(-1))
 
 
 class Totals(NamedTuple):
@@ -84,6 +98,8 @@ def no_stick(dtype: Any) -> StickRecord:
 
 class Sticks(eqx.Module):
     """Sticks in order of time; `mask` marks the slots that hold one.
+
+    Of a fixed size, as JAX needs it; `FlatSticks` holds the same without empty slots.
 
     Arrays have the shape (slots,) for one trajectory and (samples, slots) for an ensemble; sticks fill the first slots.
     Slots outside `mask` hold NaN (ending: -1) and enter no statistic.
@@ -174,49 +190,81 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
     return Slips(fill(start), fill(end), censored, mask)
 
 
+def named_column(sticks: Any, name: str) -> np.ndarray:
+    """The column `name` of `sticks`, which hold their `NUMBERS` in one array (columns, sticks)."""
+    if name not in NUMBERS:
+        raise AttributeError(f"{type(sticks).__name__!r} object has no attribute {name!r}", name=name, obj=sticks)
+    return sticks.numbers[NUMBERS.index(name)]
+
+
+_Held = TypeVar("_Held")
+
+
+def with_columns(sticks: _Held, **columns: np.ndarray) -> _Held:
+    """A copy of `sticks`, `FlatSticks` or a `StickStream`, with other columns of these names."""
+    held: Any = sticks
+    numbers = held.numbers.copy()
+    for name, values in columns.items():
+        numbers[NUMBERS.index(name)] = values
+    return held._replace(numbers=numbers)
+
+
 class FlatSticks(NamedTuple):
     """The sticks of many samples one after the other (the "contiguous ragged" arrays of the CF conventions).
 
-    In order of sample, then time. Times in s; position and displacement in m, for a `MotorCart` angles in rad.
+    In order of sample, then time, as statistics of single samples, tests and files need them.
+
+    - `count`: number of sticks of each sample, (samples,). `ending`: the `Ending` of each stick, (sticks,).
+    - `numbers`: all other columns of `StickRecord`, (columns, sticks); each is also an attribute of its name:
+      `start`, `end` (s), `position`, `slip_displacement` (m, for a `MotorCart` angles in rad), (sticks,).
     """
 
-    count: np.ndarray  # (samples,)  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
-    start: np.ndarray  # (all sticks,), like the columns below
-    end: np.ndarray
-    position: np.ndarray
-    slip_displacement: np.ndarray
-    ending: np.ndarray
+    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
+    numbers: Float[np.ndarray, "columns sticks"]
+    ending: Int[np.ndarray, " sticks"]
+
+    @classmethod
+    def of(
+        cls, count: np.ndarray, start: np.ndarray, end: np.ndarray, ending: np.ndarray, **others: np.ndarray
+    ) -> "FlatSticks":
+        """Sticks with these columns, by name; those of the `NUMBERS` that are not given are not known (NaN)."""
+        known = {"start": start, "end": end, **others}
+        unknown = np.full(len(start), np.nan)
+        return cls(count, np.stack([known.get(name, unknown) for name in NUMBERS], dtype=start.dtype), ending)
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        return named_column(self, name)
 
     @property
-    def further(self) -> np.ndarray:
-        """The columns after start, end and position, (columns, all sticks)."""
-        return _stacked([getattr(self, name) for name in FURTHER], self.start)
+    def columns(self) -> dict[str, np.ndarray]:
+        """All columns by name, from which `of` makes the same sticks again."""
+        return {"count": self.count, **dict(zip(NUMBERS, self.numbers, strict=True)), "ending": self.ending}
 
     @property
-    def duration(self) -> np.ndarray:
+    def duration(self) -> Float[np.ndarray, " sticks"]:
         """How long each stick lasts, s."""
         return self.end - self.start
 
     @property
-    def first(self) -> np.ndarray:
-        """Index of the first stick of each sample, (samples,)."""
+    def first(self) -> Int[np.ndarray, " samples"]:
+        """Index of the first stick of each sample."""
         return np.cumsum(self.count) - self.count
 
     @property
-    def sample(self) -> np.ndarray:
-        """The sample of each stick, (all sticks,)."""
+    def sample(self) -> Int[np.ndarray, " sticks"]:
+        """The sample of each stick."""
         return np.repeat(np.arange(len(self.count)), self.count)
 
     @property
-    def begins_at_zero(self) -> np.ndarray:
-        """Whether each sample begins with a stick, (samples,)."""
+    def begins_at_zero(self) -> Bool[np.ndarray, " samples"]:
+        """Whether each sample begins with a stick."""
         begins = self.count > 0
         begins[begins] = self.start[self.first[begins]] == 0
         return begins
 
     @property
-    def touches(self) -> np.ndarray:
-        """Whether each stick begins at the very end of the one before it in its sample, without a slip, (sticks,)."""
+    def touches(self) -> Bool[np.ndarray, " sticks"]:
+        """Whether each stick begins at the very end of the one before it in its sample, without a slip."""
         same = np.diff(self.sample, prepend=-1) == 0
         return same & (self.start == np.roll(self.end, 1))
 
@@ -225,40 +273,44 @@ class FlatSticks(NamedTuple):
         begins = self.begins_at_zero
         if not np.any(begins):
             return self
-        kept = np.ones(len(self.start), bool)
+        kept = np.ones(len(self.ending), bool)
         kept[self.first[begins]] = False
-        return FlatSticks(self.count - begins, *(column[kept] for column in self[1:]))
+        return FlatSticks(self.count - begins, self.numbers[:, kept], self.ending[kept])
 
-    def only(self, chosen: np.ndarray) -> "FlatSticks":
-        """The sticks of the `chosen` samples, a mask (samples,)."""
+    def only(self, chosen: Bool[np.ndarray, " samples"]) -> "FlatSticks":
+        """The sticks of the `chosen` samples."""
         if np.all(chosen):
             return self
         kept = np.repeat(chosen, self.count)
-        return FlatSticks(self.count[chosen], *(column[kept] for column in self[1:]))
+        return FlatSticks(self.count[chosen], self.numbers[:, kept], self.ending[kept])
 
     def head(self, samples: int) -> "FlatSticks":
         """The sticks of the first `samples` samples."""
         sticks = int(self.count[:samples].sum())
-        return FlatSticks(self.count[:samples].copy(), *(column[:sticks].copy() for column in self[1:]))
+        return FlatSticks(self.count[:samples].copy(), self.numbers[:, :sticks].copy(), self.ending[:sticks].copy())
 
     @classmethod
     def joined(cls, parts: "list[FlatSticks]") -> "FlatSticks":
         """The sticks of all parts, one part after the other."""
-        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return cls(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
     def padded(self) -> Sticks:
         """The same as `Sticks` with arrays (samples, slots), where slots is the largest count (at least 1)."""
-        slots = max(1, int(self.count.max(initial=0)))
-        mask = np.arange(slots) < self.count[:, None]
-
-        def fill(values, padding):
-            padded = np.full(mask.shape, padding, values.dtype)
-            padded[mask] = values
-            return padded
-
-        numbers = {name: fill(getattr(self, name), np.nan) for name in NUMBERS}
-        return Sticks(**numbers, ending=fill(self.ending, -1), mask=mask)
+        columns = {name: (column, np.nan) for name, column in zip(NUMBERS, self.numbers, strict=True)}
+        mask, filled = in_slots(self.count, columns | {"ending": (self.ending, -1)})
+        return Sticks(**filled, mask=mask)
 
 
-def _stacked(columns: list[np.ndarray], like: np.ndarray) -> np.ndarray:
-    return np.stack(columns) if columns else np.empty((0, len(like)), like.dtype)
+def in_slots(
+    count: Int[np.ndarray, " samples"], columns: Mapping[str, tuple[np.ndarray, float]]
+) -> tuple[Bool[np.ndarray, "samples slots"], dict[str, np.ndarray]]:
+    """Columns (all,) of what the samples have `count` of, in slots of each sample, and which slots are filled.
+
+    `columns`: each with what stands in empty slots. There are as many slots as the largest count, at least 1.
+    """
+    mask = np.arange(max(1, int(count.max(initial=0)))) < count[:, None]
+    filled = {}
+    for name, (values, padding) in columns.items():
+        filled[name] = np.full(mask.shape, padding, values.dtype)
+        filled[name][mask] = values
+    return mask, filled

@@ -47,7 +47,7 @@ def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
     return (np.floor(scaled) if low < 0 else scaled).astype(np.int64)
 
 
-class Axis(NamedTuple):
+class BinnedNumbers(NamedTuple):
     """Numbers (number,) to count along one axis, the smallest and the largest of them, and their bins.
 
     The bins have the width ``2**exponent``; `first`: number of the first one, `size`: how many there are.
@@ -61,13 +61,15 @@ class Axis(NamedTuple):
     size: int
 
     @classmethod
-    def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "Axis":
-        """The axis of `values`, at least one, with at most `most` bins."""
+    def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "BinnedNumbers":
+        """`values`, at least one, in at most `most` bins."""
         return cls.within(values, float(values.min()), float(values.max()), most, finest)
 
     @classmethod
-    def within(cls, values: np.ndarray, low: float, high: float, most: int, finest: int | None = None) -> "Axis":
-        """The axis of `values` whose smallest and largest number are known."""
+    def within(
+        cls, values: np.ndarray, low: float, high: float, most: int, finest: int | None = None
+    ) -> "BinnedNumbers":
+        """`values` whose smallest and largest number are known."""
         exponent = exponent_for(low, high, most, finest)
         first = _floor(low, exponent)
         return cls(values, low, high, exponent, first, _floor(high, exponent) - first + 1)
@@ -126,27 +128,17 @@ class DyadicCounts(NamedTuple):
         """The histogram of `values`, (number,)."""
         if len(values) == 0:
             return cls.none(1, most, finest)
-        return cls.on_axes((Axis.of(values, most, finest),), most, finest)
+        return cls.on_axes((BinnedNumbers.of(values, most, finest),), most, finest)
 
     @classmethod
     def of_columns(cls, columns: tuple[np.ndarray, ...], most: int) -> "DyadicCounts":
         """The joint histogram of `columns`, each (number,)."""
         if len(columns[0]) == 0:
             return cls.none(len(columns), most)
-        return cls.on_axes(tuple(Axis.of(column, most) for column in columns), most)
+        return cls.on_axes(tuple(BinnedNumbers.of(column, most) for column in columns), most)
 
     @classmethod
-    def of_groups(cls, values: np.ndarray, group: np.ndarray, groups: int, most: int) -> "DyadicCounts":
-        """One histogram for each group, all with the same bins. `group`: the group of each number, (number,)."""
-        if len(values) == 0:
-            return cls.none(1, most, groups=groups)
-        axis = Axis.of(values, most)
-        flat = places(values, axis.low, axis.exponent) - axis.first + group * axis.size
-        counts = np.bincount(flat, minlength=groups * axis.size).reshape(groups, axis.size)
-        return cls.with_counts((axis,), counts, most)
-
-    @classmethod
-    def on_axes(cls, axes: tuple[Axis, ...], most: int, finest: int | None = None) -> "DyadicCounts":
+    def on_axes(cls, axes: tuple[BinnedNumbers, ...], most: int, finest: int | None = None) -> "DyadicCounts":
         """The histogram, or joint histogram, of the numbers of the `axes`."""
         shape = tuple(axis.size for axis in axes)
         counts = np.zeros(math.prod(shape), np.int64)
@@ -159,36 +151,7 @@ class DyadicCounts(NamedTuple):
         return cls.with_counts(axes, counts.reshape(shape), most, finest)
 
     @classmethod
-    def of_pairs(
-        cls, columns: dict[str, np.ndarray], pairs: tuple[tuple[str, str], ...], most: int, most_of_pairs: int
-    ) -> tuple[tuple["DyadicCounts", ...], tuple["DyadicCounts", ...]]:
-        """The histograms of all columns (number,), at least one number each, and of `pairs` of them.
-
-        They equal those of `of` and `of_columns`, but the bin of every number is computed only once.
-        """
-        axes = {name: Axis.of(column, most) for name, column in columns.items()}
-        coarse = {name: Axis.within(*axis[:3], most_of_pairs) for name, axis in axes.items()}
-        counts = {name: np.zeros(axis.size, np.int64) for name, axis in axes.items()}
-        both = [np.zeros(coarse[x].size * coarse[y].size, np.int64) for x, y in pairs]
-        number = len(next(iter(columns.values())))
-        for block in range(0, number, _BLOCK):  # intermediate results stay in the cache
-            place = {}
-            for name, (values, low, _, exponent, first, size) in axes.items():
-                place[name] = places(values[block : block + _BLOCK], low, exponent)
-                counts[name] += np.bincount(place[name] - first, minlength=size)
-            for name, axis in coarse.items():
-                place[name] >>= axis.exponent - axes[name].exponent
-                place[name] -= axis.first
-            for index, (x, y) in enumerate(pairs):
-                both[index] += np.bincount(place[x] * coarse[y].size + place[y], minlength=len(both[index]))
-        singles = tuple(cls.with_counts((axes[name],), counts[name], most) for name in columns)
-        return singles, tuple(
-            cls.with_counts((coarse[x], coarse[y]), count.reshape(coarse[x].size, -1), most_of_pairs)
-            for count, (x, y) in zip(both, pairs, strict=True)
-        )
-
-    @classmethod
-    def with_counts(cls, axes: tuple[Axis, ...], counts: np.ndarray, most: int, finest: int | None = None):
+    def with_counts(cls, axes: tuple[BinnedNumbers, ...], counts: np.ndarray, most: int, finest: int | None = None):
         """The histogram with these `counts` on given `axes`."""
         lows, highs, exponents, firsts = zip(*(axis[1:5] for axis in axes), strict=True)
         return cls(lows, highs, exponents, firsts, counts, most, finest)

@@ -1,8 +1,7 @@
-"""Loops over sticks and numbers that would take NumPy many passes, compiled by Numba.
+"""Loops over sticks that would take NumPy many passes, compiled by Numba.
 
-They run without Python's lock, so that threads do not wait for one another. `compiled` returns them; their callers
-compute the same in NumPy where Numba is not installed. Indices are unsigned where speed matters, since Numba tests
-signed ones for being negative.
+They run without Python's lock, so that threads do not wait for one another. Indices are unsigned where speed matters,
+since Numba tests signed ones for being negative.
 """
 
 from functools import cache
@@ -12,12 +11,13 @@ import numpy as np
 
 
 @cache
-def compiled() -> ModuleType | None:
-    """The module of the compiled loops; None where Numba is not installed. They compile when first called."""
-    try:
-        from . import numba_loops  # noqa: PLC0415 - importing Numba takes half a second
-    except ImportError:
-        return None
+def compiled() -> ModuleType:
+    """The module of the loops, imported on the first call: Numba takes half a second. Each compiles on its first call.
+
+    For a Python that is newer than Numba the same loops run uncompiled, some hundred times slower.
+    """
+    from . import numba_loops  # noqa: PLC0415
+
     return numba_loops
 
 

@@ -1,9 +1,13 @@
-"""The loops that `loops.compiled` returns; Numba compiles each when it is first called."""
+"""The loops that `loops.compiled` returns."""
 
 from typing import Any, no_type_check
 
-import numba
 import numpy as np
+
+try:
+    import numba
+except ImportError:  # Numba supports a new Python some months after its release
+    numba = None
 
 _BLOCK = 2048  # sticks: intermediate results stay in the fastest cache
 _WIDTH = 32  # numbers compared at once
@@ -11,6 +15,8 @@ _WIDTH = 32  # numbers compared at once
 
 def _loop(function: Any) -> Any:
     """Compile `function` on its first call, and keep the machine code for other processes where possible."""
+    if numba is None:
+        return function
     # Sums may be taken in any order: several numbers at a time.
     options = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "nsz", "contract"}}
     try:
@@ -22,10 +28,9 @@ def _loop(function: Any) -> Any:
 @_loop
 @no_type_check
 def gather(
-    values, ending, sample, samples, whose, so_far, last, count, finish, start, end, position, slip, endings, owner,
-    order, further,
+    values, ending, sample, samples, begin_at, whose, so_far, last, count, finish, numbers, slip, endings, owner, order
 ):  # fmt: skip
-    """Put the sticks among records into columns, and return their number.
+    """Put the sticks among records into columns from `begin_at` on, and return where the columns end then.
 
     `whose`, `so_far`, `last`, (lanes,): the sample that each lane is in, its sticks so far, and the end of the last;
     `count`, `finish`, (samples,): the same of each sample.
@@ -34,7 +39,8 @@ def gather(
     slots = len(ending) // blocks
     found = np.empty(lanes + 1, np.uint32)
     skipped = np.empty(lanes, np.int8)
-    one, at = np.uint64(1), np.uint64(0)  # unsigned: Numba tests whether signed indices are negative
+    one, at = np.uint64(1), np.uint64(begin_at)  # unsigned: Numba tests whether signed indices are negative
+    start, end, position, further = numbers[0], numbers[1], numbers[2], numbers[3:]
     for block in range(blocks):
         for lane in range(lanes):
             of_lane = sample[block, lane]
@@ -65,39 +71,42 @@ def gather(
 
 @_loop
 @no_type_check
-def put_in_order(first, owner, order, columns, ordered):
+def put_in_order(first, owner, order, columns, ending, ordered, endings):
     """Put each stick where the sticks of its sample begin, `first` (samples,), plus its `order` among them.
 
-    `columns`, `ordered`: start, end, position, ending, and further numbers, (columns, sticks).
+    `columns`, `ending`: of the sticks; `ordered`, `endings`: where they are put. Tuples of columns, because the rows of
+    a part of a larger array are contiguous, and it is not.
     """
-    start, end, position, ending, further = columns
-    starts, ends, positions, endings, others = ordered
     for i in range(len(owner)):
         at = np.uint64(first[np.uint64(owner[i])] + order[i])
-        starts[at], ends[at], positions[at], endings[at] = start[i], end[i], position[i], ending[i]
-        for row in range(len(further)):
-            others[row, at] = further[row, i]
+        endings[at] = ending[i]
+        for row in range(len(columns)):
+            ordered[row][at] = columns[row][i]
 
 
 @_loop
 @no_type_check
-def _fill(start, end, position, slip, skip_rest, first, size, rows):
-    """Start, duration, position and preceding slip of each stick of a block, written into `rows`; returns their number.
+def _fill(start, end, position, slip, others, skip_rest, first, size, rows):
+    """Start, duration, position, `others` and preceding slip of each stick of a block; returns their number.
 
-    `skip_rest`: whether to leave out the sticks that begin at 0.
+    They are written into `rows`, one for each quantity. `skip_rest`: whether to leave out the sticks that begin at 0.
     """
     # Slices: Numba tests whether sums of signed indices are negative, and does not vectorise then.
     starts, ends, positions = start[first : first + size], end[first : first + size], position[first : first + size]
-    slips, one, two, three, four = slip[first : first + size], rows[0], rows[1], rows[2], rows[3]
+    slips, one, two, three, last = slip[first : first + size], rows[0], rows[1], rows[2], rows[len(rows) - 1]
     if not skip_rest:
         for i in range(len(starts)):
-            one[i], three[i], four[i] = starts[i], positions[i], slips[i]
+            one[i], three[i], last[i] = starts[i], positions[i], slips[i]
             two[i] = np.float64(ends[i]) - np.float64(starts[i])
+        for a in range(len(others)):
+            rows[3 + a][:size] = others[a][first : first + size]
         return size
     number = np.uint64(0)
     for i in range(len(starts)):
-        one[number], three[number], four[number] = starts[i], positions[i], slips[i]
+        one[number], three[number], last[number] = starts[i], positions[i], slips[i]
         two[number] = np.float64(ends[i]) - np.float64(starts[i])
+        for a in range(len(others)):
+            rows[3 + a, number] = others[a, first + i]
         number += np.uint64(starts[i] != 0)
     return np.int64(number)
 
@@ -171,18 +180,20 @@ def _product(row, other):
 
 @_loop
 @no_type_check
-def survey(start, end, position, slip, skip_rest, all_slips, number, low, high, total):
-    """How many starts, durations, positions and slips, their extremes and their sums, (4,).
+def survey(start, end, position, slip, others, skip_rest, all_slips, number, low, high, total):
+    """How many starts, durations, positions, `others` (quantities, sticks) and slips, their extremes and their sums.
 
-    Without the sticks that begin at 0 if `skip_rest`; only slips above 0 s, unless `all_slips`.
+    Each of the results has one entry for each quantity. Without the sticks that begin at 0 if `skip_rest`; only slips
+    above 0 s, unless `all_slips`.
     """
-    rows = np.empty((4, _BLOCK))
+    d = len(number)
+    rows = np.empty((d, _BLOCK))
     for first in range(0, len(start), _BLOCK):
         size = min(_BLOCK, len(start) - first)
-        size = _fill(start, end, position, slip, skip_rest, first, size, rows)
-        for a in range(4):
+        size = _fill(start, end, position, slip, others, skip_rest, first, size, rows)
+        for a in range(d):
             row = rows[a][:size]
-            if a == 3 and not all_slips:
+            if a == d - 1 and not all_slips:
                 row = _positive(row)
             _look(row, a, low, high, total)
             number[a] += len(row)
@@ -191,25 +202,26 @@ def survey(start, end, position, slip, skip_rest, all_slips, number, low, high, 
 @_loop
 @no_type_check
 def count(
-    start, end, position, slip, skip_rest, all_slips, mean, scale, bin_of, shift, pair_bin_of, pairs, counts, scatter,
-    third,
+    start, end, position, slip, others, skip_rest, all_slips, mean, scale, bin_of, shift, pair_bin_of, pairs, counts,
+    scatter, third,
 ):  # fmt: skip
     """Count numbers in bins and sum products and cubes of their deviations from the `mean`.
 
     Number x of quantity a counts in bin ``floor(x scale[a]) + bin_of[a]`` of `counts`. Bins of pairs are wider by
     ``2**shift[a]`` and begin with `pair_bin_of`; `pairs`, (pairs, 4): x, y, bins of y, first place in `counts`.
     """
-    rows, places = np.empty((4, _BLOCK)), np.empty((4, _BLOCK), np.int64)
+    d = len(mean)
+    rows, places = np.empty((d, _BLOCK)), np.empty((d, _BLOCK), np.int64)
     for first in range(0, len(start), _BLOCK):
         size = min(_BLOCK, len(start) - first)
-        size = _fill(start, end, position, slip, skip_rest, first, size, rows)
-        for a in range(4):
+        size = _fill(start, end, position, slip, others, skip_rest, first, size, rows)
+        for a in range(d):
             row, place = rows[a][:size], places[a][:size]
-            if a == 3 and not all_slips:
+            if a == d - 1 and not all_slips:
                 row = _positive(row)
             _count(row, scale[a], bin_of[a], place, counts)
             _sum(row, a, mean, scatter, third)
-            if a < 3:
+            if a < d - 1:
                 bits, offset = shift[a], pair_bin_of[a]
                 for i in range(size):
                     place[i] = (place[i] >> bits) - offset
@@ -223,8 +235,10 @@ def count(
 
 @_loop
 @no_type_check
-def numbered(start, end, position, owner, order, skipped, columns, number, earlier, first_two):
-    """Start, duration and position, (3, orders, sticks), of the sticks of each order, and their `number`, (orders,).
+def numbered(start, end, position, others, owner, order, skipped, columns, number, earlier, first_two):
+    """Start, duration, position and `others` of the sticks of each order, and their `number`, (orders,).
+
+    `columns`: (quantities, orders, sticks).
 
     Also the durations of the first and the second stick of each sample that has both, (2, samples).
     `earlier`: scratch array. `skipped`: how many sticks of each sample have no number, (samples,).
@@ -237,6 +251,8 @@ def numbered(start, end, position, owner, order, skipped, columns, number, earli
             duration = np.float64(end[i]) - np.float64(start[i])
             to = np.uint64(number[which])
             columns[0, which, to], columns[1, which, to], columns[2, which, to] = start[i], duration, position[i]
+            for a in range(len(others)):
+                columns[3 + a, which, to] = others[a, i]
             number[which] += 1
             if which == 0:
                 earlier[whose] = duration
@@ -247,19 +263,22 @@ def numbered(start, end, position, owner, order, skipped, columns, number, earli
 @_loop
 @no_type_check
 def survey_orders(columns, number, low, high, total):
-    """Extremes and sums of what `numbered` gave, (orders, 3)."""
+    """Extremes and sums of what `numbered` gave, (orders, quantities)."""
     for which in range(len(number)):
-        for a in range(3):
+        for a in range(len(columns)):
             _look(columns[a, which][: number[which]], a, low[which], high[which], total[which])
 
 
 @_loop
 @no_type_check
 def count_orders(columns, number, mean, scale, bin_of, bins, counts, scatter, third):
-    """Count what `numbered` gave in bins, `bins` (3,) for each order, and sum as `count` does; spoils the columns."""
+    """Count what `numbered` gave in bins, and sum as `count` does; spoils the columns.
+
+    `bins`: how many each order has of each quantity, (quantities,).
+    """
     place = np.empty(columns.shape[2], np.int64)
     for which in range(len(number)):
-        for a in range(3):
+        for a in range(len(columns)):
             row = columns[a, which][: number[which]]
             _count(row, scale[a], bin_of[a] + which * bins[a], place, counts)
             _sum(row, a, mean[which], scatter[which], third[which])

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._ensemble.call import simulate_piece
 from .._ensemble.parts import RETAINED
-from .._ensemble.run import Run
+from .._ensemble.setup import EnsembleSetup
 from .._events.sticks import FlatSticks
 from .._statistics.accumulator import Numbering
 from .._status import Status
@@ -45,7 +45,7 @@ def simulated(problem: Problem, model: Model) -> Callable[[int, int], tuple[np.n
     """
     key = jax.random.wrap_key_data(problem.key_data)
     options = (problem.samples, 0, key, None, problem.method, "sticks", _ALL)
-    run = Run.checked(model, problem.t1, *options)
+    run = EnsembleSetup.checked(model, problem.t1, *options)
 
     def values(first: int, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         many = simulate_piece(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._statistics.registry import DIFFERENTIABLE, Linear, StatisticOfTotals
+from .._statistics.totals import DIFFERENTIABLE, Linear, StatisticOfTotals
 from .._types import Array, Scalar
 
 
@@ -42,7 +42,7 @@ class StickStatistic(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class OfTotals(StickStatistic):
-    """A statistic of the total stick time and the number of sticks, as the registry of statistics defines it."""
+    """A statistic of the total stick time and the number of sticks, as `_statistics/totals.py` defines it."""
 
     definition: StatisticOfTotals
     is_of_totals = True

@@ -5,20 +5,19 @@ Accumulators of parts of an ensemble are merged exactly: sums of deviations by t
 cut into parts.
 """
 
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
+from .. import _checks
 from .._events.stick_stream import StickStream
 from .._events.sticks import FlatSticks
-from .._numerics import loops
 from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .._status import Ending
-from . import stick_sums
 from .distribution import BINS
-from .registry import STICK_QUANTITIES
+from .stick_sums import sums_of_orders, sums_of_sticks
 
 MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
 
@@ -32,13 +31,21 @@ class Numbering(NamedTuple):
     orders: int
     count_initial_rest: bool
 
-    def order_of(self, sticks: FlatSticks) -> np.ndarray:
-        """The number of each stick in its sample, from 1; 0 for one that is not numbered. (sticks,)."""
+    @classmethod
+    def checked(cls, orders: int, count_initial_rest: bool) -> "Numbering":
+        """The numbering with these options of `simulate_ensemble`. Raises ValueError for options out of bounds."""
+        _checks.truth("count_initial_rest", count_initial_rest)
+        return cls(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
+
+    def order_of(self, sticks: FlatSticks) -> Int[np.ndarray, " sticks"]:
+        """The number of each stick in its sample, from 1; 0 for one that is not numbered."""
         before = sticks.first + self.skipped(sticks)
         return np.arange(len(sticks.start)) - np.repeat(before, sticks.count) + 1
 
-    def rest(self, sticks: FlatSticks | StickStream) -> tuple[np.ndarray, np.ndarray]:
-        """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered, (samples,) each."""
+    def rest(
+        self, sticks: FlatSticks | StickStream
+    ) -> tuple[Float[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
+        """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered."""
         skipped = self.skipped(sticks)
         time = np.zeros(len(skipped))
         if np.any(skipped):
@@ -47,14 +54,14 @@ class Numbering(NamedTuple):
             time[owner[at_zero]] = sticks.end[at_zero]
         return time, skipped
 
-    def skipped(self, sticks: FlatSticks | StickStream) -> np.ndarray:
-        """How many sticks of each sample come before its first numbered one: 0 or 1, (samples,)."""
+    def skipped(self, sticks: FlatSticks | StickStream) -> Int[np.ndarray, " samples"]:
+        """How many sticks of each sample come before its first numbered one: 0 or 1."""
         begins = sticks.begins_at_zero
         return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
 
 
 class StickAccumulator(NamedTuple):
-    """Sums and histograms of the sticks and slips of finished samples. Times in s. Quantities as in `registry.py`.
+    """Sums and histograms of the sticks and slips of finished samples. Times in s. Quantities as in `quantities.py`.
 
     A stick that begins at t = 0 is left out of all but the numbers and the stick fractions of samples, unless it is
     numbered (see `Numbering`).
@@ -98,10 +105,9 @@ class StickAccumulator(NamedTuple):
         at_zero = np.flatnonzero(sticks.start == 0)[: int(np.sum(skipped))]
         endings = [np.count_nonzero(sticks.ending == code) - np.sum(sticks.ending[at_zero] == code) for code in Ending]
         counts = (sticks.count, np.asarray(slips, np.int64))
-        by = _summing_module()
         return cls(
-            **by.sums_of_sticks(sticks, skipped, t1)._asdict(),
-            **by.sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
+            **sums_of_sticks(sticks, skipped, t1)._asdict(),
+            **sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
             samples=PowerSums.of(*counts, fraction),
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),
@@ -110,18 +116,13 @@ class StickAccumulator(NamedTuple):
         )
 
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":
-        """The accumulator of both parts together."""
+        """The accumulator of both parts together. Raises ValueError for one that a version with other sums stored."""
+        if len(self.stick_bins) != len(other.stick_bins):
+            raise ValueError(
+                f"Ensembles must have sums of the same quantities, but {len(self.stick_bins)} and "
+                f"{len(other.stick_bins)} quantities of sticks were summed; simulate the older one again."
+            )
         return StickAccumulator(*(_merged(*pair) for pair in zip(self, other, strict=True)))
-
-
-def _summing_module() -> ModuleType:
-    """The module that sums the sticks: loops, where they can be compiled and know every quantity, or else NumPy."""
-    if loops.compiled() is None:
-        return stick_sums
-    from . import compiled_stick_sums  # noqa: PLC0415 - imports Numba
-
-    know_all = len(STICK_QUANTITIES) == len(compiled_stick_sums.QUANTITIES)
-    return compiled_stick_sums if know_all else stick_sums
 
 
 def _merged(one: Any, other: Any) -> Any:

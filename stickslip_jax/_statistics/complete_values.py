@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _checks
-from .._events.sticks import FlatSticks
+from .._events.sticks import NUMBERS
 from .._status import Ending
-from .registry import DURATION, SLIP_DURATION, SLIP_START, TESTED
+from .quantities import DURATION, SLIP_DURATION, SLIP_START, TESTED
 from .source import StickSource
 
 
@@ -106,8 +106,8 @@ class _Sticks(NamedTuple):
 def _sticks_of(source: Any) -> _Sticks:
     """The numbered sticks of an ensemble's finished samples, or `source` itself if it is `FlatSticks`."""
     flat: Any = source.numbered_sticks() if hasattr(source, "numbered_sticks") else source
-    names = FlatSticks._fields[1:]
-    if not all(hasattr(flat, name) for name in FlatSticks._fields):
+    names = (*NUMBERS, "ending")
+    if not all(hasattr(flat, name) for name in ("count", *names)):
         raise ValueError(
             "Argument source must be the result of simulate_ensemble or its flat_sticks, "
             f"but {type(source).__name__} was given."

@@ -10,7 +10,7 @@ import numpy as np
 from .. import _checks
 from .._numerics.moments import Moments
 from .estimate import Estimate, check_level, estimate_by
-from .registry import StickValue
+from .quantities import StickValue
 from .source import EnsembleLike, require_ensemble, require_statistic
 
 

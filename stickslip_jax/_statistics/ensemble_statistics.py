@@ -1,7 +1,7 @@
 """The statistics of the sticks and slips of an ensemble, by quantity and by order."""
 
 import dataclasses
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,30 +20,29 @@ from .distribution import Distribution
 from .estimate import Estimate
 from .joint import JointDistribution, pearson_of
 from .labeled import dataset_of_statistics
-from .registry import (
+from .orders import NAMES, ByQuantity, OrderStatistics
+from .quantities import (
     BY_NAME,
+    DISTRIBUTIONS,
     FIRST_TWO,
     OWN_MEAN_DURATION,
-    POSITION,
     SAMPLE_QUANTITIES,
     SLIP_AFTER,
     SLIP_AFTER_START,
     SLIP_DURATION,
+    SLIP_QUANTITIES,
     STICK_QUANTITIES,
     STREAMED_PAIRS,
-    TOTALS,
     SampledQuantity,
     StickValue,
-    ordinal,
 )
 from .slip_statistics import SlipStatistics
 from .source import origin_of, require_ensemble
-from .summary import Summary, summary_of_distributions, summary_of_statistics
+from .summary import Summary, shown, table_of
+from .totals import TOTALS
 
 if TYPE_CHECKING:
     import xarray
-
-_NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
 def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
@@ -60,24 +59,8 @@ def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     )  # fmt: skip
 
 
-class _ByQuantity:
-    """Gives the distribution of each of the `STICK_QUANTITIES` as an attribute of its name."""
-
-    distributions: Mapping[str, Distribution]
-
-    def __getattr__(self, name: str) -> Distribution:
-        if name not in _NAMES:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-        if name not in self.distributions:
-            raise ValueError(f"The sticks of this ensemble have no {name}, which was not measured.")
-        return self.distributions[name]
-
-    def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *_NAMES})
-
-
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class EnsembleStatistics(_ByQuantity):
+class EnsembleStatistics(ByQuantity):
     """Statistics of the sticks and slips of the samples that finished.
 
     Sticks cut by the horizon count with the part before it (`endings` gives their share), and so do slips. A sample
@@ -112,8 +95,9 @@ class EnsembleStatistics(_ByQuantity):
 
     @cached_property
     def missing(self) -> frozenset[str]:
-        """The names of quantities that the sticks do not have, because nobody measured them."""
-        return frozenset({POSITION.name} if np.any(np.isnan(self.sticks.position)) else ())
+        """The names of quantities that the sticks do not have: not measured, or not summed by an older version."""
+        summed = len(self.accumulator.stick_bins)
+        return frozenset(name for at, name in enumerate(NAMES) if at >= summed or np.any(np.isnan(self._column(name))))
 
     def known(self, quantities: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
         """Those of the `quantities` that the sticks have."""
@@ -205,7 +189,7 @@ class EnsembleStatistics(_ByQuantity):
             for ending in Ending
         }
 
-    def order(self, number: int) -> "OrderStatistics":
+    def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th stick of each sample that has so many.
 
         Raises ValueError unless ``1 <= number <= orders``.
@@ -219,7 +203,7 @@ class EnsembleStatistics(_ByQuantity):
         skipped = self.numbering.skipped(self.sticks)
         has = self.sticks.count - skipped >= number
         at = (self.sticks.first + skipped + number - 1)[has]
-        sums, label = self.accumulator.by_order.one(number - 1), f"share of samples that have a {ordinal(number)} stick"
+        sums = self.accumulator.by_order.one(number - 1)
         distributions = {}
         for index, quantity in enumerate(STICK_QUANTITIES):
             if quantity.name in self.missing:
@@ -230,10 +214,7 @@ class EnsembleStatistics(_ByQuantity):
             distributions[quantity.name] = self._distribution(
                 quantity, sums, bins, clusters, index=index, label=quantity.label_of_order(number)
             )
-        share = int(sums.number) / self.samples if self.samples else np.nan
-        error = np.sqrt(share * (1 - share) / (self.samples - 1)) if self.samples > 1 else np.nan
-        estimate = Estimate(label, share, float(error), "1", self.samples, self.origin)
-        return OrderStatistics(number, estimate, distributions)
+        return OrderStatistics.of(number, "stick", int(sums.number), self.samples, distributions, self.origin)
 
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
         """The joint distribution of two quantities of a stick, or of two sticks of one sample.
@@ -290,18 +271,43 @@ class EnsembleStatistics(_ByQuantity):
         """
         return dataset_of_statistics(self, bins)
 
+    @property
+    def _summary(self) -> Summary:
+        """The tables of `Ensemble.summary`, without what only the ensemble knows: which samples did not finish."""
+        tables = [
+            table_of(
+                "All sticks and slips (mean +- standard error)",
+                [getattr(self, quantity.name) for quantity in self.known(DISTRIBUTIONS)],
+            )
+        ]
+        for body, of, quantities in (
+            ("stick", self, self.known(STICK_QUANTITIES)),
+            ("slip", self.slips, SLIP_QUANTITIES),
+        ):
+            orders = [of.order(number) for number in range(1, self.orders + 1)]
+            rows = tuple(
+                (str(one.number), shown(one.share), *(shown(values.mean) for values in one.distributions.values()))
+                for one in orders
+                if one.duration.number > 0
+            )
+            if rows:
+                heads = [f"{one.short_label.removeprefix('slip ')} ({self.unit_of(one)})" for one in quantities]
+                caption = f"{body.capitalize()}s by order (mean +- standard error)"
+                tables.append((caption, (body, "samples that have it", *heads), rows))
+        return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
+
     def __repr__(self) -> str:
-        return repr(summary_of_statistics(self))
+        return repr(self._summary)
 
     def _repr_html_(self) -> str:
-        return summary_of_statistics(self)._repr_html_()
+        return self._summary._repr_html_()
 
     def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:
         """Histogram and correlation of a pair and whether they were summed over all samples."""
         if (x, y) == FIRST_TWO:
             return self.accumulator.first_two_bins, pearson_of(self.accumulator.first_two, 0, 1), True
         if (x, y) in STREAMED_PAIRS:
-            columns = (_NAMES.index(x), _NAMES.index(y))
+            columns = (NAMES.index(x), NAMES.index(y))
             bins = self.accumulator.pair_bins[STREAMED_PAIRS.index((x, y))]
             return bins, pearson_of(self.accumulator.sticks, *columns), True
         return None, None, False
@@ -351,29 +357,6 @@ class EnsembleStatistics(_ByQuantity):
             start, duration = slips_after(self.sticks, self.t1)
             return start if name == SLIP_AFTER_START.name else duration
         return np.asarray(getattr(self.sticks, name), np.float64)
-
-
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class OrderStatistics(_ByQuantity):
-    """Statistics of the `number`-th stick, over the samples that have it.
-
-    - `share`: the share of samples that have it.
-    - `start`, `duration` (s), `position` (m; of a motor rad): each a `Distribution`; `distributions`: these by name.
-    """
-
-    number: int
-    share: Estimate
-    distributions: Mapping[str, Distribution]
-
-    def __repr__(self) -> str:
-        return repr(self._summary)
-
-    def _repr_html_(self) -> str:
-        return self._summary._repr_html_()
-
-    @property
-    def _summary(self) -> Summary:
-        return summary_of_distributions(str(self.share), list(self.distributions.values()))
 
 
 def _stick_value(argument: str, value: Any) -> tuple[SampledQuantity, int | None]:

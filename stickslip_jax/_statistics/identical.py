@@ -13,7 +13,7 @@ from .. import _checks
 from .accumulator import MOST_ORDERS
 from .anderson_darling import anderson_darling
 from .complete_values import plural, sequences_of
-from .registry import TestedQuantity
+from .quantities import TestedQuantity
 from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance, holm
 

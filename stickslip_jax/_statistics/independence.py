@@ -10,7 +10,7 @@ from scipy import stats
 from .. import _checks
 from .complete_values import plural, sequences_of
 from .identical import identically_distributed
-from .registry import IN_A_CYCLE, TESTED, TestedQuantity
+from .quantities import IN_A_CYCLE, TESTED, TestedQuantity
 from .source import StickSource
 from .verdicts import HypothesisTest, Verdict, check_significance
 

@@ -8,7 +8,7 @@ import numpy as np
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution
-from .registry import DISTRIBUTIONS, FIRST_TWO, SLIP_QUANTITIES, STICK_QUANTITIES, STREAMED_PAIRS, StickValue
+from .quantities import DISTRIBUTIONS, FIRST_TWO, SLIP_QUANTITIES, STICK_QUANTITIES, STREAMED_PAIRS, StickValue
 
 if TYPE_CHECKING:
     import xarray

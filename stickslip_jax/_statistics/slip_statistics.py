@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
@@ -14,8 +14,8 @@ from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
 from .distribution import BINS, Distribution
-from .estimate import Estimate
-from .registry import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity, ordinal
+from .orders import OrderStatistics
+from .quantities import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity
 from .summary import Summary, summary_of_distributions
 
 
@@ -44,23 +44,15 @@ class SlipStatistics:
         """How long the slips last, s."""
         return self._distribution(SLIP_DURATION, SLIP_DURATION.label, np.ones(len(self._slips.start), bool))
 
-    def order(self, number: int) -> "SlipOrderStatistics":
+    def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
-        chosen = self._order == _checks.whole_number("number", number)
+        chosen = self._slips.order == _checks.whole_number("number", number)
         found = {one.name: self._distribution(one, one.label_of_order(number), chosen) for one in SLIP_QUANTITIES}
-        samples, having = len(self.sticks.count), int(chosen.sum())
-        share = having / samples if samples else math.nan
-        error = math.sqrt(share * (1 - share) / (samples - 1)) if samples > 1 else math.nan
-        label = f"share of samples that have a {ordinal(number)} slip"
-        return SlipOrderStatistics(number, Estimate(label, share, error, "1", samples, self.origin), found)
+        return OrderStatistics.of(number, "slip", int(chosen.sum()), len(self.sticks.count), found, self.origin)
 
     @cached_property
     def _slips(self) -> FlatSlips:
         return slips_among(self.sticks, self.t1)
-
-    @cached_property
-    def _order(self) -> np.ndarray:
-        return self._slips.order
 
     def _distribution(self, quantity: SampledQuantity, label: str, chosen: np.ndarray) -> Distribution:
         """The distribution of a quantity of the `chosen` slips."""
@@ -84,36 +76,3 @@ class SlipStatistics:
     def _summary(self) -> Summary:
         title = f"Slips of {len(self.sticks.count):,} samples on [0, {self.t1:g}] s"
         return summary_of_distributions(title, [self.start, self.duration])
-
-
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class SlipOrderStatistics:
-    """Statistics of the `number`-th slip, over the samples that have it.
-
-    - `share`: the share of samples that have it. `start`, `duration` (s): each a `Distribution`.
-    - `distributions`: these by the names "slip_start", "slip_duration".
-    """
-
-    number: int
-    share: Estimate
-    distributions: Mapping[str, Distribution]
-
-    @property
-    def start(self) -> Distribution:
-        """When it begins, s."""
-        return self.distributions[SLIP_START.name]
-
-    @property
-    def duration(self) -> Distribution:
-        """How long it lasts, s."""
-        return self.distributions[SLIP_DURATION.name]
-
-    def __repr__(self) -> str:
-        return repr(self._summary)
-
-    def _repr_html_(self) -> str:
-        return self._summary._repr_html_()
-
-    @property
-    def _summary(self) -> Summary:
-        return summary_of_distributions(str(self.share), list(self.distributions.values()))

@@ -1,19 +1,27 @@
-"""Sums and histograms of sticks by NumPy, where there is no Numba for `compiled_stick_sums.py`."""
+"""Sums and histograms of sticks and of the slips between them, by compiled loops over the sticks of a part."""
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .._events.stick_stream import StickStream
-from .._numerics.dyadic import DyadicCounts
+from .._events.sticks import NUMBERS
+from .._numerics import loops
+from .._numerics.dyadic import BinnedNumbers, DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .distribution import BINS
-from .registry import STICK_QUANTITIES, STREAMED_PAIRS
+from .quantities import STICK_QUANTITIES, STREAMED_PAIRS
 
 BINS_BY_ORDER = 1024
 BINS_OF_PAIRS = 128  # at most, along each axis
 
 _NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
+_SLIP = len(_NAMES)  # the column of slips, after those of the sticks
+_OTHERS = [NUMBERS.index(name) for name in _NAMES[3:]]  # rows of `StickStream.numbers`
+_X, _Y = ([_NAMES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
 
 
 class StickSums(NamedTuple):
@@ -41,63 +49,120 @@ class OrderSums(NamedTuple):
     first_two_bins: DyadicCounts
 
 
-def sums_of_sticks(sticks: StickStream, skipped: np.ndarray, t1: float) -> StickSums:
+def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1: float) -> StickSums:
     """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s.
 
-    `skipped`: how many sticks of each sample come before its first numbered one, 0 or 1, (samples,).
+    `skipped`: how many sticks of each sample come before its first numbered one, 0 or 1.
+
+    Raises ValueError where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
     """
-    sticks = sticks.later_than(skipped)
-    columns = _columns(sticks)
-    stick_bins, pair_bins = _stick_bins(columns)
-    slip = _slip_durations(sticks, t1)
-    return StickSums(PowerSums.of(*columns), stick_bins, PowerSums.of(slip), DyadicCounts.of(slip, BINS), pair_bins)
+    d, compiled = _SLIP + 1, loops.compiled()
+    skip_rest = bool(np.any(skipped))
+    # A sample that begins with a stick has no slip there.
+    all_slips = skip_rest or not np.any(sticks.begins_at_zero)
+    columns = (
+        sticks.start, sticks.end, sticks.position, sticks.slip, sticks.numbers[_OTHERS], skip_rest, all_slips
+    )  # fmt: skip
+    number, low, high, total = np.zeros(d, np.int64), np.full(d, np.inf), np.full(d, -np.inf), np.zeros(d)
+    compiled.survey(*columns, number, low, high, total)
+    if np.any(np.isnan(total)):
+        raise ValueError("Sticks must have finite starts, ends and positions, but some are NaN.")
+    fine = [_bins_within(*ends, BINS) for ends in zip(low, high, strict=True)]
+    coarse = [_bins_within(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
+    shapes = [(one.size,) for one in fine] + [(coarse[x].size, coarse[y].size) for x, y in zip(_X, _Y, strict=True)]
+    counts, begin = _buffer(shapes)
+    mean, scatter, third = total / np.maximum(number, 1), np.zeros((d, d)), np.zeros(d)
+    compiled.count(
+        *columns,
+        mean,
+        _scales(fine),
+        begin[:d] - [one.first for one in fine],
+        np.array([wide.exponent - one.exponent for wide, one in zip(coarse, fine, strict=False)] + [0]),
+        np.array([one.first for one in coarse] + [0]),
+        np.array([_X, _Y, [coarse[y].size for y in _Y], begin[d:-1]]).T,
+        counts,
+        scatter,
+        third,
+    )
+    found = [part.reshape(shape) for part, shape in zip(np.split(counts, begin[1:-1]), shapes, strict=True)]
+    scatter += np.tril(scatter, -1).T
+    of_sticks, of_slips = (
+        PowerSums(np.array(number[at][0]), mean[at], scatter[at, at], third[at], low[at], high[at])
+        for at in (slice(_SLIP), slice(_SLIP, d))
+    )
+    each = [
+        DyadicCounts.with_counts((one,), count, BINS) if some else DyadicCounts.none(1, BINS)
+        for one, count, some in zip(fine, found, number, strict=False)
+    ]
+    after = sticks.slip_after(t1).astype(np.float64)
+    after = after[after > 0]
+    return StickSums(
+        of_sticks,
+        tuple(each[:_SLIP]),
+        of_slips.merge(PowerSums.of(after)),
+        each[_SLIP].merge(DyadicCounts.of(after, BINS)),
+        tuple(
+            DyadicCounts.with_counts((coarse[x], coarse[y]), count, BINS_OF_PAIRS)
+            if number[0]
+            else DyadicCounts.none(2, BINS_OF_PAIRS)
+            for x, y, count in zip(_X, _Y, found[d:], strict=True)
+        ),
+    )
 
 
-def sums_of_orders(sticks: StickStream, skipped: np.ndarray, orders: int) -> OrderSums:
+def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], orders: int) -> OrderSums:
     """Sums and histograms of the 1st to the `orders`-th numbered stick.
 
-    `skipped`: how many sticks of each sample come before its first numbered one, (samples,).
+    `skipped`: how many sticks of each sample come before its first numbered one.
     """
-    columns = _columns(sticks)
-    which = sticks.order - skipped[sticks.owner]
-    at = [np.flatnonzero(which == order) for order in range(max(orders, 2))]
-    first = np.empty(len(sticks.count))
-    first[sticks.owner[at[0]]] = columns[1][at[0]]
-    first_two = first[sticks.owner[at[1]]], columns[1][at[1]]
-    return OrderSums(*_of_orders(columns, at[:orders]), *sums_of_first_two(*first_two))
+    # No more orders than there are sticks, but the first two in any case.
+    most = max(2, min(orders, int(sticks.count.max(initial=0))))
+    columns, number = np.empty((_SLIP, most, len(sticks.count))), np.zeros(most, np.int64)
+    earlier, pair = np.empty(len(sticks.count)), np.empty((2, len(sticks.count)))
+    of_sticks = (sticks.start, sticks.end, sticks.position, sticks.numbers[_OTHERS], sticks.owner, sticks.order)
+    loops.compiled().numbered(*of_sticks, skipped, columns, number, earlier, pair)
+    first_two = pair[0, : number[1]], pair[1, : number[1]]
+    in_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)
+    return OrderSums(*_by_order(columns, number, orders), PowerSums.of(*first_two), in_bins)
 
 
-def sums_of_first_two(first: np.ndarray, second: np.ndarray) -> tuple[PowerSums, DyadicCounts]:
-    """Sums and joint histogram of the durations (s) of the first and the second stick of each sample that has both."""
-    return PowerSums.of(first, second), DyadicCounts.of_columns((first, second), BINS_OF_PAIRS)
+def _by_order(
+    columns: Float[np.ndarray, "quantities orders sticks"], found: Int[np.ndarray, " orders"], orders: int
+) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
+    """Sums and histograms of each order, from the values and the number of sticks `found` that `numbered` gives."""
+    d, present = len(columns), found[:orders]
+    if not np.any(present):
+        no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
+        return PowerSums.stacked([PowerSums.none(d)] * orders), (no_bins,) * d
+    number = np.zeros(orders, np.int64)
+    number[: len(present)] = present
+    low, high, total = (np.full((orders, d), value) for value in (np.inf, -np.inf, 0.0))
+    loops.compiled().survey_orders(columns, present, low, high, total)
+    axes = [_bins_within(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
+    shapes = [(orders, axis.size) for axis in axes]
+    counts, begin = _buffer(shapes)
+    mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
+    bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
+    loops.compiled().count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
+    scatter += np.tril(scatter, -1).swapaxes(1, 2)
+    parts = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
+    return PowerSums(number, mean, scatter, third, low, high), tuple(
+        DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in parts
+    )
 
 
-def _slip_durations(sticks: StickStream, t1: float) -> np.ndarray:
-    """Duration of each slip, s, in any order."""
-    before, after = (np.asarray(durations, np.float64) for durations in (sticks.slip, sticks.slip_after(t1)))
-    if np.any(sticks.begins_at_zero):
-        before = before[before > 0]
-    return np.concatenate([before, after[after > 0]])
+def _bins_within(low: float, high: float, bins: int) -> BinnedNumbers:
+    """The bins for numbers from `low` to `high`; any bins if there are none (then ``low > high``)."""
+    ends = (float(low), float(high)) if low <= high else (0.0, 0.0)
+    return BinnedNumbers.within(np.zeros(0), *ends, bins)
 
 
-def _columns(sticks: StickStream) -> tuple[np.ndarray, ...]:
-    """The `STICK_QUANTITIES` of every stick."""
-    duration = np.asarray(sticks.end, np.float64) - np.asarray(sticks.start, np.float64)
-    return tuple(duration if name == "duration" else np.asarray(getattr(sticks, name), np.float64) for name in _NAMES)
+def _scales(axes: Sequence[BinnedNumbers]) -> Float[np.ndarray, " axes"]:
+    """Bins per unit of each quantity."""
+    return np.array([math.ldexp(1.0, -axis.exponent) for axis in axes])
 
 
-def _stick_bins(columns: tuple[np.ndarray, ...]) -> tuple[tuple[DyadicCounts, ...], tuple[DyadicCounts, ...]]:
-    """The histograms of each quantity and of the pairs."""
-    if len(columns[0]) == 0:
-        one, two = DyadicCounts.none(1, BINS), DyadicCounts.none(2, BINS_OF_PAIRS)
-        return (one,) * len(columns), (two,) * len(STREAMED_PAIRS)
-    return DyadicCounts.of_pairs(dict(zip(_NAMES, columns, strict=True)), STREAMED_PAIRS, BINS, BINS_OF_PAIRS)
-
-
-def _of_orders(columns: tuple[np.ndarray, ...], at: list[np.ndarray]) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
-    """Sums and histograms of the 1st, 2nd, ... stick of each sample; `at`: the indices of the sticks of each order."""
-    orders = len(at)
-    sums = PowerSums.stacked([PowerSums.of(*(column[found] for column in columns)) for found in at])
-    group, every = np.repeat(np.arange(orders), [len(found) for found in at]), np.concatenate(at)
-    bins = tuple(DyadicCounts.of_groups(column[every], group, orders, BINS_BY_ORDER) for column in columns)
-    return sums, bins
+def _buffer(shapes: Sequence[tuple[int, ...]]) -> tuple[Int[np.ndarray, " counts"], Int[np.ndarray, " ends"]]:
+    """One array of zeros for the counts of several histograms, and where each of them begins and the last one ends."""
+    begin = np.cumsum([0, *(math.prod(shape) for shape in shapes)])
+    return np.zeros(begin[-1], np.int64), begin

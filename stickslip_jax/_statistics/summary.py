@@ -1,20 +1,14 @@
-"""The statistics of an ensemble as tables to read, in text and in HTML."""
+"""Statistics as tables to read, in text and in HTML."""
 
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
 from .. import _html
 from .distribution import Distribution
 from .estimate import Estimate, format_with_error
-from .registry import DISTRIBUTIONS, STICK_QUANTITIES
-from .source import require_ensemble
 
-if TYPE_CHECKING:
-    from .ensemble_statistics import EnsembleStatistics
-
-_Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
+Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
 _HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
 
 
@@ -26,7 +20,7 @@ class Summary:
     """
 
     title: str
-    tables: tuple[_Table, ...]
+    tables: tuple[Table, ...]
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -42,65 +36,14 @@ class Summary:
         return "".join([_html.titled(self.title), *parts, *map(_html.escaped, self.notes)])
 
 
-def summary_of(ensemble: Any) -> Summary:
-    """The summary of an ensemble simulated with ``keep="statistics"`` or ``"sticks"``. Raises ValueError for others."""
-    ensemble = require_ensemble(ensemble)
-    statistics: "EnsembleStatistics" = ensemble.statistics
-    return dataclasses.replace(summary_of_statistics(statistics), notes=tuple(_notes(ensemble, statistics)))
-
-
-def summary_of_statistics(statistics: "EnsembleStatistics") -> Summary:
-    """The tables alone, without what only the ensemble knows: which samples did not finish."""
-    distributions = [getattr(statistics, quantity.name) for quantity in statistics.known(DISTRIBUTIONS)]
-    tables: list[_Table] = [("All sticks and slips (mean +- standard error)", _HEAD, tuple(map(_row, distributions)))]
-    sticks = [f"{one.short_label} ({statistics.unit_of(one)})" for one in statistics.known(STICK_QUANTITIES)]
-    for body, of, quantities in (
-        ("stick", statistics, sticks),
-        ("slip", statistics.slips, ["start (s)", "duration (s)"]),
-    ):
-        orders = [of.order(number) for number in range(1, statistics.orders + 1)]
-        rows = tuple(
-            (str(one.number), _shown(one.share), *(_shown(values.mean) for values in one.distributions.values()))
-            for one in orders
-            if one.duration.number > 0
-        )
-        if rows:
-            caption = f"{body.capitalize()}s by order (mean +- standard error)"
-            tables.append((caption, (body, "samples that have it", *quantities), rows))
-    return Summary(f"{statistics.samples:,} samples on [0, {statistics.t1:g}] s", tuple(tables), ())
+def table_of(caption: str, distributions: Sequence[Distribution]) -> Table:
+    """A table with a row for each of some distributions."""
+    return caption, _HEAD, tuple(map(_row, distributions))
 
 
 def summary_of_distributions(title: str, distributions: Sequence[Distribution]) -> Summary:
     """One table, a row for each of some distributions."""
-    return Summary(title, (("Mean +- standard error", _HEAD, tuple(map(_row, distributions))),), ())
-
-
-def _notes(ensemble: Any, statistics: "EnsembleStatistics") -> list[str]:
-    notes = []
-    if statistics.duration.number:
-        shares = ", ".join(f"{_shown(share)} {ending.name}" for ending, share in statistics.endings.items())
-        notes.append(f"Share of sticks by ending: {shares}.")
-    else:
-        rest = " but those that begin at t = 0" if statistics.sticks.begins_at_zero.any() else ""
-        notes.append(f"There is no stick{rest}.")
-    notes.append(
-        "Sticks and slips cut by the horizon count with the part before it. Entropies: in 50 bins; of "
-        "numbers, in one for each."
-    )
-    if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
-        notes.append(
-            "Sticks that begin at t = 0 count in the number of sticks and the stick fraction only; the 1st is the next "
-            "(count_initial_rest)."
-        )
-    retained = len(statistics.totals)
-    if retained < statistics.samples:
-        notes.append(f"Standard errors were measured on the first {retained:,} samples.")
-    for status, count in ensemble.status_counts.items():
-        if status and count:
-            notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
-    if ensemble.near_grazing_samples:
-        notes.append(f"Decided by round-off (near-grazing), counted above: {ensemble.near_grazing_samples:,} samples.")
-    return notes
+    return Summary(title, (table_of("Mean +- standard error", distributions),), ())
 
 
 def _row(of: Distribution) -> tuple[str, ...]:
@@ -114,10 +57,11 @@ def _row(of: Distribution) -> tuple[str, ...]:
         of.skewness,
         of.entropy(),
     )
-    return (f"{of.name}{unit}", _shown(numbers[0]), *(_plain(one) for one in numbers[1:]), f"{of.number:,}")
+    return (f"{of.name}{unit}", shown(numbers[0]), *(_value(one) for one in numbers[1:]), f"{of.number:,}")
 
 
-def _shown(estimate: Estimate) -> str:
+def shown(estimate: Estimate) -> str:
+    """Value and standard error of an estimate, as far as they are known."""
     if math.isnan(estimate.value):
         return "-"
     if math.isnan(estimate.standard_error):
@@ -125,7 +69,7 @@ def _shown(estimate: Estimate) -> str:
     return format_with_error(estimate.value, estimate.standard_error)
 
 
-def _plain(estimate: Estimate) -> str:
+def _value(estimate: Estimate) -> str:
     return "-" if math.isnan(estimate.value) else f"{estimate.value:.4g}"
 
 

@@ -13,8 +13,9 @@ from .._files import write_whole
 from .._numerics.dyadic import CommonBins
 from .._statistics.distribution import DEFAULT_BINS, default_bins
 from .._statistics.estimate import Estimate
-from .._statistics.registry import BY_NAME as STICK_BY_NAME
-from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS, SampledQuantity
+from .._statistics.quantities import BY_NAME as STICK_BY_NAME
+from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
+from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._status import Status
 from .._systems.system import require_system
 from .errors import StudyError

@@ -12,12 +12,11 @@ import numpy as np
 
 from .._ensemble.call import simulate_piece
 from .._ensemble.encoding import Decoder, Encoder
-from .._ensemble.kept import Retained
-from .._ensemble.parts import EnsembleAccumulator
+from .._ensemble.parts import EnsembleAccumulator, Retained
 from .._ensemble.result import Ensemble
 from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity
-from .._statistics.registry import DIFFERENTIABLE
+from .._statistics.totals import DIFFERENTIABLE
 from .._status import Status
 from .errors import DamagedPieceError
 from .plan import RETAINED, Plan, Task
@@ -74,7 +73,7 @@ def packed(ensemble: Ensemble) -> bytes:
     }
     arrays = {"floats": encoder.floats, "integers": encoder.integers}
     if retained is not None:
-        arrays |= {f"stick_{name}": column for name, column in retained.sticks._asdict().items()}
+        arrays |= {f"stick_{name}": column for name, column in retained.sticks.columns.items()}
         arrays["totals"] = retained.totals
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -108,7 +107,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
         decoder = Decoder(arrays["floats"], arrays["integers"])
         found = {name: decoder.decoded(head[name]) for name in _SUMS}
         sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
-        retained = Retained(FlatSticks(**sticks), arrays["totals"]) if sticks else None
+        retained = Retained(FlatSticks.of(**sticks), arrays["totals"]) if sticks else None
         counts = dict(zip(Status, head["status_counts"], strict=True))
         numbers = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
     except _UNFIT as error:

@@ -11,10 +11,11 @@ import numpy as np
 
 from .. import _checks
 from .._ensemble.parts import Keep
-from .._ensemble.run import MOST_SAMPLES, Run
+from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import Numbering
-from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
+from .._statistics.quantities import DISTRIBUTIONS
+from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._uncertainty.numbers import parameters_of
 from .checking import check_points
 from .points import Points
@@ -82,10 +83,10 @@ class Plan:
                 key = jax.random.fold_in(key, int(word, 16))
         return key
 
-    def run_at(self, point: int) -> Run:
+    def run_at(self, point: int) -> EnsembleSetup:
         """The checked ensemble of a point."""
         setting = self.setting_at(point)
-        return Run.checked(
+        return EnsembleSetup.checked(
             setting.model, self.t1, self.samples, 0, self.key_at(point), None,
             setting.method, self.keep, self.numbering,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from .._dynamics.validation import check_method
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._ensemble.result import Ensemble
-from .._ensemble.run import MOST_SAMPLES
+from .._ensemble.setup import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax

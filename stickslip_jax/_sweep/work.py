@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .._ensemble.result import Ensemble
-from .._statistics.registry import STATISTICS
+from .._statistics.totals import STATISTICS
 from .errors import DamagedPieceError
 from .pieces import derivatives_of, head_of, joined, packed, unfinished_in, unpacked
 from .plan import Plan, Task

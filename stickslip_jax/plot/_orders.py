@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from .. import _checks
 from .._ensemble.result import Ensemble
 from .._statistics.estimate import check_level
-from .._statistics.registry import SLIP_QUANTITIES, STICK_QUANTITIES
+from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
 from . import _parts, _style
 
 _BOTTOM = 0.3  # of the height of the axes, for the shares

@@ -15,7 +15,7 @@ from .._ensemble.result import Ensemble
 from .._files import writing
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks, first_stick
-from .._statistics.registry import STATISTICS
+from .._statistics.totals import STATISTICS
 from .._sweep.errors import StudyError
 from ._config import RunConfig, StudyConfig
 from ._figures import draw_figures

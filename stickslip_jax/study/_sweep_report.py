@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._statistics.estimate import format_with_error
-from .._statistics.registry import STATISTICS
+from .._statistics.totals import STATISTICS
 from .._status import Status
 from .._sweep.errors import StudyError
 from .._sweep.looking import StudyStatus

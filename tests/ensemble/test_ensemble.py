@@ -16,7 +16,7 @@ from stickslip_jax._dynamics import lanes
 from stickslip_jax._dynamics.interval.lanes import IntervalEngine
 from stickslip_jax._events.sticks import NUMBERS, slips_between
 from stickslip_jax._numerics.moments import Moments
-from stickslip_jax._statistics.registry import TOTALS
+from stickslip_jax._statistics.totals import TOTALS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)

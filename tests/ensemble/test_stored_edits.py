@@ -188,13 +188,12 @@ def test_many_sticks_of_single_precision_sum_to_their_stick_time():
     numbers = np.random.default_rng(1)
     start = np.arange(number, dtype=np.float32)
     end = (start + numbers.uniform(0.2, 0.8, number)).astype(np.float32)
-    ending, nothing = np.zeros(number, np.int8), np.zeros(number, np.float32)
-    sticks = FlatSticks(np.array([number]), start, end, nothing, nothing, ending)
+    sticks = FlatSticks.of(np.array([number]), start, end, np.zeros(number, np.int8))
     time = np.sum(end.astype(float) - start)
     finished = np.array([True])
     stored_checks.check_sticks(sticks, np.array([time + 1e-4 * t1]), finished, t1)
     with pytest.raises(ValueError, match="do not last for its stick times"):
         stored_checks.check_sticks(sticks, np.array([time + 2e-3 * t1]), finished, t1)
-    few = FlatSticks(np.array([10]), *(column[:10] for column in sticks[1:]))
+    few = FlatSticks(np.array([10]), sticks.numbers[:, :10], sticks.ending[:10])
     with pytest.raises(ValueError, match="do not last for its stick times"):
         stored_checks.check_sticks(few, np.array([np.sum(end[:10] - start[:10]) + 1e-4 * t1]), finished, t1)

@@ -32,7 +32,7 @@ def small_studies(many, number):
     sticks = many.finished_sticks()
     for first in range(0, number * SIZE, SIZE):
         rows, own = totals[first : first + SIZE], slice(at[first], at[first + SIZE])
-        some = type(sticks)(sticks.count[first : first + SIZE], *(column[own] for column in sticks[1:]))
+        some = type(sticks)(sticks.count[first : first + SIZE], sticks.numbers[:, own], sticks.ending[own])
         yield dataclasses.replace(
             many, moments=Moments.of(rows), retained=many.retained._replace(sticks=some, totals=rows)
         )

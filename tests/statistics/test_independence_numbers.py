@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, stats
 from support.independence import autoregressive, flat, iid, rows, shared, spearman_of
 
-from stickslip_jax._ensemble.result import FlatSticks
+from stickslip_jax._events.sticks import FlatSticks, with_columns
 from stickslip_jax._statistics.anderson_darling import anderson_darling, limit_tail
 from stickslip_jax._statistics.identical import identically_distributed
 from stickslip_jax._statistics.independence import independent, independent_and_identical
@@ -86,7 +86,7 @@ class TestNumbers:
         end = np.array([2.0, 5.0, 9.0, 3.0, 4.0])
         start = np.array([1.0, 3.0, 8.5, 1.0, 3.5])
         ending = np.array([0, 1, 2, 0, 0])
-        sticks = FlatSticks(np.array([3, 0, 2]), start, end, np.arange(5.0), np.arange(5.0), ending)
+        sticks = FlatSticks.of(np.array([3, 0, 2]), start, end, ending, position=np.arange(5.0))
         for quantity, used, left in (("duration", 4, 1), ("slip_duration", 3, 1), ("position", 5, 0)):
             verdict = identically_distributed(sticks, quantity, starts_before=math.inf)
             assert verdict.values == used
@@ -100,7 +100,7 @@ class TestNumbers:
         rng = np.random.default_rng(6)
         slips = np.exp(autoregressive(rng, 500, 6, np.full(500, 0.5)))
         sticks = flat(np.full(500, 6), rng.gamma(2, 1, 3000), slips.ravel())
-        sticks = sticks._replace(position=autoregressive(rng, 500, 6, np.full(500, 0.8)).ravel())
+        sticks = with_columns(sticks, position=autoregressive(rng, 500, 6, np.full(500, 0.8)).ravel())
         effects = [independent(sticks, quantity, starts_before=math.inf).tests[2] for quantity in
                    ("duration", "slip_duration", "position")]  # fmt: skip
         for test, truth in zip(effects, (0.0, 0.5, 0.8), strict=True):
@@ -144,7 +144,7 @@ class TestNumbers:
         assert holm([]) == ()
 
 
-NOTHING = FlatSticks(np.zeros(0, int), *np.zeros((4, 0)), np.zeros(0, int))
+NOTHING = FlatSticks.of(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0, int))
 ASKED = (identically_distributed, independent, independent_and_identical)
 
 
@@ -156,9 +156,9 @@ class TestEdges:
         [
             NOTHING,
             NOTHING._replace(count=np.zeros(7, int)),
-            flat([50], np.linspace(1, 2, 50))._replace(position=np.zeros(50)),
-            flat(np.full(30, 1), np.full(30, 9.0), horizon=5.0)._replace(position=np.zeros(30)),
-            flat(np.full(4, 3), np.linspace(1, 2, 12))._replace(position=np.zeros(12)),
+            with_columns(flat([50], np.linspace(1, 2, 50)), position=np.zeros(50)),
+            with_columns(flat(np.full(30, 1), np.full(30, 9.0), horizon=5.0), position=np.zeros(30)),
+            with_columns(flat(np.full(4, 3), np.linspace(1, 2, 12)), position=np.zeros(12)),
         ],
         ids=["no samples", "no sticks", "one sample", "all cut", "few"],
     )
@@ -194,7 +194,7 @@ class TestEdges:
     def test_what_is_not_used_is_not_read(self):
         sticks = iid(np.random.default_rng(9))
         assert np.isnan(sticks.position).all()
-        other = sticks._replace(position=np.arange(len(sticks.position)))
+        other = with_columns(sticks, position=np.arange(len(sticks.position)))
         assert repr(independent_and_identical(sticks)) == repr(independent_and_identical(other))
 
     def test_sources(self):
@@ -202,8 +202,7 @@ class TestEdges:
         sticks = iid(np.random.default_rng(10))
         expected = independent(sticks, starts_before=40.0)
         assert independent(SimpleNamespace(numbered_sticks=lambda: sticks), starts_before=40.0) == expected
-        small = sticks._replace(count=sticks.count.astype(np.int32), start=sticks.start.astype(np.float32),
-                                end=sticks.end.astype(np.float32))  # fmt: skip
+        small = sticks._replace(count=sticks.count.astype(np.int32), numbers=sticks.numbers.astype(np.float32))
         assert independent(small, starts_before=40.0).p_value == pytest.approx(expected.p_value, rel=1e-2)
 
     def test_words_of_one_test(self):
@@ -244,7 +243,7 @@ class TestEdges:
         ("ask", "arguments", "named"),
         [
             (independent, {"source": 3}, "source"),
-            (independent, {"source": iid(np.random.default_rng(0))._replace(start=np.zeros(2))}, "source"),
+            (independent, {"source": SimpleNamespace(**{**NOTHING.columns, "start": np.zeros(2)})}, "source"),
             (independent, {"source": flat([1], np.array([np.nan]))._replace(ending=np.zeros(1))}, "source"),
             (independent, {"quantity": "position", "starts_before": math.inf}, "source"),
             (independent, {"quantity": "end"}, "quantity"),

@@ -7,7 +7,7 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._events.slips import slips_among
 from stickslip_jax._events.sticks import FlatSticks
-from stickslip_jax._statistics.registry import ordinal
+from stickslip_jax._statistics.quantities import ordinal
 
 KEY = jax.random.key(2)
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -23,7 +23,7 @@ def test_by_hand():
     """Three sticks and a cut one; no stick; a stick from t = 0: slips before, between and after."""
     start, end = np.array([1.0, 3.0, 8.5, 0.0]), np.array([2.0, 5.0, 9.0, 4.0])
     ending = np.array([0, 1, 2, 0])
-    sticks = FlatSticks(np.array([3, 0, 1]), start, end, np.zeros(4), np.zeros(4), ending)
+    sticks = FlatSticks.of(np.array([3, 0, 1]), start, end, ending)
     slips = slips_among(sticks, 9.0)
     np.testing.assert_array_equal(slips.sample, [0, 0, 0, 1, 2])
     np.testing.assert_array_equal(slips.start, [0, 2, 5, 0, 4])
@@ -94,8 +94,7 @@ def test_instants_are_neither_independent_nor_identical():
     rng = np.random.default_rng(4)
     slip, stick = rng.exponential(1.0, (4000, 6)), np.full((4000, 6), 1e-6)
     end = np.cumsum(slip + stick, axis=1)
-    columns = (end - stick).ravel(), end.ravel(), np.zeros(24000), np.zeros(24000), np.zeros(24000, int)
-    sticks = FlatSticks(np.full(4000, 6), *columns)
+    sticks = FlatSticks.of(np.full(4000, 6), (end - stick).ravel(), end.ravel(), np.zeros(24000, int))
     for quantity, body in (("start", "stick"), ("slip_start", "slip")):
         verdict = ss.independent(sticks, quantity, starts_before=float("inf"))
         assert verdict.rejected

@@ -9,6 +9,7 @@ from support.independence import autoregressive, flat, spearman_of
 from support.statistics import T1, made_up_sticks, statistics_of, sticks_from
 
 from stickslip_jax import Ending
+from stickslip_jax._events.sticks import with_columns
 from stickslip_jax._statistics.independence import independent
 
 
@@ -19,7 +20,7 @@ def sticks():
     last = (sticks.first + sticks.count - 1)[sticks.count > 0][::3]
     end, ending = sticks.end.copy(), sticks.ending.copy()
     end[last], ending[last] = T1, Ending.HORIZON
-    return sticks._replace(end=end, ending=ending)
+    return with_columns(sticks, end=end)._replace(ending=ending)
 
 
 def by_hand(sticks):

@@ -1,5 +1,7 @@
-"""Sums and histograms of sticks against plain Python, by compiled loops and by NumPy, which give the same counts."""
+"""Sums and histograms of sticks against plain Python, by the loops as Numba compiles them and as Python runs them."""
 
+import importlib.util
+import inspect
 import math
 import sys
 
@@ -9,15 +11,17 @@ import pytest
 from support.statistics import made_up_sticks, sticks_from
 
 import stickslip_jax as ss
-from stickslip_jax._ensemble import parts as ensemble_parts
 from stickslip_jax._events.stick_stream import StickCollector, StickStream
-from stickslip_jax._events.sticks import NUMBERS
-from stickslip_jax._numerics import loops
-from stickslip_jax._statistics import compiled_stick_sums, stick_sums
+from stickslip_jax._events.sticks import FURTHER, NUMBERS, with_columns
+from stickslip_jax._numerics import loops, numba_loops
+from stickslip_jax._numerics.dyadic import DyadicCounts
+from stickslip_jax._numerics.power_sums import PowerSums
+from stickslip_jax._statistics import stick_sums
+from stickslip_jax._statistics.distribution import BINS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
-WAYS = pytest.mark.parametrize("by", [stick_sums, compiled_stick_sums], ids=["numpy", "compiled"])
+WAYS = pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "uncompiled"])
 TYPES = pytest.mark.parametrize("dtype", [np.float64, np.float32])
 T1 = 100.0
 
@@ -62,12 +66,19 @@ def joined(lists):
 
 
 def without_numba(monkeypatch):
-    monkeypatch.setattr(loops, "compiled", lambda: None)
+    """The same loops, run by Python, as where Numba is not installed."""
+    with monkeypatch.context() as blocked:
+        blocked.setitem(sys.modules, "numba", None)
+        about = importlib.util.spec_from_file_location("loops_without_numba", numba_loops.__file__)
+        uncompiled = importlib.util.module_from_spec(about)
+        about.loader.exec_module(uncompiled)
+    assert inspect.isfunction(uncompiled.gather)
+    monkeypatch.setattr(loops, "compiled", lambda: uncompiled)
 
 
 @TYPES
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("compiled", [True, False])
+@WAYS
 def test_sticks_come_in_order_of_samples_and_time(seed, dtype, compiled, monkeypatch):
     if not compiled:
         without_numba(monkeypatch)
@@ -83,7 +94,8 @@ def test_sticks_come_in_order_of_samples_and_time(seed, dtype, compiled, monkeyp
             kept = [one if chosen is None or chosen[i] else [] for i, one in enumerate(found)]
             assert sticks.count.tolist() == [len(one) for one in kept]
             assert sticks.start.dtype == dtype
-            for column, entries in zip(sticks[1:], zip(*joined(kept), strict=True), strict=True):
+            columns = (*sticks.numbers, sticks.ending)
+            for column, entries in zip(columns, zip(*joined(kept), strict=True), strict=True):
                 np.testing.assert_array_equal(column, np.array(entries, column.dtype))
 
 
@@ -137,7 +149,9 @@ def slips_by_hand(samples, dtype, any_at_zero):
 @TYPES
 @pytest.mark.parametrize("rest", [False, True])
 @pytest.mark.parametrize("orders", [1, 3, 40])
-def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
+def test_sums_and_histograms_are_those_of_plain_python(compiled, dtype, rest, orders, monkeypatch):
+    if not compiled:
+        without_numba(monkeypatch)
     (values, ending, sample), found = records(np.random.default_rng(orders), dtype)
     stream = collected([(values, ending, sample)], 9)
     rows = [[(float(s), float(e) - float(s), float(p)) for s, e, p, *_ in one] for one in found]
@@ -145,7 +159,7 @@ def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     assert np.any(skipped) != rest
     numbered = [one[skip:] for one, skip in zip(rows, skipped, strict=True)]
     every = joined(numbered)
-    sums = by.sums_of_sticks(stream, skipped, T1)
+    sums = stick_sums.sums_of_sticks(stream, skipped, T1)
     assert_sums(sums.sticks, every)
     for a, bins in enumerate(sums.stick_bins):
         assert_bins(bins, [(row[a],) for row in every])
@@ -155,7 +169,7 @@ def test_sums_and_histograms_are_those_of_plain_python(by, dtype, rest, orders):
     assert_sums(sums.slips, [(slip,) for slip in slips])
     assert_bins(sums.slip_bins, [(slip,) for slip in slips])
 
-    sums = by.sums_of_orders(stream, skipped, orders)
+    sums = stick_sums.sums_of_orders(stream, skipped, orders)
     by_order = [[one[order] for one in numbered if len(one) > order] for order in range(orders)]
     for order, mine in enumerate(by_order):
         assert_sums(sums.by_order.one(order), mine)
@@ -178,20 +192,56 @@ def assert_same(one, other):
 
 @TYPES
 @pytest.mark.parametrize("samples", [0, 1, 4000])
-def test_both_ways_agree_on_many_sticks_and_on_none(samples, dtype):
-    """Tens of thousands of sticks: many blocks of the compiled loops, the last not full."""
+def test_many_sticks_and_none(samples, dtype):
+    """Tens of thousands of sticks: many blocks of the compiled loops, the last not full; against sums by NumPy."""
     sticks = made_up_sticks(np.random.default_rng(samples), samples)
-    sticks = sticks._replace(**{name: getattr(sticks, name).astype(dtype) for name in ("start", "end", "position")})
+    sticks = sticks._replace(numbers=sticks.numbers.astype(dtype))
     nothing = sticks_from([[]] * samples)
     for one in (sticks, nothing):
         stream = StickStream.of(one)
         for skipped in (np.zeros(samples, int), stream.begins_at_zero.astype(int)):
-            assert_same(stick_sums.sums_of_sticks(stream, skipped, T1),
-                        compiled_stick_sums.sums_of_sticks(stream, skipped, T1))  # fmt: skip
-        skipped = np.zeros(samples, int)
-        for orders in (1, 10):
-            assert_same(stick_sums.sums_of_orders(stream, skipped, orders),
-                        compiled_stick_sums.sums_of_orders(stream, skipped, orders))  # fmt: skip
+            numbered = one.without_initial_rest() if np.any(skipped) else one
+            duration = numbered.end.astype(float) - numbered.start
+            columns = [np.asarray(values, float) for values in (numbered.start, duration, numbered.position)]
+            sums = stick_sums.sums_of_sticks(stream, skipped, T1)
+            assert_same(sums.sticks, PowerSums.of(*columns))
+            assert_same(sums.stick_bins, tuple(DyadicCounts.of(values, BINS) for values in columns))
+            pairs = ((columns[1], columns[2]), (columns[0], columns[1]))
+            expected = tuple(DyadicCounts.of_columns(pair, stick_sums.BINS_OF_PAIRS) for pair in pairs)
+            assert_same(sums.pair_bins, expected)
+            slips = np.concatenate([np.asarray(by, float) for by in (stream.slip, stream.slip_after(T1))])
+            slips = slips[slips > 0]
+            assert_same(sums.slips, PowerSums.of(slips))
+            assert_same(sums.slip_bins, DyadicCounts.of(slips, BINS))
+
+
+def test_numbers_that_are_nan_are_refused():
+    """They would have no bin, and the loops write where they are told."""
+    sticks = made_up_sticks(np.random.default_rng(0), 3)
+    stream = StickStream.of(with_columns(sticks, position=np.full_like(sticks.position, np.nan)))
+    with pytest.raises(ValueError, match="must have finite starts, ends and positions"):
+        stick_sums.sums_of_sticks(stream, np.zeros(3, int), T1)
+
+
+@pytest.mark.parametrize("rest", [False, True])
+def test_a_further_quantity_needs_no_loop_of_its_own(rest, monkeypatch):
+    """With one more column of sticks summed, the others are as before."""
+    (values, ending, sample), found = records(np.random.default_rng(1), np.float64)
+    stream = collected([(values, ending, sample)], 9)
+    skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
+    before = stick_sums.sums_of_sticks(stream, skipped, T1), stick_sums.sums_of_orders(stream, skipped, 3)
+    at = NUMBERS.index(next(iter(FURTHER)))
+    monkeypatch.setattr(stick_sums, "_OTHERS", [at])
+    monkeypatch.setattr(stick_sums, "_SLIP", 4)
+    sums, orders = stick_sums.sums_of_sticks(stream, skipped, T1), stick_sums.sums_of_orders(stream, skipped, 3)
+    assert_same(sums.stick_bins[:3], before[0].stick_bins)
+    for name in ("slips", "slip_bins", "pair_bins"):
+        assert_same(getattr(sums, name), getattr(before[0], name))
+    assert_same(orders.order_bins[:3], before[1].order_bins)
+    numbered = [[row[at] for row in one[skip:]] for one, skip in zip(found, skipped, strict=True)]
+    assert_bins(sums.stick_bins[3], [(value,) for value in joined(numbered)])
+    assert sums.sticks.mean[3] == pytest.approx(np.mean(joined(numbered)), rel=1e-13)
+    assert orders.by_order.mean[1, 3] == pytest.approx(np.mean([one[1] for one in numbered if len(one) > 1]), rel=1e-13)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -216,19 +266,6 @@ def test_an_ensemble_without_sticks(keep):
     assert many.statistics.duration.number == 0
     assert many.accumulator.slips.number == 300
     assert many.accumulator.endings.tolist() == [0, 0, 0]
-
-
-def test_without_numba_the_loops_are_not_there(monkeypatch):
-    assert loops.compiled() is not None
-    monkeypatch.delattr("stickslip_jax._numerics.numba_loops")
-    monkeypatch.setitem(sys.modules, "stickslip_jax._numerics.numba_loops", None)
-    loops.compiled.cache_clear()
-    try:
-        assert loops.compiled() is None
-        ensemble_parts.prepare(np.float64)  # by NumPy
-    finally:
-        monkeypatch.undo()
-        loops.compiled.cache_clear()
 
 
 def test_collecting_begins_anew():

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stickslip_jax import Ending
-from stickslip_jax._ensemble.result import FlatSticks
+from stickslip_jax._events.sticks import FlatSticks
 
 
 def flat(count, durations, slips=None, horizon=math.inf):
@@ -19,8 +19,7 @@ def flat(count, durations, slips=None, horizon=math.inf):
     begun = start < horizon
     ending = np.where(end > horizon, Ending.HORIZON, Ending.RELEASED)[begun]
     count = np.bincount(sample[begun], minlength=len(count))
-    unknown = np.full(begun.sum(), np.nan)
-    return FlatSticks(count, start[begun], np.minimum(end, horizon)[begun], unknown, unknown, ending)
+    return FlatSticks.of(count, start[begun], np.minimum(end, horizon)[begun], ending)
 
 
 def rows(durations):

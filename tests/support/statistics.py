@@ -16,7 +16,7 @@ def sticks_from(samples: list[list[tuple[float, float, float, int]]]) -> FlatSti
     """Sticks from the (start, end, position, ending) of each stick of each sample."""
     rows = np.array([stick for sample in samples for stick in sample], float).reshape(-1, 4)
     count = np.array([len(sample) for sample in samples], np.int64)
-    return FlatSticks(count, rows[:, 0], rows[:, 1], rows[:, 2], np.full(len(rows), np.nan), rows[:, 3].astype(np.int8))
+    return FlatSticks.of(count, rows[:, 0], rows[:, 1], rows[:, 3].astype(np.int8), position=rows[:, 2])
 
 
 def statistics_of(
@@ -51,7 +51,8 @@ def slips_by_hand(sticks: FlatSticks, t1: float) -> list[list[float]]:
 
 def _slips_of_one(sticks: FlatSticks, number: int, t1: float) -> int:
     first, count = sticks.first[number], sticks.count[number]
-    one = FlatSticks(sticks.count[number : number + 1], *(column[first : first + count] for column in sticks[1:]))
+    own = slice(first, first + count)
+    one = FlatSticks(sticks.count[number : number + 1], sticks.numbers[:, own], sticks.ending[own])
     return len(slips_by_hand(one, t1)[0])
 
 

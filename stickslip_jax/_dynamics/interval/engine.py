@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
-from ..._events.sticks import StickRecord, Totals, start_totals
-from ..._status import Ending, Status
+from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
+from ..._status import Status
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar
 from .arcs import carry_across, sticks_from_start
@@ -71,14 +70,12 @@ def cross_interval(
     # A stick ends where the spring reaches the friction limit, or with the interval.
     left_at = jnp.where(released, jnp.where(velocity < 0, -a, a), passage.x)
     following = Motion(t_end, passage.x, passage.p, jnp.where(stuck, left_at, motion.slid_from))
-    released_, switched, cut, none = (np.int8(code) for code in (*Ending, -1))
-    ending = jnp.where(stuck, jnp.where(released, released_, jnp.where(uncut, switched, cut)), none)
     record = StickRecord(
         start=motion.t + passage.entered * inverse_omega,
         end=jnp.where(released, motion.t + passage.left * inverse_omega, t_end),
         position=passage.position,
         slip_displacement=passage.position - motion.slid_from,
-        ending=ending,
+        ending=ending_of(stuck, released, ~uncut),
     )
     totals = Totals(
         sticks=totals.sticks + stuck,

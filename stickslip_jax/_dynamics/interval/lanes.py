@@ -9,7 +9,7 @@ from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.laws import BangBangLaw
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
-from ..lanes import Engine, LaneResults
+from ..lanes import Engine, SampleTotals
 from .engine import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
 from .ties import starts_at_edge
 
@@ -64,8 +64,8 @@ class IntervalEngine(Engine):
     def ended(self, motion: _Lane, before: _Lane) -> BoolArray:
         return is_over(motion.motion, before.motion, self.t1)
 
-    def results(self, sample: _Sample, motion: _Lane) -> LaneResults:
-        return LaneResults(
+    def results(self, sample: _Sample, motion: _Lane) -> SampleTotals:
+        return SampleTotals(
             sticks=motion.totals.sticks,
             slips=count_slips(motion.totals, sample.at_start),
             stick_time=motion.totals.stick_time,

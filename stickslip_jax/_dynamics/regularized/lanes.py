@@ -11,7 +11,7 @@ from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
 from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray, Scalar
-from ..lanes import Engine, LaneResults
+from ..lanes import Engine, SampleTotals
 from ..method import Regularized
 from ..stopping_scan import stopping_scan
 from ..switched.engine import SegmentLaws, has_ended, status_of_lane
@@ -68,7 +68,7 @@ class FixedEngine(Engine):
     def ended(self, motion: FixedLane, before: FixedLane) -> BoolArray:
         return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
 
-    def results(self, sample: Signal | None, motion: FixedLane) -> LaneResults:
+    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
         return _results(motion.detector, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
 
 
@@ -99,7 +99,7 @@ def solve_batch(
     sizes: tuple[int, ...],
     keep: bool,
     dtype: Any,
-) -> tuple[LaneResults, StickRecord | None]:
+) -> tuple[SampleTotals, StickRecord | None]:
     """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
     `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
@@ -156,8 +156,8 @@ def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
     return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
 
 
-def _results(detector: StickDetector, status: IntArray) -> LaneResults:
-    return LaneResults(
+def _results(detector: StickDetector, status: IntArray) -> SampleTotals:
+    return SampleTotals(
         sticks=detector.totals.sticks,
         slips=count_slips(detector.totals, detector.at_start),
         stick_time=detector.totals.stick_time,

@@ -4,13 +4,11 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
-from ..._events.sticks import StickRecord, Totals, start_totals
+from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
 from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.roots import look_ahead
-from ..._status import Ending
 from ..._types import BoolArray, FloatArray, Scalar
 
 _AT_LIMIT = 1e-5  # of the largest friction
@@ -108,9 +106,7 @@ def detect(
     ends = leaves | cut | (jumped & inside)
     end = jnp.where(leaves, step.t + leave, now)
     counts = ends & (end - start >= criterion.minimum_duration) & (end > start)
-    released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
-    ending = jnp.where(leaves, released, jnp.where(cut, horizon, switched))
-    record = StickRecord(start, end, position, position - detector.slid_from, jnp.where(counts, ending, none))
+    record = StickRecord(start, end, position, position - detector.slid_from, ending_of(counts, leaves, cut))
     left_at = jnp.where(leaves, _position(step, leave), step.x1)
     totals = Totals(
         sticks=detector.totals.sticks + counts,

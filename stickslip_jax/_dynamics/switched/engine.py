@@ -26,12 +26,12 @@ import numpy as np
 from jax import lax
 
 from ..._compiler import sharing
-from ..._events.sticks import StickRecord, Totals, start_totals
+from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import SegmentLaw, SegmentState, following_segment, is_invalid
 from ..._numerics.primal import without_derivatives
 from ..._numerics.roots import look_ahead
-from ..._status import Ending, Status
+from ..._status import Status
 from ..._systems.switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from ..._systems.system import System
 from ..._types import BoolArray, FloatArray, IntArray
@@ -277,8 +277,7 @@ def _switch(model, segment_laws, lane, landed, brief, at_stop, t1) -> tuple[Lane
 
     cut = at_stop & ~(lane.t < t1)
     over = was_stick & ((sign != 0) | cut) & (lane.t > lane.stick_start)
-    released, switched, horizon, none = (np.int8(code) for code in (*Ending, -1))
-    ending = jnp.where(over, jnp.where(cut, horizon, jnp.where(ended & jumped, switched, released)), none)
+    ending = ending_of(over, ~cut & ~(ended & jumped), cut)
     displacement = lane.stick_position - lane.slid_from
     record = StickRecord(lane.stick_start, lane.t, lane.stick_position, displacement, ending)
     begins = ~was_stick & (sign == 0)

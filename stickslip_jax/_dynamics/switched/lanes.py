@@ -9,7 +9,7 @@ from ..._events.sticks import StickRecord, count_slips
 from ..._excitation.excitation import Excitation
 from ..._excitation.smooth import Signal
 from ..._types import AnyInteger, Array, BoolArray, Scalar
-from ..lanes import Engine, LaneResults
+from ..lanes import Engine, SampleTotals
 from .engine import Lane, SegmentLaws, advance, has_ended, status_of_lane
 from .run import lane_at_start
 
@@ -54,8 +54,8 @@ class SwitchedEngine(Engine):
     def ended(self, motion: Lane, before: Lane) -> BoolArray:
         return has_ended(motion, self._t1(motion), jnp.asarray(self.most_steps, jnp.int32))
 
-    def results(self, sample: Signal | None, motion: Lane) -> LaneResults:
-        return LaneResults(
+    def results(self, sample: Signal | None, motion: Lane) -> SampleTotals:
+        return SampleTotals(
             sticks=motion.totals.sticks,
             slips=count_slips(motion.totals, motion.at_start),
             stick_time=motion.totals.stick_time,

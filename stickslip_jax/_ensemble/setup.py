@@ -26,7 +26,7 @@ MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Run:
+class EnsembleSetup:
     """The checked arguments, which all chunks share.
 
     - `engine`: that of every sample. `places`: its leaves that differ from sample to sample.
@@ -56,7 +56,7 @@ class Run:
         method: Any,
         keep: Keep,
         numbering: Numbering,
-    ) -> "Run":
+    ) -> "EnsembleSetup":
         """The arguments of `simulate_ensemble`. Raises its ValueErrors."""
         if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((model, t1, key, method))):
             raise ValueError(

@@ -1,4 +1,4 @@
-"""The registry: names agree wherever they are written; statistics of totals have an estimate and a derivative."""
+"""Names of quantities agree wherever they are written; statistics of totals have an estimate and a derivative."""
 
 from typing import get_args
 
@@ -8,33 +8,31 @@ import pytest
 from support.statistics import made_up_sticks, statistics_of
 
 import stickslip_jax as ss
-from stickslip_jax._events.stick_stream import StickStream
-from stickslip_jax._events.sticks import FlatSticks
+from stickslip_jax._events.sticks import FURTHER
 from stickslip_jax._sensitivity.statistic import StickSequence, statistic_of
-from stickslip_jax._statistics import compiled_stick_sums, registry
+from stickslip_jax._statistics import quantities, totals
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 RUN = {"t1": 30.0, "samples": 40, "key": jax.random.key(3), "y0": (0.0, 1.0), "keep": "sticks", "chunk": 64}
 
 
-def test_the_types_of_arguments_name_what_is_registered():
-    assert set(get_args(ss.StickQuantity)) == set(registry.BY_NAME)
-    assert set(get_args(ss.TestedQuantity)) == set(registry.TESTED)
-    names = tuple(one.name for one in registry.STICK_QUANTITIES)
-    assert names[: len(compiled_stick_sums.QUANTITIES)] == compiled_stick_sums.QUANTITIES
+def test_the_types_of_arguments_name_all_quantities():
+    assert set(get_args(ss.StickQuantity)) == set(quantities.BY_NAME)
+    assert set(get_args(ss.TestedQuantity)) == set(quantities.TESTED)
+    first, others = quantities.STICK_QUANTITIES[:3], quantities.STICK_QUANTITIES[3:]
+    assert first == (quantities.START, quantities.DURATION, quantities.POSITION)
+    assert all(one.name in FURTHER for one in others)
 
 
 def test_every_quantity_has_values_a_distribution_and_labels():
     statistics = statistics_of(made_up_sticks(np.random.default_rng(0), 20))
-    for quantity in registry.DISTRIBUTIONS:
+    for quantity in quantities.DISTRIBUTIONS:
         assert getattr(statistics, quantity.name).name == quantity.label
-    for quantity in registry.STICK_QUANTITIES:
+    for quantity in quantities.STICK_QUANTITIES:
         assert quantity.label.count("stick") == 1
         assert quantity.name in dir(statistics)
-        assert quantity.name == "duration" or quantity.name in FlatSticks._fields
-        assert quantity.name == "duration" or quantity.name in StickStream._fields
         assert getattr(statistics.order(2), quantity.name).name == quantity.label_of_order(2)
-    assert [registry.ordinal(number) for number in (1, 2, 3, 4, 11, 12, 13, 21, 102, 113)] == [
+    assert [quantities.ordinal(number) for number in (1, 2, 3, 4, 11, 12, 13, 21, 102, 113)] == [
         "1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "113th"
     ]  # fmt: skip
 
@@ -46,21 +44,21 @@ def test_what_is_no_quantity_is_no_attribute():
             _ = of.length
 
 
-@pytest.mark.parametrize("name", [*registry.STATISTICS, "mean_total_stick_time"])
+@pytest.mark.parametrize("name", [*totals.STATISTICS, "mean_total_stick_time"])
 def test_a_statistic_is_the_ratio_of_its_means(name):
     statistic, many = getattr(ss, name), ss.simulate_ensemble(SYSTEM, ss.PoissonSwitching(1.0, 1.0), **RUN)
     assert (statistic.__name__, repr(statistic)) == (name, name)
     assert statistic.__doc__.startswith("Mean ")
-    totals = {**dict(zip(registry.TOTALS, many.moments.mean, strict=True)), "constant": 1.0, "t1": 30.0}
+    terms = {**dict(zip(totals.TOTALS, many.moments.mean, strict=True)), "constant": 1.0, "t1": 30.0}
     above, below = (
-        sum(weight * totals[term] for term, weight in zip(one._fields, one, strict=True))
+        sum(weight * terms[term] for term, weight in zip(one._fields, one, strict=True))
         for one in (statistic.numerator, statistic.denominator)
     )
     assert statistic(many).value == pytest.approx(above / below, rel=1e-12)
     assert statistic(many).name == statistic.label
 
 
-@pytest.mark.parametrize("statistic", registry.DIFFERENTIABLE, ids=repr)
+@pytest.mark.parametrize("statistic", totals.DIFFERENTIABLE, ids=repr)
 def test_sensitivities_see_the_same_statistic(statistic):
     """The parts of one realisation are the weights times its totals."""
     duration, mask = np.array([0.5, 2.0, 0.0]), np.array([True, True, False])
