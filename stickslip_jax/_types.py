@@ -14,6 +14,9 @@ Number: TypeAlias = Any
 AnyArray: TypeAlias = Array | np.ndarray
 """An array of JAX or, in results that have left JAX, of NumPy."""
 
+DType: TypeAlias = np.dtype | type
+"""A floating-point type, as NumPy and JAX name them."""
+
 AnyInteger: TypeAlias = Array | np.integer
 """A whole number of JAX or NumPy, traced or not."""
 
@@ -40,6 +43,7 @@ __all__ = [
     "Array",
     "Bool",
     "BoolArray",
+    "DType",
     "ExplicitSolver",
     "Float",
     "FloatArray",

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._excitation.excitation import Excitation
-from .._numerics.known import NotKnown, largest, plain, smallest
+from .._numerics.known import NotKnown, largest, primal_of, smallest
 from .._systems.system import OWN_TIME, StepCount, System
 from .._types import Scalar
 from .method import Regularized
@@ -23,9 +23,11 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
     Raises ValueError for a step that is too long for a time scale, and where `method` gives none although a time scale
     is not known.
     """
-    scales = {name: (plain(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()}
+    scales = {
+        name: (primal_of(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()
+    }
     if isinstance(method, Regularized):  # whose fixed steps are not shortened where the motion is fast
-        scales["time scale of the fastest motion"] = plain(system.usual_step(excitation)), _USUAL
+        scales["time scale of the fastest motion"] = primal_of(system.usual_step(excitation)), _USUAL
     known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
     unknown = [name for name in scales if name not in known]
     if method.step is None and unknown:
@@ -38,7 +40,7 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
         if any(_checks.is_traced(step) for step in steps):
             return jnp.min(jnp.stack([jnp.asarray(step, float) for step in steps]))
         return min(float(step) for step in steps)
-    step = plain(method.step)
+    step = primal_of(method.step)
     limits = [time / count.least for time, count in known.values() if _checks.is_traced(time)]
     if limits:  # numbers that are not known before the call: steps that are too long cannot be refused, so shorten them
         step = jnp.min(jnp.stack([jnp.asarray(limit, float) for limit in (step, *limits)]))

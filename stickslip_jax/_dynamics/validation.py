@@ -12,7 +12,7 @@ from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_ra
 from .._excitation.laws import BangBangLaw
 from .._excitation.piecewise import VelocitySteps
 from .._excitation.smooth import UserMotion
-from .._numerics.known import plain
+from .._numerics.known import primal_of
 from .._systems.system import System
 from .._types import AnyArray, Scalar
 from .._uncertainty.inputs import varying
@@ -109,7 +109,7 @@ def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str
     excitation = excitation_of(base, name)
     system.check_excitation(excitation)
     system.check_solver(method.solver)
-    step, horizon = step_for(system, excitation, method), plain(t1)
+    step, horizon = step_for(system, excitation, method), primal_of(t1)
     if _checks.is_traced(step) or _checks.is_traced(horizon):
         return excitation, jnp.minimum(step, horizon)
     return excitation, min(float(step), float(horizon))

@@ -17,14 +17,14 @@ class NotKnown(Exception):
     """Raised for a traced number whose value is not known before the compiled function is called."""
 
 
-def plain(value: Any) -> Any:
+def primal_of(value: Any) -> Any:
     """A number without its derivatives: no tracer any more under jvp and grad alone. Others stay as they are."""
     return lax.stop_gradient(value) if _checks.is_traced(value) else value
 
 
 def values_of(value: Any) -> np.ndarray:
     """All values that a number stands for, those of a batch under vmap. Raises NotKnown under jit."""
-    value = plain(value)
+    value = primal_of(value)
     if not _checks.is_traced(value):
         return np.asarray(value)
     found = []

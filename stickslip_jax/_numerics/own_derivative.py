@@ -8,7 +8,7 @@ stays one operation, with its rule.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -18,6 +18,9 @@ from jax.interpreters import ad, batching, mlir
 
 from .._compiler import sharing
 
+_Leaf: TypeAlias = Any  # an array, traced or not, or a tangent: an array or ``ad.Zero``
+_Axis: TypeAlias = int | None
+_Rule: TypeAlias = Callable[[tuple[Any, ...], tuple[Any, ...]], tuple[tuple[_Leaf, ...], tuple[_Leaf, ...]]]
 _call = Primitive("call_with_own_derivative")
 _tangent = Primitive("tangent_of_call")
 _call.multiple_results = _tangent.multiple_results = True
@@ -27,7 +30,7 @@ class _Level(NamedTuple):
     """A ``jax.vmap``: its size, and its axis in each argument."""
 
     size: int
-    axes: tuple[int | None, ...]
+    axes: tuple[_Axis, ...]
 
 
 _Levels = tuple[_Level, ...]
@@ -40,16 +43,16 @@ class OwnDerivative:
     hold to every order it must build the tangents from the function's results, not from their values found otherwise.
     """
 
-    def __init__(self, function: Callable[..., tuple[Any, ...]]):
+    def __init__(self, function: Callable[..., tuple[_Leaf, ...]]):
         self.function = function
-        self.rule: Callable[..., Any] | None = None
+        self.rule: _Rule | None = None
 
-    def def_jvp(self, rule: Callable[..., Any]) -> Callable[..., Any]:
+    def def_jvp(self, rule: _Rule) -> _Rule:
         """Set the rule."""
         self.rule = rule
         return rule
 
-    def __call__(self, *args: Any) -> tuple[Any, ...]:
+    def __call__(self, *args: Any) -> tuple[_Leaf, ...]:
         arrays, rest = eqx.partition(args, eqx.is_array)
         leaves, tree = jax.tree.flatten(arrays)
         return tuple(_call.bind(*leaves, call=_Call(self, tree, rest), levels=()))
@@ -58,14 +61,14 @@ class OwnDerivative:
 class _Call:
     """One call of a function: the structure of its arguments, and those that are no arrays."""
 
-    def __init__(self, of: OwnDerivative, tree: Any, rest: Any):
+    def __init__(self, of: OwnDerivative, tree: jax.tree_util.PyTreeDef, rest: tuple[Any, ...]):
         self.of, self.tree, self.rest = of, tree, rest
 
-    def results(self, *leaves: Any) -> list[Any]:
+    def results(self, *leaves: _Leaf) -> list[_Leaf]:
         """The results."""
         return list(self.of.function(*eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)))
 
-    def tangents(self, moved: tuple[bool, ...], *both: Any) -> list[Any]:
+    def tangents(self, moved: tuple[bool, ...], *both: _Leaf) -> list[_Leaf]:
         """The tangents of the results, given the arrays and the tangents of those that are `moved`."""
         leaves, given = both[: len(moved)], iter(both[len(moved) :])
         args = eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
@@ -73,7 +76,7 @@ class _Call:
         assert self.of.rule is not None
         return list(self.of.rule(args, directions)[1])
 
-    def cotangents(self, moved: tuple[bool, ...], *both: Any) -> list[Any]:
+    def cotangents(self, moved: tuple[bool, ...], *both: _Leaf) -> list[_Leaf]:
         """The cotangents of the arrays that are `moved`, given all arrays and the cotangents of the results."""
         leaves, given = both[: len(moved)], both[len(moved) :]
         still = [jnp.zeros_like(leaf) for leaf, m in zip(leaves, moved, strict=True) if m]
@@ -81,7 +84,7 @@ class _Call:
         return list(back(list(given)))
 
 
-def _mapped(function: Callable[..., Any], levels: Sequence[_Level]) -> Callable[..., Any]:
+def _mapped(function: Callable[..., list[_Leaf]], levels: Sequence[_Level]) -> Callable[..., list[_Leaf]]:
     """`function`, cut, under ``jax.vmap`` with these axes of its arguments, the innermost first."""
     function = sharing(function)
     for size, axes in levels:
@@ -89,7 +92,9 @@ def _mapped(function: Callable[..., Any], levels: Sequence[_Level]) -> Callable[
     return function
 
 
-def _mapped_back(function: Callable[..., Any], levels: Sequence[_Level], number: int) -> Callable[..., Any]:
+def _mapped_back(
+    function: Callable[..., list[_Leaf]], levels: Sequence[_Level], number: int
+) -> Callable[..., list[_Leaf]]:
     """`function` of `number` arrays and of cotangents of results, cut, under the ``jax.vmap`` of these axes of the
     arrays and of the tangents; the cotangents of a tangent without the axis are summed.
     """
@@ -99,7 +104,7 @@ def _mapped_back(function: Callable[..., Any], levels: Sequence[_Level], number:
     return function
 
 
-def _level_back(function: Callable[..., Any], level: _Level, number: int, *both: Any) -> list[Any]:
+def _level_back(function: Callable[..., list[_Leaf]], level: _Level, number: int, *both: _Leaf) -> list[_Leaf]:
     axes = (*level.axes[:number], *[0] * (len(both) - number))
     results = jax.vmap(function, axes, axis_size=level.size)(*both)
     return [
@@ -108,21 +113,21 @@ def _level_back(function: Callable[..., Any], level: _Level, number: int, *both:
     ]
 
 
-def _level(args: Sequence[Any], axes: Sequence[Any]) -> _Level:
+def _level(args: Sequence[_Leaf], axes: Sequence[_Axis]) -> _Level:
     return _Level(next(arg.shape[axis] for arg, axis in zip(args, axes, strict=True) if axis is not None), tuple(axes))
 
 
 @_call.def_impl
-def _run(*leaves: Any, call: _Call, levels: _Levels) -> list[Any]:
+def _run(*leaves: _Leaf, call: _Call, levels: _Levels) -> list[_Leaf]:
     return _mapped(call.results, levels)(*leaves)
 
 
 @_call.def_abstract_eval
-def _shapes(*leaves: Any, call: _Call, levels: _Levels) -> list[Any]:
+def _shapes(*leaves: _Leaf, call: _Call, levels: _Levels) -> list[_Leaf]:
     return list(jax.make_jaxpr(_mapped(call.results, levels))(*leaves).out_avals)
 
 
-def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, call: _Call, levels: _Levels):
+def _jvp(primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, call: _Call, levels: _Levels):
     moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
     given = [tangent for tangent, m in zip(tangents, moved, strict=True) if m]
     results = _call.bind(*primals, call=call, levels=levels)
@@ -130,25 +135,25 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, call: _Call, levels
     return results, _tangent.bind(*primals, *given, call=call, levels=both, moved=moved)
 
 
-def _batch(args: Sequence[Any], axes: Sequence[Any], *, call: _Call, levels: _Levels):
+def _batch(args: Sequence[_Leaf], axes: Sequence[_Axis], *, call: _Call, levels: _Levels):
     results = _call.bind(*args, call=call, levels=(*levels, _level(args, axes)))
     return results, [0] * len(results)
 
 
 @_tangent.def_impl
-def _run_tangent(*both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]) -> list[Any]:
+def _run_tangent(*both: _Leaf, call: _Call, levels: _Levels, moved: tuple[bool, ...]) -> list[_Leaf]:
     return _mapped(partial(call.tangents, moved), levels)(*both)
 
 
 @_tangent.def_abstract_eval
-def _tangent_shapes(*both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]) -> list[Any]:
+def _tangent_shapes(*both: _Leaf, call: _Call, levels: _Levels, moved: tuple[bool, ...]) -> list[_Leaf]:
     results = _shapes(
         *both[: len(moved)], call=call, levels=tuple(_Level(size, axes[: len(moved)]) for size, axes in levels)
     )
     return [result.to_tangent_aval() for result in results]
 
 
-def _jvp_of_tangent(primals: Sequence[Any], tangents: Sequence[Any], **params: Any):
+def _jvp_of_tangent(primals: Sequence[_Leaf], tangents: Sequence[_Leaf], **params: Any):
     changed = [not isinstance(tangent, ad.Zero) for tangent in tangents]
 
     def of(*some):
@@ -159,7 +164,7 @@ def _jvp_of_tangent(primals: Sequence[Any], tangents: Sequence[Any], **params: A
     return jax.jvp(of, points, slopes)
 
 
-def _transposed(cotangents: Sequence[Any], *both: Any, call: _Call, levels: _Levels, moved: tuple[bool, ...]):
+def _transposed(cotangents: Sequence[_Leaf], *both: _Leaf, call: _Call, levels: _Levels, moved: tuple[bool, ...]):
     leaves, wanted = both[: len(moved)], both[len(moved) :]
     given = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
     found = _mapped_back(partial(call.cotangents, moved), levels, len(moved))(*leaves, *given)
@@ -167,7 +172,7 @@ def _transposed(cotangents: Sequence[Any], *both: Any, call: _Call, levels: _Lev
     return [*[None] * len(moved), *found]
 
 
-def _batch_tangent(both: Sequence[Any], axes: Sequence[Any], *, levels: _Levels, **params: Any):
+def _batch_tangent(both: Sequence[_Leaf], axes: Sequence[_Axis], *, levels: _Levels, **params: Any):
     results = _tangent.bind(*both, levels=(*levels, _level(both, axes)), **params)
     return results, [0] * len(results)
 

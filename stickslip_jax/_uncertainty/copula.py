@@ -15,7 +15,7 @@ _ROUND_OFF = 1e-6
 """How far from symmetric, or from 1 on the diagonal, a matrix may be: correlations that were stored in float32."""
 
 
-def _as_names(names: Any) -> tuple[str, ...]:
+def _as_names(names: object) -> tuple[str, ...]:
     found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes, range)) else ()
     if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
         raise ValueError(

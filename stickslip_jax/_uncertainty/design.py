@@ -2,11 +2,11 @@
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
 from .. import _checks
+from .._types import DType
 
 REALIZATION_FACTOR = "realization"
 """The name of the realisation where Sobol' indices treat it as one more factor."""
@@ -111,7 +111,7 @@ class Design:
                 return factors
         return ()
 
-    def block(self, first: int, number: int, dtype: Any = np.float64) -> tuple[np.ndarray, np.ndarray]:
+    def block(self, first: int, number: int, dtype: DType = np.float64) -> tuple[np.ndarray, np.ndarray]:
         """The rows from `first` on, `number` of them or as many as there are.
 
         Returns their numbers, (rows, numbers) in `dtype`, and their realisations, (rows,). Uniform numbers lie in
@@ -142,7 +142,7 @@ def saltelli_rows(factors: int, second_order: bool) -> int:
     return 2 * factors + 2 if second_order else factors + 2
 
 
-def checked_names(names: Any) -> tuple[str, ...]:
+def checked_names(names: object) -> tuple[str, ...]:
     """`names` as a tuple. Raises ValueError for anything but distinct names, at least one."""
     found = [] if isinstance(names, (str, bytes, range)) or not isinstance(names, Sequence) else list(names)
     if not found or not all(isinstance(name, str) and name for name in found):
@@ -175,7 +175,7 @@ def check_size(rows: int, columns: int, argument: str = "samples") -> None:
         )
 
 
-def checked_numbers(name: str, numbers: Any, *, uniform: bool) -> np.ndarray:
+def checked_numbers(name: str, numbers: object, *, uniform: bool) -> np.ndarray:
     """`numbers` as a read-only array (samples, numbers) of float64. Raises ValueError for what a design cannot hold."""
     try:
         given = _checks.numbers(name, numbers, ndim=2)
@@ -203,7 +203,7 @@ def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) 
         )
 
 
-def checked_realization(realization: Any, samples: int) -> np.ndarray:
+def checked_realization(realization: object, samples: int) -> np.ndarray:
     """`realization` as a read-only array (samples,) of int64. Raises ValueError for anything but whole numbers."""
     try:
         array = _checks.numbers("realization", realization, ndim=1)

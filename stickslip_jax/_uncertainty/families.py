@@ -1,6 +1,7 @@
 """The distributions of a random number: uniform, normal, log-normal, beta, triangular, exponential, and others."""
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
 
@@ -9,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import betainc, betaln, ndtr, ndtri
+from jax.typing import ArrayLike
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import FloatArray, Scalar
+from .._types import AnyArray, FloatArray, Scalar
 from .random_number import RandomNumber, floating
 
 _MOST_VARIATION = 1e50  # of the coefficient of variation of a log-normal number: its square is still a number
@@ -35,7 +37,7 @@ class Uniform(RandomNumber):
     def icdf(self, u: FloatArray) -> FloatArray:
         return self.low + (self.high - self.low) * u
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         return jnp.clip((floating(x) - self.low) / (self.high - self.low), 0, 1)
 
     @property
@@ -57,7 +59,7 @@ class Normal(RandomNumber):
     def icdf(self, u: FloatArray) -> FloatArray:
         return self.mean + self.std * ndtri(u)
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         return ndtr((floating(x) - self.mean) / self.std)
 
 
@@ -90,7 +92,7 @@ class LogNormal(RandomNumber):
     def icdf(self, u: FloatArray) -> FloatArray:
         return self.median * jnp.exp(self.log_std * ndtri(u))
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         x = floating(x)
         z = jnp.log(jnp.where(x > 0, x, self.median) / self.median) / self.log_std
         return jnp.where(x > 0, ndtr(z), 0.0)
@@ -123,7 +125,7 @@ class Beta(RandomNumber):
         width = self.high - self.low
         return jnp.where(u > 0.5, self.high - width * below, self.low + width * above)
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         x, width = floating(x), self.high - self.low
         a, b, above = _alike(self.a, self.b, jnp.clip((x - self.low) / width, 0, 1))
         below = jnp.clip((self.high - x) / width, 0, 1).astype(above.dtype)
@@ -164,7 +166,7 @@ class Triangular(RandomNumber):
         root = jnp.sqrt(width * jnp.where(rising, u * left, (1 - u) * right))
         return jnp.where(rising, self.low + root, self.high - root)
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         width, left, right = self.high - self.low, self.mode - self.low, self.high - self.mode
         x = jnp.clip(floating(x), self.low, self.high)
         rising = x < self.mode
@@ -188,7 +190,7 @@ class Exponential(RandomNumber):
     def icdf(self, u: FloatArray) -> FloatArray:
         return -self.mean * jnp.log1p(-u)
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-jnp.maximum(floating(x), 0) / self.mean)
 
     @property
@@ -208,7 +210,7 @@ class Weibull(RandomNumber):
     def icdf(self, u: FloatArray) -> FloatArray:
         return self.scale * (-jnp.log1p(-u)) ** (1 / self.shape)
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-((jnp.maximum(floating(x), 0) / self.scale) ** self.shape))
 
     @property
@@ -260,7 +262,7 @@ class Discrete(RandomNumber):
         place = jnp.sum(u[..., None] > self._cumulative(u.dtype)[(None,) * u.ndim], axis=-1)
         return jnp.asarray(self.values, u.dtype)[jnp.minimum(place, len(self.values) - 1)]
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         x = floating(x)
         below = jnp.searchsorted(jnp.asarray(self.values, x.dtype), x, side="right")
         return jnp.concatenate([jnp.zeros(1, x.dtype), self._cumulative(x.dtype)])[below]
@@ -280,7 +282,7 @@ def _check_order(**limits: Any) -> None:
         raise ValueError(f"Argument {name} must be above low = {low}, but {high} was given.")
 
 
-def _alike(a: Any, b: Any, x: Any) -> list[FloatArray]:
+def _alike(a: ArrayLike, b: ArrayLike, x: ArrayLike) -> list[FloatArray]:
     """All three as arrays of one shape, in the precision of `x`."""
     x = floating(x)
     return jnp.broadcast_arrays(jnp.asarray(a, x.dtype), jnp.asarray(b, x.dtype), x)
@@ -308,7 +310,7 @@ def _beta_quantile(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
     )
 
 
-def _scipy_quantile(a: Any, b: Any, u: Any) -> np.ndarray:
+def _scipy_quantile(a: AnyArray, b: AnyArray, u: AnyArray) -> np.ndarray:
     from scipy.special import betaincinv  # noqa: PLC0415 - loaded when used
 
     found = betaincinv(*(np.asarray(value, np.float64) for value in (a, b, u)))
@@ -324,7 +326,9 @@ def _(primals, tangents):
     return x, slope + _shape_slope(_beta_quantile, primals, tangents)
 
 
-def _shape_slope(function: Any, primals: Any, tangents: Any) -> FloatArray:
+def _shape_slope(
+    function: Callable[..., FloatArray], primals: tuple[FloatArray, ...], tangents: tuple[FloatArray, ...]
+) -> FloatArray:
     """The derivative along the shape numbers. No formula is known: central differences, exact to about ten digits."""
     a, b, x = primals
     step = np.cbrt(jnp.finfo(x.dtype).eps).astype(x.dtype)

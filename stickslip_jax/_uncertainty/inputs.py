@@ -2,7 +2,7 @@
 
 import dataclasses
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,7 +13,7 @@ import numpy as np
 from .. import _checks
 from .._fields import Checked, Quantity, described, is_distribution, varies
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array
+from .._types import AnyArray, Array, DType
 from .copula import GaussianCopula
 from .design import Design
 from .numbers import Path, matching, number_at, places_in, shown, with_numbers
@@ -72,7 +72,7 @@ class Inputs:
     entries: tuple[Input, ...]
     names: tuple[str, ...]
     samples: int
-    key_data: Any = None
+    key_data: Array | None = None
     design: Design | None = None
     columns: tuple[int, ...] = ()
     copula: GaussianCopula | None = None
@@ -128,7 +128,7 @@ class Inputs:
         """Whether the initial state holds an input."""
         return any(entry.path[0] == "y0" for entry in self.entries)
 
-    def drawn(self, first: int, number: int, dtype: Any) -> tuple[AnyArray, ...]:
+    def drawn(self, first: int, number: int, dtype: DType) -> tuple[AnyArray, ...]:
         """The values of every input for samples ``first .. first + number - 1``, arrays (number,).
 
         Beyond the last sample, arrays repeat their last value.
@@ -147,7 +147,7 @@ class Inputs:
         """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
         return self if self.in_start else dataclasses.replace(self, model=self.model._replace(y0=y0))
 
-    def uniforms(self, first: int, number: int, dtype: Any) -> tuple[Any, ...]:
+    def uniforms(self, first: int, number: int, dtype: DType) -> tuple[Array | None, ...]:
         """The uniform numbers that `drawn` draws from, (number,) each; None for arrays."""
         random = [place for place, entry in enumerate(self.entries) if entry.is_random]
         found: list[Any] = [None] * len(self.entries)
@@ -208,7 +208,7 @@ class Inputs:
         paths = tuple(entry.path for entry in self.entries)
         return with_numbers(self.model, paths, values) if paths else self.model
 
-    def of_sample(self, number: int, dtype: Any) -> Model:
+    def of_sample(self, number: int, dtype: DType) -> Model:
         """The model of sample `number`, with plain numbers."""
         return self.filled([float(value[0]) for value in self.drawn(number, 1, dtype)])
 
@@ -217,14 +217,14 @@ class Inputs:
         words = jax.random.wrap_key_data(jnp.asarray(self.key_data, jnp.uint32))
         return law.sample(jax.random.fold_in(words, int(self.realization_numbers(number, 1)[0])), t1)
 
-    def values(self, dtype: Any, first_sample: int = 0) -> dict[str, np.ndarray]:
+    def values(self, dtype: DType, first_sample: int = 0) -> dict[str, np.ndarray]:
         """The values of samples from `first_sample` on by the inputs' short names, arrays (samples,)."""
         parts = [self.drawn(first, _AT_ONCE, dtype) for first in range(first_sample, self.samples, _AT_ONCE)]
         columns = [np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(len(self.entries))]
         number = self.samples - first_sample
         return {name: column[:number] for name, column in zip(self.names, columns, strict=True)}
 
-    def check(self, dtype: Any) -> None:
+    def check(self, dtype: DType) -> None:
         """Check all values against the bounds of their fields. Raises ValueError that says how many are outside."""
         for first in range(0, self.samples if self.entries else 0, _AT_ONCE):
             number = min(_AT_ONCE, self.samples - first)
@@ -285,7 +285,7 @@ def _of_distribution(distribution: RandomNumber, u: Array) -> Array:
 _correlated = jax.jit(lambda copula, u: copula.correlated(u))
 
 
-def _uniforms_of(key_data: Any, first: Any, streams: Any, *, number: int, dtype: Any) -> Array:
+def _uniforms_of(key_data: Array, first: Array, streams: Array, *, number: int, dtype: DType) -> Array:
     """Uniform numbers (streams, number) of samples ``first, first + 1, ...``."""
     own = random_words(key_data, first + jnp.arange(number, dtype=jnp.uint32))
     return jax.vmap(lambda stream: uniform(random_words(own, stream)[0], dtype))(streams)
@@ -294,7 +294,7 @@ def _uniforms_of(key_data: Any, first: Any, streams: Any, *, number: int, dtype:
 _uniforms = jax.jit(_uniforms_of, static_argnames=("number", "dtype"))
 
 
-def _quantiles(entry: Input, u: Array, keys: Any) -> AnyArray:
+def _quantiles(entry: Input, u: Array, keys: Callable[[], Array]) -> AnyArray:
     """The values of `entry` at the uniform numbers `u`; of a distribution that only samples, by keys of its own."""
     source = entry.source
     if isinstance(source, RandomNumber):
@@ -314,7 +314,7 @@ def _quantiles(entry: Input, u: Array, keys: Any) -> AnyArray:
     return np.asarray(jax.vmap(source.sample)(keys()), u.dtype)
 
 
-def _has_quantiles(source: Any) -> bool:
+def _has_quantiles(source: object) -> bool:
     return not isinstance(source, type) and any(callable(getattr(source, name, None)) for name in ("icdf", "ppf"))
 
 

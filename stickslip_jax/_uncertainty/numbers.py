@@ -25,7 +25,7 @@ class Parameter(NamedTuple):
     value: float
 
 
-def parameters_of(where: dict[str, Any], wrt: Any) -> tuple[Parameter, ...]:
+def parameters_of(where: dict[str, Any], wrt: object) -> tuple[Parameter, ...]:
     """The parameters named by `wrt`, a name or several.
 
     `where` holds the objects to search: "system", "law" and "y0". A parameter's name is that of a field, such as "mu"
@@ -58,7 +58,7 @@ def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
     )  # fmt: skip
 
 
-def check_numbers(tree: Any) -> None:
+def check_numbers(tree: object) -> None:
     """Run the constructor's checks of all modules in `tree` again. Raises their ValueError."""
     if isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
@@ -140,11 +140,11 @@ def _numbers(tree: Any, path: Path, *, whole: bool = False) -> Iterator[tuple[Pa
         yield path, tree
 
 
-def _is_law(value: Any) -> bool:
+def _is_law(value: object) -> bool:
     return isinstance(value, eqx.Module) and not callable(getattr(value, "icdf", None))
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.number, np.ndarray, jax.Array)):
         return False
     if np.ndim(value) != 0 or (isinstance(value, int) and not -(2**63) <= value < 2**63):

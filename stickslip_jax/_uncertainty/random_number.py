@@ -2,9 +2,10 @@
 
 import abc
 import math
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from .. import _checks
 from .._fields import Checked, Quantity
@@ -32,7 +33,7 @@ class RandomNumber(Checked):
         """The number below which a draw lies with probability `u`, for each entry of `u` in (0, 1)."""
 
     @abc.abstractmethod
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         """The probability of a draw below or at `x`."""
 
     @property
@@ -51,7 +52,7 @@ class RandomNumber(Checked):
         return True
 
 
-def floating(x: Any) -> FloatArray:
+def floating(x: ArrayLike) -> FloatArray:
     """`x` as an array of floating-point numbers, in its own precision if it has one, at least single precision."""
     x = jnp.asarray(x)
     return x.astype(jnp.promote_types(jnp.result_type(x, float), jnp.float32))
@@ -101,7 +102,7 @@ class Truncated(RandomNumber):
                 f"their probabilities apart; take limits nearer to the median{_WIDER[dtype.name]}."
             )
 
-    def _shares(self) -> tuple[Any, Any]:
+    def _shares(self) -> tuple[FloatArray | float, FloatArray | float]:
         """The probabilities of a draw below `low`, and below `high`, without the restriction."""
         below = 0.0 if self.low is None else self.distribution.cdf(self.low)
         return below, 1.0 if self.high is None else self.distribution.cdf(self.high)
@@ -113,7 +114,7 @@ class Truncated(RandomNumber):
         low, high = (jnp.asarray(limit, u.dtype) for limit in self.support)
         return jnp.clip(self.distribution.icdf(below + (above - below) * u), low, high)
 
-    def cdf(self, x: Any) -> FloatArray:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         x = floating(x)
         below, above = (jnp.asarray(share, x.dtype) for share in self._shares())
         return jnp.clip((self.distribution.cdf(x) - below) / (above - below), 0, 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import _checks
 from .._numerics.random_bits import key_data_of
-from .._types import Array
+from .._types import AnyArray, Array
 from .design import MOST_SAMPLES, Design, check_size, checked_names, saltelli_rows
 
 _BITS = 30  # of the numbers of a Sobol' sequence: as many as there are samples at most
@@ -17,6 +17,8 @@ _MOST_DIMENSIONS = 21201  # for which scipy has direction numbers
 
 Seed = int | np.integer | Array
 """A whole number, or a key made by ``jax.random.key``."""
+Realization = str | Sequence[int] | AnyArray
+"""Which realisation of the base each sample uses: a word, or whole numbers (samples,)."""
 
 
 def random(
@@ -24,7 +26,7 @@ def random(
     names: Sequence[str] | None = None,
     *,
     dimensions: int | None = None,
-    realization: Any = "own",
+    realization: Realization = "own",
     seed: Seed = 0,
 ) -> Design:
     """Independent uniform numbers: what an ensemble without a design draws, but known before it is simulated.
@@ -51,7 +53,7 @@ def latin_hypercube(
     names: Sequence[str] | None = None,
     *,
     dimensions: int | None = None,
-    realization: Any = "own",
+    realization: Realization = "own",
     seed: Seed = 0,
 ) -> Design:
     """A Latin hypercube: of `samples` equal parts of (0, 1), each number falls into each part once (McKay et al. 1979).
@@ -76,7 +78,7 @@ def sobol(
     names: Sequence[str] | None = None,
     *,
     dimensions: int | None = None,
-    realization: Any = "own",
+    realization: Realization = "own",
     scramble: bool = True,
     seed: Seed = 0,
 ) -> Design:
@@ -108,7 +110,7 @@ def saltelli(
     *,
     dimensions: int | None = None,
     second_order: bool = True,
-    realization: Any = "shared",
+    realization: Realization = "shared",
     scramble: bool = True,
     seed: Seed = 0,
 ) -> Design:
@@ -159,7 +161,7 @@ def saltelli(
     )  # fmt: skip
 
 
-def realizations(realization: Any, samples: int, more: dict[str, np.ndarray] | None = None) -> Any:
+def realizations(realization: Realization, samples: int, more: dict[str, np.ndarray] | None = None) -> Any:
     """The realisation of each sample; `more`: what further words mean. Raises ValueError for other words."""
     if not isinstance(realization, str):
         return realization
@@ -173,7 +175,7 @@ def realizations(realization: Any, samples: int, more: dict[str, np.ndarray] | N
     return words[realization]
 
 
-def _columns(names: Any, dimensions: Any) -> tuple[tuple[str, ...] | None, int]:
+def _columns(names: object, dimensions: object) -> tuple[tuple[str, ...] | None, int]:
     """Names and number of the columns."""
     if names is not None:
         names = checked_names(names)
@@ -192,7 +194,7 @@ def _columns(names: Any, dimensions: Any) -> tuple[tuple[str, ...] | None, int]:
     return names, dimensions
 
 
-def _power_of_two(name: str, number: Any) -> int:
+def _power_of_two(name: str, number: object) -> int:
     number = _checks.whole_number(name, number, maximum=MOST_SAMPLES)
     if number & (number - 1):
         below = 1 << (number.bit_length() - 1)
@@ -227,7 +229,7 @@ def _by(seed: Seed) -> dict[str, Any]:
     return {"rng" if version >= (1, 15) else "seed": _generator(seed)}
 
 
-def _generator(seed: Any) -> np.random.Generator:
+def _generator(seed: Seed) -> np.random.Generator:
     if isinstance(seed, jax.Array) and (seed.shape == (2,) or jnp.issubdtype(seed.dtype, jax.dtypes.prng_key)):
         return np.random.default_rng(np.asarray(key_data_of(seed)))
     return np.random.default_rng(_checks.whole_number("seed", seed, minimum=0))

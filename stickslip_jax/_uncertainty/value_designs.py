@@ -8,10 +8,10 @@ import numpy as np
 
 from .. import _checks
 from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, refuse_first
-from .uniform_designs import realizations
+from .uniform_designs import Realization, realizations
 
 
-def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:
+def grid(values: Mapping[str, Any], *, realization: Realization = "own") -> Design:
     """All combinations of given values: ``grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})`` has six samples.
 
     - `values`: for each number of the system, law or start its values, (values,), in its unit. The last number changes
@@ -40,7 +40,7 @@ def grid(values: Mapping[str, Any], *, realization: Any = "own") -> Design:
 
 
 def table(
-    numbers: Any, names: Sequence[str] | None = None, *, uniform: bool = False, realization: Any = "own"
+    numbers: Any, names: Sequence[str] | None = None, *, uniform: bool = False, realization: Realization = "own"
 ) -> Design:
     """A table of one's own: measured parameters, or the design matrix of another program.
 
@@ -96,7 +96,7 @@ def _named_columns(argument: str, given: Any) -> dict[str, np.ndarray]:
     return {name: _column(f"{argument}[{name!r}]", column) for name, column in pairs}
 
 
-def _column(name: str, given: Any) -> np.ndarray:
+def _column(name: str, given: object) -> np.ndarray:
     """A column called `name`. Raises ValueError for what holds no numbers, none at all, or too many."""
     if isinstance(given, range):  # which has no numbers yet
         check_size(len(given), 1, name)
