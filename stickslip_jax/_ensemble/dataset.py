@@ -25,7 +25,8 @@ SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
 def dataset_of(ensemble: Any) -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names.
 
-    Raises the errors of `Ensemble.to_xarray`.
+    Raises:
+        ImportError: As `Ensemble.to_xarray`.
     """
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for

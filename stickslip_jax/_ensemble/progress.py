@@ -25,11 +25,14 @@ class Progress(NamedTuple):
 def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
     """Shows a progress bar while the block runs.
 
-    - `progress`: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
-      a notebook.
-    - `samples`: their number.
+    Args:
+        progress: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
+            a notebook.
+        samples: Their number.
 
-    Raises ValueError for another `progress`, ImportError for True without the extra ``study``.
+    Raises:
+        ValueError: For another `progress`.
+        ImportError: For True without the extra ``study``.
     """
     if progress is not None:
         _checks.truth("progress", progress)

@@ -96,12 +96,17 @@ class Ensemble:
     def from_simulations(cls, result: Simulation, *, orders: int = 10, count_initial_rest: bool = False) -> "Ensemble":
         """The ensemble of the trajectories that ``jax.vmap(lambda ...: simulate(...))(...)`` returned.
 
-        - `result`: a `Simulation` whose arrays have one leading axis, of samples. All must have the same ``t1``.
-        - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
-
         It keeps every stick, so that all statistics, tests and figures work on it. Numbers of the system that differ
         among the samples are arrays (samples,). ``realization(i)`` returns the base motion that sample i was given, and
-        the state at t = 0, to the last digit or two. Raises ValueError for anything else.
+        the state at t = 0, to the last digit or two.
+
+        Args:
+            result: A `Simulation` whose arrays have one leading axis, of samples. All must have the same ``t1``.
+            orders: As in `simulate_ensemble`.
+            count_initial_rest: As in `simulate_ensemble`.
+
+        Raises:
+            ValueError: For anything else.
         """
         return cls(**fields_of_simulations(result, Numbering.checked(orders, count_initial_rest)))
 
@@ -112,26 +117,33 @@ class Ensemble:
     ) -> "Ensemble":  # fmt: skip
         """The ensemble of sticks that were measured, or simulated elsewhere: one recording of ``[0, t1]`` each sample.
 
-        - `table`: a pandas DataFrame, or a dict of arrays (sticks,), in any order, with the columns
-
-          - `sample`: which recording, whole numbers from 0 or 1, or names;
-          - `start`, and `end` or `duration`: s, from the beginning of the recording; both must agree if both are there;
-          - `position` of the mass at the start of the stick, `slip_displacement` (as in `Sticks`) and `ending` (an
-            `Ending` or its name), each if known.
-
-          Without `ending`, a stick that ends at `t1` is cut by the end of the recording (HORIZON) and all others count
-          as RELEASED. Names may end in a unit as `write_sticks` writes them (start_s, position_m), whose files can be
-          read back.
-        - `t1`: duration of each recording, s.
-        - `samples`: number of recordings; needed where some of them have no stick, which a table cannot show. Their
-          numbers are then from 0 to ``samples - 1``. By default those in the table, which must be numbered without gap.
-        - `position_unit`, such as "mm": by default that in the column's name, else "m".
-        - `period` where positions are angles: then they become those in ``[0, period)``.
-        - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
-
         Slips are what lies between the sticks. What needs a position that was not measured, a system or a base motion
-        raises ValueError and says so. Raises ValueError for a table that lacks a column or has sticks that overlap, lie
-        outside ``[0, t1]`` or have no length.
+        raises ValueError and says so.
+
+        Args:
+            table: A pandas DataFrame, or a dict of arrays (sticks,), in any order, with these columns:
+
+                - `sample`: which recording, whole numbers from 0 or 1, or names;
+                - `start`, and `end` or `duration`: s, from the beginning of the recording; both must agree if both are
+                  there;
+                - `position` of the mass at the start of the stick, `slip_displacement` (as in `Sticks`) and `ending`
+                  (an `Ending` or its name), each if known.
+
+                Without `ending`, a stick that ends at `t1` is cut by the end of the recording (HORIZON) and all others
+                count as RELEASED. Names may end in a unit as `write_sticks` writes them (start_s, position_m), whose
+                files can be read back.
+            t1: Duration of each recording, s.
+            samples: Number of recordings; needed where some of them have no stick, which a table cannot show. Their
+                numbers are then from 0 to ``samples - 1``. By default those in the table, which must be numbered
+                without gap.
+            position_unit: Such as "mm"; by default that in the column's name, else "m".
+            period: Of positions that are angles, which become those in ``[0, period)``.
+            orders: As in `simulate_ensemble`.
+            count_initial_rest: As in `simulate_ensemble`.
+
+        Raises:
+            ValueError: For a table that lacks a column or has sticks that overlap, lie outside ``[0, t1]`` or have no
+                length.
         """
         numbering = Numbering.checked(orders, count_initial_rest)
         return cls(**fields_of_sticks(table, t1, samples, position_unit, period, numbering))
@@ -140,7 +152,8 @@ class Ensemble:
     def from_xarray(cls, dataset: "xarray.Dataset") -> "Ensemble":
         """The ensemble that `to_xarray` made the data set of; see `load`.
 
-        Raises ValueError for a data set that holds no ensemble, one that was changed, and one of a newer format.
+        Raises:
+            ValueError: For a data set that holds no ensemble, one that was changed, and one of a newer format.
         """
         return cls(**fields_of_dataset(dataset))
 
@@ -154,7 +167,8 @@ class Ensemble:
         (a `chunk` that divides the number of the first samples is given to both); else they are merged in other parts,
         and differ by round-off: relatively by at most a few times 2^-53 times the number of parts.
 
-        Raises ValueError for an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
+        Raises:
+            ValueError: For an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
         """
         return type(self)._extend(self, samples, threads, chunk, progress)
 
@@ -176,8 +190,9 @@ class Ensemble:
     def input_values(self) -> dict[str, np.ndarray]:
         """The values of the numbers that differ from sample to sample, by name, arrays (samples,).
 
-        Raises ValueError for an ensemble that was joined from parts with different ones, or that holds objects which
-        were stored as text only.
+        Raises:
+            ValueError: For an ensemble that was joined from parts with different ones, or that holds objects which were
+                stored as text only.
         """
         parts = parts_of(self)
         for part in parts:
@@ -206,15 +221,18 @@ class Ensemble:
 
     @cached_property
     def slips(self) -> Slips:
-        """Every slip of every sample that finished, arrays (samples, slots). Raises ValueError unless
-        ``keep="sticks"``.
+        """Every slip of every sample that finished, arrays (samples, slots).
+
+        Raises:
+            ValueError: Unless ``keep="sticks"``.
         """
         return padded_slips(self)
 
     def finished_sticks(self) -> FlatSticks:
         """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
 
-        Raises ValueError if ``keep="totals"``.
+        Raises:
+            ValueError: If ``keep="totals"``.
         """
         if self.retained is None:
             raise ValueError(
@@ -243,7 +261,8 @@ class Ensemble:
 
             system, base, y0 = many.realization(3)
 
-        Raises ValueError unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
+        Raises:
+            ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise ValueError(
@@ -266,7 +285,10 @@ class Ensemble:
         sticks of each sample, ``stick_sample`` the sample of each stick, ``stick_order`` its number in the sample by
         `numbering`), slips along ``slip``, and the totals of each sample. With "statistics": the sticks of the first
         samples that finished. The attributes say what was simulated and how; ``ensemble_state...`` hold the sums of all
-        samples. Raises ImportError without the extra ``study``.
+        samples.
+
+        Raises:
+            ImportError: Without the extra ``study``.
         """
         from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
 
@@ -275,14 +297,22 @@ class Ensemble:
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the ensemble to a NetCDF 4 file, from which `load` makes it again.
 
-        - `path`: a file name that ends in .nc. `overwrite`: whether to replace a file of that name.
-
         The file is written under another name, ``path`` and ".....unfinished", and gets its own when it is whole: an
         older file stays as it was until then, and if writing fails. It holds a check sum over all that is in it.
 
-        Returns the path. Raises ValueError for another name, FileExistsError where a file of that name would be
-        replaced, FileNotFoundError for a folder that does not exist, OSError where it cannot be written, ImportError
-        without the extra ``study``.
+        Args:
+            path: A file name that ends in .nc.
+            overwrite: Whether to replace a file of that name.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another name.
+            FileExistsError: Where a file of that name would be replaced.
+            FileNotFoundError: For a folder that does not exist.
+            OSError: Where it cannot be written.
+            ImportError: Without the extra ``study``.
         """
         path = file_to_write(path, (".nc",), overwrite=overwrite)
         return write_dataset(self.to_xarray(), path)
@@ -290,14 +320,20 @@ class Ensemble:
     def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
 
-        - `path`: a file name that ends in .csv or .parquet. The column names include the units.
-        - `overwrite`: whether to replace a file of that name. Until the table is whole, an older one stays.
-
         `order` is the number of the stick in its sample, as in ``statistics.order(i)``: 0 for a stick that begins at
         t = 0 (`is_initial_rest`) unless `numbering` counts it as the first.
 
-        Returns the path. Raises ValueError unless ``keep="sticks"``, ImportError without the extra ``tables``, and for
-        paths the errors of `save`.
+        Args:
+            path: A file name that ends in .csv or .parquet. The column names include the units.
+            overwrite: Whether to replace a file of that name. Until the table is whole, an older one stays.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: Unless ``keep="sticks"``.
+            ImportError: Without the extra ``tables``.
+            FileExistsError, FileNotFoundError, OSError: As `save`.
         """
         from .tables import write_sticks  # noqa: PLC0415 - needs an extra
 

@@ -68,7 +68,8 @@ def fields_of_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
     """The fields of the `Ensemble` that a data set holds. `is_file`: whether it was read from one, and has a sum.
 
-    Raises the errors of `Ensemble.from_xarray`.
+    Raises:
+        ValueError: As `Ensemble.from_xarray`.
     """
     name = "path" if is_file else "dataset"
     attributes = getattr(dataset, "attrs", None)

@@ -60,7 +60,8 @@ class Estimate:
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Confidence interval at `level`, by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
 
-        Raises ValueError unless ``0 < level < 1``.
+        Raises:
+            ValueError: Unless ``0 < level < 1``.
         """
         check_level(level)
         if self.samples < 2 or math.isnan(self.standard_error):

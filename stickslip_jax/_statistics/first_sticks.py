@@ -35,12 +35,14 @@ class FirstSticks:
 def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> FirstSticks:
     """The first stick of every sample.
 
-    - `ensemble`: an `Ensemble` with ``keep="sticks"``.
-    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
-      By default it does not, and the next one is the first. In the words of Lima and Sampaio (2022), to whom a stick is
-      any interval without motion, it does.
+    Args:
+        ensemble: An `Ensemble` with ``keep="sticks"``.
+        count_initial_rest: Whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
+            By default it does not, and the next one is the first. In the words of Lima and Sampaio (2022), to whom a
+            stick is any interval without motion, it does.
 
-    Raises ValueError for an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
+    Raises:
+        ValueError: For an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
     """
     _checks.truth("count_initial_rest", count_initial_rest)
     sticks = require_ensemble(ensemble).require_sticks()

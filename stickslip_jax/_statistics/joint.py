@@ -116,7 +116,8 @@ class JointDistribution:
     def histogram(self, bins: int = 40) -> JointHistogram:
         """The histogram of all pairs, in at most `bins` bins of equal width along each axis.
 
-        Raises ValueError unless `bins` is a whole number from 1 to 128.
+        Raises:
+            ValueError: Unless `bins` is a whole number from 1 to 128.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         cell, _ = self._cells(x_edges, y_edges)
@@ -158,7 +159,10 @@ class JointDistribution:
         """Mutual information of the histogram in at most `bins` x `bins` cells, nats.
 
         ``sum p_ij log(p_ij / (p_i p_j))`` over the cells. Never negative: for independent quantities the estimate is
-        about ``(x bins - 1) (y bins - 1) / (2 number)``, not 0. Raises ValueError as `histogram`.
+        about ``(x bins - 1) (y bins - 1) / (2 number)``, not 0.
+
+        Raises:
+            ValueError: As `histogram`.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         name = f"mutual information in {counts.shape[0]} x {counts.shape[1]} bins"
@@ -174,7 +178,8 @@ class JointDistribution:
     def conditional_mean(self, bins: int = 20) -> ConditionalMeans:
         """The mean of y given x, for x in `bins` bins of equal width, over the retained pairs.
 
-        Raises ValueError unless `bins` is a whole number of at least 1.
+        Raises:
+            ValueError: Unless `bins` is a whole number of at least 1.
         """
         _checks.whole_number("bins", bins)
         x, y = self.x.values, self.y.values
@@ -195,7 +200,8 @@ class JointDistribution:
     def cells_of_retained(self, bins: int) -> tuple[np.ndarray, int]:
         """The cell of each retained pair in a histogram of at most `bins` x `bins` cells, and the number of cells.
 
-        Raises ValueError as `histogram`.
+        Raises:
+            ValueError: As `histogram`.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         return self._cells(x_edges, y_edges)[0], counts.size

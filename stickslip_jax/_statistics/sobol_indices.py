@@ -55,7 +55,8 @@ class SobolIndices:
     def to_xarray(self) -> "xarray.Dataset":
         """All arrays as an ``xarray.Dataset`` with dimensions factor, other_factor, output and interval_end.
 
-        Raises ImportError if xarray is not installed.
+        Raises:
+            ImportError: If xarray is not installed.
         """
         try:
             import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
@@ -127,15 +128,18 @@ def sobol_indices(
     ``SALib.analyze.sobol``. Factors must be independent: with a `GaussianCopula`, the indices are those of the
     independent numbers that go into it.
 
-    - `outputs`: a number for each sample, (samples,), or several, (samples, outputs), in the order of the design's
-      rows; or a dict or DataFrame of named outputs (samples,).
-    - `design`: from `stickslip_jax.design.saltelli`. What its `realization` makes of the base's own randomness is
-      written there: with "own", every total index holds all of the noise.
-    - `level`: of the intervals, which are percentiles of the bootstrap. Whole base rows are drawn with replacement, as
-      if they were independent: on a Sobol' sequence, errors and intervals are rather too large.
-    - `resamples`: of the bootstrap, at least 100. `seed`: of its draws.
+    Args:
+        outputs: A number for each sample, (samples,), or several, (samples, outputs), in the order of the design's
+            rows; or a dict or DataFrame of named outputs (samples,).
+        design: From `stickslip_jax.design.saltelli`. What its `realization` makes of the base's own randomness is
+            written there: with "own", every total index holds all of the noise.
+        level: Of the intervals, which are percentiles of the bootstrap. Whole base rows are drawn with replacement, as
+            if they were independent: on a Sobol' sequence, errors and intervals are rather too large.
+        resamples: Of the bootstrap, at least 100.
+        seed: Of its draws.
 
-    Raises ValueError for outputs that do not fit the design or are not finite, and for other arguments.
+    Raises:
+        ValueError: For outputs that do not fit the design or are not finite, and for other arguments.
     """
     if not isinstance(design, Design) or not design.factors:
         raise ValueError(

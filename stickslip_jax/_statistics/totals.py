@@ -63,7 +63,8 @@ class StatisticOfTotals:
     def weights(self, t1: float) -> np.ndarray:
         """Coefficients of `TOTALS` and the constant, of numerator and denominator, (2, 6); a constant denominator is 1.
 
-        - `t1`: s.
+        Args:
+            t1: Duration of the samples, s.
         """
         rows = np.array([(*one[:-2], one.constant + one.t1 * t1) for one in (self.numerator, self.denominator)], float)
         return rows / rows[1, -1] if self.denominator.is_constant else rows

@@ -121,7 +121,8 @@ def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     Holm's method (1979, Scandinavian Journal of Statistics 6, 65): the i-th smallest of n p-values is multiplied by
     n - i + 1, and is at least as large as the adjusted one before it.
 
-    - `p_values`: numbers in [0, 1]; NaN (no test) stays NaN.
+    Args:
+        p_values: Numbers in [0, 1]; NaN (no test) stays NaN.
     """
     given = np.array(p_values, float)
     adjusted = np.full(given.shape, np.nan)

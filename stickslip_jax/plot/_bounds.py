@@ -29,11 +29,17 @@ def stick_bounds(
     This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
     infinite; the legend gives the share of such angles, and says so where no angle allows a stick.
 
-    - `system`: a `MotorCart`. `voltage`: a `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
-    - `mu`: friction coefficients in place of that of `system`, zero or positive.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        system: A `MotorCart`.
+        voltage: A `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
+        mu: Friction coefficients in place of that of `system`, zero or positive.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for arguments of another kind.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
     """
     signal: Any = unphased(voltage)
     stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind

@@ -34,24 +34,30 @@ def curve(
 ) -> Axes:
     """Draw a statistic against a parameter, with error bars or a band. Call it again with the same `ax` to compare.
 
-    - `x`, `y`: values of the parameter, (points,) in any order, and for each an `Estimate`, such as
-      ``ss.mean_stick_duration(ensemble)`` or ``ensemble.statistics.duration.median``, or a number, NaN for a gap.
+    Args:
+        x: Values of the parameter, (points,) in any order. Or, without `y`, an ``xarray.DataArray`` with one dimension,
+            or two, for several curves; or an ``xarray.Dataset``. Their attributes ``long_name`` and ``units`` name the
+            axes.
+        y: For each of these values an `Estimate`, such as ``ss.mean_stick_duration(ensemble)`` or
+            ``ensemble.statistics.duration.median``, or a number, NaN for a gap. Of a Dataset the name of a variable.
+        errors: Standard errors of numbers, in their shape; of a Dataset the name of a variable, by default that which
+            the attribute ``ancillary_variables`` names, or that called like `y` and ``_error`` or ``_standard_error``.
+        level: Of the confidence intervals that are drawn, by Student's t for estimates, else by the normal
+            distribution. None: one standard error to both sides.
+        uncertainty: How these are drawn, "bars" or "band".
+        along: Of an array with two dimensions, which is on the abscissa; by default the first.
+        xlabel: Name of the abscissa, with its unit, where nothing else says it.
+        ylabel: Name of the ordinate, likewise.
+        label: Name of the curve in the legend; of several, before the value of the other coordinate.
+        xlog: Whether the abscissa is logarithmic.
+        ylog: Whether the ordinate is logarithmic. Values of zero or less are left out then, and counted.
+        ax: Where to draw; by default the axes of a new figure.
 
-      Or `x` alone: an ``xarray.DataArray`` with one dimension, or two, for several curves; or an ``xarray.Dataset``,
-      and `y` the name of a variable. Their attributes ``long_name`` and ``units`` name the axes.
-    - `errors`: standard errors of numbers, in their shape; of a Dataset the name of a variable, by default that which
-      the attribute ``ancillary_variables`` names, or that called like `y` and ``_error`` or ``_standard_error``.
-    - `level`: of the confidence intervals that are drawn, by Student's t for estimates, else by the normal
-      distribution. None: one standard error to both sides.
-    - `uncertainty`: how these are drawn, "bars" or "band".
-    - `along`: of an array with two dimensions, which is on the abscissa; by default the first.
-    - `xlabel`, `ylabel`: names of the axes, with units, where nothing else says them.
-    - `label`: name of the curve in the legend; of several, before the value of the other coordinate.
-    - `xlog`, `ylog`: whether an axis is logarithmic. Others than positive values are left out, and counted.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Returns:
+        The axes, with a note in them if there is nothing to draw.
 
-    Returns the axes, with a note in them if there is nothing to draw. Raises ValueError for arguments of another kind,
-    length or unit.
+    Raises:
+        ValueError: For arguments of another kind, length or unit.
     """
     _check_options(level, uncertainty, xlog, ylog, {"xlabel": xlabel, "ylabel": ylabel, "label": label})
     if is_labeled(x):

@@ -23,22 +23,28 @@ def time_history(
 ) -> tuple[Axes, ...]:
     """Draw the state against time, and below it what drives it; sticks are thick and coloured.
 
-    - `result`: a result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
-      velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a system of
-      your own each coordinate. What drives it besides the velocity of the base has axes of its own: the voltage of a
-      motor, the acceleration of the ground, or a force.
-    - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
-    - `axes`: as many as there are coordinates, and if the excitation is to be drawn, one more; by default those of a
-      new figure, one below the other.
-
     The shaded band shows where friction can hold a stick. For a mass and spring without damping and force, on a base of
     piecewise-constant velocity, it holds the positions ``|x| <= mu n / k`` (static friction coefficient mu, normal
     force n, stiffness k); with them it moves, as it does with the base's acceleration. For a `MotorCart` it holds the
     currents ``|motor_constant c| <= mu m g d |sin alpha|``, at which the motor's torque is no larger than that of
     friction.
 
-    States are as exact as the simulation, at every event and on a fine grid between events. Returns the axes. Raises
-    ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
+    States are as exact as the simulation, at every event and on a fine grid between events.
+
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
+            velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a
+            system of your own each coordinate. What drives it besides the velocity of the base has axes of its own: the
+            voltage of a motor, the acceleration of the ground, or a force.
+        window: First and last time to draw, s; all of ``[0, t1]`` by default.
+        axes: As many as there are coordinates, and if the excitation is to be drawn, one more; by default those of a
+            new figure, one below the other.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
     """
     check_simulation(result)
     window = check_window(window, float(result.t1))

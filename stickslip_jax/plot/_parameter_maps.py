@@ -40,25 +40,34 @@ def parameter_map(
 
     Cells end half way between neighbouring values of the parameters; hatched gray cells hold no value.
 
-    - `x`, `y`: values of the parameters, increasing, evenly spaced or not; (nx,) and (ny,), each two or more.
-    - `values`: of the quantity, (nx, ny); NaN where it is not defined or was not computed.
+    Args:
+        x: Two or more increasing values of a parameter, evenly spaced or not, (nx,). Or, without `values`, an
+            ``xarray.DataArray``, whose first dimension is on the abscissa; or an ``xarray.Dataset``. Their attributes
+            ``long_name`` and ``units`` name axes and colours.
+        y: Values of the other parameter, likewise, (ny,). Of a Dataset the name of a variable.
+        values: Of the quantity, (nx, ny); NaN where it is not defined or was not computed.
+        errors: Standard errors of the values, (nx, ny); of a Dataset the name of a variable, by default as in `curve`.
+            Dots mark cells where the error is large, or not known.
+        error_share: Errors above this share of the value are large.
+        xlabel: Name of the abscissa, with its unit, where nothing else says it.
+        ylabel: Name of the ordinate, likewise.
+        label: Name of the quantity, likewise.
+        xlog: Whether the abscissa is logarithmic.
+        ylog: Whether the ordinate is logarithmic.
+        log: Whether the colours are logarithmic. Values that are not positive are drawn like missing ones then.
+        contours: Whether to draw lines of equal values, too, except in flat regions, where their course is chance:
+            where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`,
+            below four of its standard errors.
+        limits: Values of the first and the last colour, such as ``(0, 1)`` for shares, so that maps can be compared; by
+            default the smallest and the largest value.
+        ax: Where to draw; by default the axes of a new figure.
 
-      Or `x` alone: an ``xarray.DataArray``, whose first dimension is on the abscissa; or an ``xarray.Dataset``, and `y`
-      the name of a variable. Their attributes ``long_name`` and ``units`` name axes and colours.
-    - `errors`: standard errors of the values, (nx, ny); of a Dataset the name of a variable, by default as in `curve`.
-      Dots mark cells where the error is above the share `error_share` of the value, or not known.
-    - `xlabel`, `ylabel`, `label`: of the parameters and the quantity, with units, where nothing else says them.
-    - `xlog`, `ylog`, `log`: whether the axes and the colours are logarithmic. Values that are not positive have no
-      logarithmic colour, and are drawn like missing ones.
-    - `contours`: whether to draw lines of equal values, too, except in flat regions, where their course is chance:
-      where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`, below
-      four of its standard errors.
-    - `limits`: values of the first and the last colour, such as ``(0, 1)`` for shares, so that maps can be compared; by
-      default the smallest and the largest value.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Returns:
+        The axes, with a note in them if no value is known.
 
-    Returns the axes, with a note in them if no value is known. Raises ValueError for arrays of other shapes, infinite
-    numbers, parameters that do not increase, and arguments of another kind.
+    Raises:
+        ValueError: For arrays of other shapes, infinite numbers, parameters that do not increase, and arguments of
+            another kind.
     """
     for name, truth in (("xlog", xlog), ("ylog", ylog), ("log", log), ("contours", contours)):
         _checks.truth(name, truth)

@@ -55,21 +55,25 @@ def phase_portrait(
     Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
     black while it moves backward, and pale blue while it is at rest; on other bases slip is purple. Crosses mark the
     centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, eq. 3), if the friction
-    coefficient is constant and there is no force and no ground motion; on a base that moves one way only, that about
-    which a mass slower than the base moves: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
-    against the angle modulo 2 pi; its sticks are points. For a system of your own, the second coordinate is drawn
-    against the first.
+    coefficient is constant and there is no force and no ground motion; on a base that moves in one direction only, the
+    centre for a mass slower than the base: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
+    against the angle modulo 2 pi; its sticks are points. For your own system, the second coordinate against the first.
 
-    - `result`: a result of `simulate`, one trajectory that reached ``t1``.
-    - `window`: first and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
-    - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega", the
-      position times the natural angular frequency (m/s), in which undamped slip arcs are circles, as in the paper.
-    - `energy_regions`: whether to shade where a slip takes energy from the base: where the mass moves the way of the
-      base and is slower, ``0 < x' < v`` (Lima and Sampaio 2015, section 2). Elsewhere friction takes energy from the
-      mass. For a mass and spring on a base of piecewise-constant velocity; each of its velocities has one such region.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``.
+        window: First and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
+        abscissa: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
+            which undamped slip arcs are circles, as in the paper.
+        energy_regions: Whether to shade where a slip takes energy from the base: where the mass moves in its direction
+            and is slower, ``0 < x' < v`` (Lima and Sampaio 2015, section 2). For a mass and spring on a base of
+            piecewise-constant velocity; each of its velocities has one such region.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
     """
     check_simulation(result)
     window = check_window(window, float(result.t1))

@@ -42,7 +42,10 @@ def placed_sticks(
 ) -> PlacedSticks:
     """The complete sticks of `result`, and what else to draw with them, checked.
 
-    `also`: what else the figure takes, for the message. Raises ValueError for unsuitable arguments.
+    `also`: what else the figure takes, for the message.
+
+    Raises:
+        ValueError: For unsuitable arguments.
     """
     sticks = complete_sticks(result, also=also)
     system = _checked_system(system, None if isinstance(result, FirstSticks) else result.system)

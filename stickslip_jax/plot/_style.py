@@ -84,7 +84,10 @@ def axes_in(axes: SeveralAxes | None) -> tuple[Axes, ...]:
 def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:
     """The axes given, one for each of `names`; by default those of a new figure, one below the other.
 
-    `size` of the figure in inches. Raises ValueError if `axes` does not hold as many matplotlib Axes.
+    `size` of the figure in inches.
+
+    Raises:
+        ValueError: If `axes` does not hold as many matplotlib Axes.
     """
     if axes is None:
         figure, axes = plt.subplots(len(names), 1, sharex=True, squeeze=False, figsize=size, layout="constrained")
