@@ -70,7 +70,10 @@ def identically_distributed(
     at = sequences.first + order - 1
     groups = [sequences.values[at[has & (member == index)]] for index in range(len(wanted))]
     kept = {order: group for order, group in zip(wanted, groups, strict=True) if len(group) >= FEWEST_VALUES}
-    remarks = [sequences.remark, f"Each of the {samples} samples is asked for one order, and {has.sum()} have it."]
+    remarks = [
+        sequences.remark,
+        f"Each of the {samples} samples gives a value of one order only; {has.sum()} have one.",
+    ]
     if left := [str(order) for order in wanted if order not in kept]:
         remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
     if len(kept) >= 2:

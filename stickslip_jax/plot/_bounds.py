@@ -54,7 +54,8 @@ def stick_bounds(
         endless = np.isinf(longest)
         color, line = _style.free_look(ax)
         none = not np.any(longest > 0)
-        label = rf"$\mu$ = {one:g}" + (f", for ever at {100 * endless.mean():.0f} %" if endless.any() else "")
+        label = rf"$\mu$ = {one:g}"
+        label += f", no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else ""
         # A curve that is zero throughout lies on the axis, below the ends of the others.
         look: dict[str, Any] = {"lw": (2.5 if none else 1) * _style.SLIP_WIDTH, "zorder": 3 if none else 2}
         label += ": no stick" if none else ""

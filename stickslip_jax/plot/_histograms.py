@@ -26,7 +26,8 @@ def histogram(
 
     Call it again with the same `ax` to compare: each histogram has a colour of its own, and all fit into the axes.
 
-    The height is a density, 1/unit; of whole numbers it is the share of values per whole number.
+    The height is a probability density, 1/unit; of whole numbers it is the probability of each number, averaged over
+    the numbers of a bin where these share one.
 
     Args:
         result: A distribution, such as ``ensemble.statistics.duration`` or ``.order(2).start``. Its histogram is drawn
@@ -130,7 +131,7 @@ def _bars_of_distribution(distribution: Distribution, bins: Bins | None) -> _Bar
         errors=drawn.error,
         color=_parts.color_of(distribution.name),
         xlabel=_parts.quantity_label(distribution.name, distribution.unit),
-        ylabel="share per whole number" if whole else _parts.density_label(distribution.unit),
+        ylabel="probability" if whole else _parts.density_label(distribution.unit),
         label=label,
         empty=empty,
         is_whole=whole,

@@ -215,7 +215,7 @@ def test_axes_name_quantity_and_unit(many):
     named = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (*drawn[:2], *drawn[2], *drawn[3:])]
     assert named == [
         ("stick position (m)", "probability density (1/m)"),
-        ("number of sticks", "share per whole number"),
+        ("number of sticks", "probability"),
         ("stick start (s)", "stick duration (s)"),
         ("", "probability\ndensity (1/s)"),
         ("probability\ndensity (1/s)", ""),
