@@ -8,7 +8,7 @@ from ._distributions.copula import GaussianCopula
 from ._distributions.random_number import RandomNumber, Truncated
 from ._dynamics.method import Exact, Regularized
 from ._ensemble.call import simulate_ensemble
-from ._ensemble.parts import Keep
+from ._ensemble.data import Keep
 from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps

@@ -30,8 +30,9 @@ from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import Numbering
 from .._systems.system import System
 from .._types import Array
+from .data import Keep
 from .origins import check_extendable
-from .parts import EnsembleAccumulator, Keep, Part, prepare
+from .parts import EnsembleAccumulator, Part, prepare
 from .progress import progress_bar
 from .result import Ensemble
 from .setup import MOST_SAMPLES, EnsembleSetup

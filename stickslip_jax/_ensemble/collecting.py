@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from .. import _checks
-from .origins import Origin, origins_of, same_object
+from .data import Origin, same_object
+from .origins import origins_of
 from .parts import EnsembleAccumulator
 from .result import Ensemble
 from .stored import fields_of_file

@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._dynamics.lanes import SampleTotals
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FURTHER, FlatSticks
 from .._statistics.totals import TOTALS
 from .._status import Ending, Status
+from .data import EnsembleData, Retained
 from .encoding import Encoder
 from .origins import known_inputs
 from .slips import flat_slips
@@ -22,7 +24,7 @@ SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
 """The dimension of samples by what was kept: with "statistics" only sticks of the first samples that finished are."""
 
 
-def dataset_of(ensemble: Any) -> "xarray.Dataset":
+def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names.
 
     Raises:
@@ -33,11 +35,12 @@ def dataset_of(ensemble: Any) -> "xarray.Dataset":
     except ImportError:
         raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
     variables: dict[str, Any] = {}
-    if ensemble.keep == "sticks":
-        variables |= _sticks(ensemble, ensemble.flat_sticks, "sample") | _slips(ensemble) | _totals(ensemble)
-        variables |= _inputs(ensemble)
-    elif ensemble.keep == "statistics":
-        variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"]) | _retained_totals(ensemble)
+    if ensemble.flat_sticks is not None and ensemble.totals is not None:
+        variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
+        variables |= _slips(ensemble) | _totals(ensemble.totals) | _inputs(ensemble)
+    elif ensemble.retained is not None:
+        variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"])
+        variables |= _retained_totals(ensemble.retained)
     return xr.Dataset({**variables, **_state(ensemble)}, attrs=_provenance(ensemble))
 
 
@@ -53,7 +56,7 @@ def _along(
     return dimension, values, {"long_name": long_name, "units": unit, **attributes}
 
 
-def _sticks(ensemble: Any, sticks: FlatSticks, sample: str) -> dict[str, Any]:
+def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> dict[str, Any]:
     position = ensemble.system.stick_position
     further = {
         f"stick_{name}": _along("stick", getattr(sticks, name), one.label, one.unit or position.unit)
@@ -75,7 +78,7 @@ def _sticks(ensemble: Any, sticks: FlatSticks, sample: str) -> dict[str, Any]:
     }
 
 
-def _slips(ensemble: Any) -> dict[str, Any]:
+def _slips(ensemble: EnsembleData) -> dict[str, Any]:
     slips, first = flat_slips(ensemble), ensemble.first_sample
     censored = {"flag_values": [0, 1], "flag_meanings": "COMPLETE HORIZON"}
     return {
@@ -86,8 +89,7 @@ def _slips(ensemble: Any) -> dict[str, Any]:
     }
 
 
-def _totals(ensemble: Any) -> dict[str, Any]:
-    totals = ensemble.totals
+def _totals(totals: SampleTotals) -> dict[str, Any]:
     return {
         "slip_count": _along("sample", totals.slips, "number of slips"),
         "stick_time": _along("sample", totals.stick_time, "total stick time", "s"),
@@ -96,14 +98,14 @@ def _totals(ensemble: Any) -> dict[str, Any]:
     }
 
 
-def _inputs(ensemble: Any) -> dict[str, Any]:
+def _inputs(ensemble: EnsembleData) -> dict[str, Any]:
     """The numbers that differ from sample to sample."""
     known = known_inputs(ensemble).items()
     return {f"input_{name}": _along("sample", column, name, unit or "1") for name, (column, unit) in known}
 
 
-def _retained_totals(ensemble: Any) -> dict[str, Any]:
-    time, _, slips, *_ = ensemble.retained.totals.T
+def _retained_totals(retained: Retained) -> dict[str, Any]:
+    time, _, slips, *_ = retained.totals.T
     sample = SAMPLE["statistics"]
     return {
         "slip_count": _along(sample, slips.astype(np.int64), "number of slips"),
@@ -111,7 +113,7 @@ def _retained_totals(ensemble: Any) -> dict[str, Any]:
     }
 
 
-def _state(ensemble: Any) -> dict[str, Any]:
+def _state(ensemble: EnsembleData) -> dict[str, Any]:
     """What else an ensemble is made of: sums of all samples, and numbers of sticks of samples that did not finish."""
     encoder = Encoder()
     state = {
@@ -137,7 +139,7 @@ def _state(ensemble: Any) -> dict[str, Any]:
     }
 
 
-def _provenance(ensemble: Any) -> dict[str, Any]:
+def _provenance(ensemble: EnsembleData) -> dict[str, Any]:
     """Attributes that say what was simulated, how, and how it ended. Numbers are in SI units."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 

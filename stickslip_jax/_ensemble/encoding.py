@@ -19,7 +19,8 @@ from .._numerics.dyadic import DyadicCounts
 from .._numerics.moments import Moments
 from .._numerics.power_sums import PowerSums
 from .._statistics.accumulator import StickAccumulator
-from .origins import GivenMotions, Origin
+from .data import Origin
+from .origins import GivenMotions
 from .unknown import Unknown, UnknownSystem
 
 _SHORT = 32  # entries: longer arrays stand beside the JSON

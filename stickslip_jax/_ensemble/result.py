@@ -8,30 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks, _html
-from .._design.design import Design
-from .._distributions.copula import GaussianCopula
-from .._dynamics.lanes import SampleTotals
-from .._dynamics.method import Exact, Regularized
-from .._events.sticks import FlatSticks, Slips, Sticks
+from .._events.sticks import Slips, Sticks
 from .._excitation.excitation import is_random
 from .._files import file_to_write
-from .._inputs.inputs import Inputs, Model
-from .._numerics.moments import Moments
 from .._simulation.result import Simulation
-from .._statistics.accumulator import Numbering, StickAccumulator
+from .._statistics.accumulator import Numbering
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
-from .._status import Status
-from .._systems.system import System
+from .data import EnsembleData
 from .given import fields_of_simulations, fields_of_sticks
-from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
-from .parts import Keep, Retained
+from .origins import Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
 from .summary import summary_of
@@ -42,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
-class Ensemble:
+class Ensemble(EnsembleData):
     """Many samples: the result of `simulate_ensemble`, of `load` and `concatenate`, and of the methods ``from_...``.
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: the arguments and the floating dtype.
@@ -65,30 +56,6 @@ class Ensemble:
     - `keep`: "totals", "statistics" or "sticks".
     - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
-
-    system: System
-    law: Any
-    t1: float
-    method: Exact | Regularized | Unknown | None
-    numbering: Numbering
-    y0: tuple[Any, ...]
-    samples: int
-    key_data: tuple[int, ...] | None
-    dtype: str
-    moments: Moments
-    status_counts: dict[Status, int]
-    near_grazing_samples: int
-    accumulator: StickAccumulator | None
-    retained: Retained | None
-    totals: SampleTotals | None
-    flat_sticks: FlatSticks | None
-    threads: int
-    compile_seconds: float
-    run_seconds: float
-    first_sample: int = 0
-    origins: tuple[Origin, ...] = ()
-    design: Design | None = None
-    copula: GaussianCopula | None = None
 
     _extend: ClassVar[Callable[..., "Ensemble"]]  # `call.py`, which imports this module, puts it here
 
@@ -172,20 +139,6 @@ class Ensemble:
         """
         return type(self)._extend(self, samples, threads, chunk, progress)
 
-    @property
-    def keep(self) -> Keep:
-        """What was kept, as in `simulate_ensemble`."""
-        if self.flat_sticks is not None:
-            return "sticks"
-        return "totals" if self.accumulator is None else "statistics"
-
-    @cached_property
-    def inputs(self) -> Inputs:
-        """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
-        samples = self.first_sample + self.samples if self.design is None else self.design
-        key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
-        return Inputs.of(Model(self.system, self.law, self.y0), samples, key, self.copula)
-
     @cached_property
     def input_values(self) -> dict[str, np.ndarray]:
         """The values of the numbers that differ from sample to sample, by name, arrays (samples,).
@@ -227,34 +180,6 @@ class Ensemble:
             ValueError: Unless ``keep="sticks"``.
         """
         return padded_slips(self)
-
-    def finished_sticks(self) -> FlatSticks:
-        """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
-
-        Raises:
-            ValueError: If ``keep="totals"``.
-        """
-        if self.retained is None:
-            raise ValueError(
-                'This ensemble kept only totals; call simulate_ensemble(..., keep="statistics") or keep="sticks".'
-            )
-        return self.retained.sticks
-
-    def numbered_sticks(self) -> FlatSticks:
-        """`finished_sticks`, without those that begin at t = 0 unless `numbering` counts these as the first."""
-        sticks = self.finished_sticks()
-        return sticks if self.numbering.count_initial_rest else sticks.without_initial_rest()
-
-    def require_sticks(self) -> FlatSticks:
-        """`flat_sticks`. Raises ValueError unless ``keep="sticks"``."""
-        if self.flat_sticks is None:
-            raise ValueError('This ensemble did not keep its sticks; call simulate_ensemble(..., keep="sticks").')
-        return self.flat_sticks
-
-    @property
-    def finished(self) -> int:
-        """Number of samples that reached ``t1``."""
-        return self.status_counts[Status.FINISHED]
 
     def realization(self, number: int) -> Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it::

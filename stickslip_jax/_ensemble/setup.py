@@ -20,7 +20,7 @@ from .._inputs.inputs import Inputs, Model
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
 from .._types import AnyArray, Array
-from .parts import Keep
+from .data import Keep
 
 MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 

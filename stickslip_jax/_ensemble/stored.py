@@ -15,10 +15,10 @@ from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
 from .._status import Status
 from .._systems.system import Coordinate
+from .data import Retained
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
-from .parts import Retained
 from .stored_checks import check_fields
 from .unknown import Unknown, UnknownSystem
 

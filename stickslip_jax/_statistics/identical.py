@@ -70,10 +70,7 @@ def identically_distributed(
     at = sequences.first + order - 1
     groups = [sequences.values[at[has & (member == index)]] for index in range(len(wanted))]
     kept = {order: group for order, group in zip(wanted, groups, strict=True) if len(group) >= FEWEST_VALUES}
-    remarks = [
-        sequences.remark,
-        f"Each of the {samples} samples gives a value of one order; {has.sum()} have one.",
-    ]
+    remarks = [sequences.remark, f"Each of the {samples} samples gives a value of one order; {has.sum()} have one."]
     if left := [str(order) for order in wanted if order not in kept]:
         remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
     if len(kept) >= 2:

@@ -11,7 +11,7 @@ from support.plot import MAP_LABELS, T1, band_of, error_bars, line, mesh, only, 
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._ensemble.kept import Retained
+from stickslip_jax._ensemble.data import Retained
 from stickslip_jax._statistics.convergence import convergence, histogram_convergence
 from stickslip_jax.plot import _style
 
