@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -132,7 +131,7 @@ def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     return tuple(float(p) for p in adjusted)
 
 
-def check_significance(significance: Any) -> None:
+def check_significance(significance: float) -> None:
     """Raise ValueError unless `significance` is a number between 0 and 1."""
     _checks.numeric("significance", significance)
     if not 0 < significance < 1:

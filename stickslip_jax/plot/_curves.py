@@ -12,8 +12,6 @@ from . import _parts, _style
 from ._labeled import Labeled, is_labeled, labeled
 from ._types import LabeledData, Numbers
 
-_MOST_MARKERS = 60
-
 Uncertainty: TypeAlias = Literal["bars", "band"]
 
 
@@ -120,8 +118,7 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
     order = np.argsort(places, kind="stable")
     estimates = list(y) if isinstance(y, (list, tuple)) and any(isinstance(one, Estimate) for one in y) else []
     if not estimates:
-        _checks.numeric("y", _finite(y), ndim=1)
-        values, name = np.asarray(y, float), None
+        values, name = _parts.numbers_or_gaps("y", y, 1), None
         low, high = _ends(values, errors, level)
     else:
         name = _name_of(estimates)
@@ -136,14 +133,6 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
     if len(values) != len(places):
         raise ValueError(f"Argument y must have the length {len(places)} of x, but it has {len(values)}.")
     return _Curves(places[order], [_Curve(values[order], low[order], high[order], label)], ylabel=name)
-
-
-def _finite(values: object) -> object:
-    """The values with zeros for NaN, to be checked for all else; as they are if they are no numbers."""
-    try:
-        return np.nan_to_num(np.asarray(values, float), nan=0.0, posinf=np.inf, neginf=-np.inf)
-    except (TypeError, ValueError):
-        return values
 
 
 def _name_of(estimates: list[Estimate]) -> str | None:
@@ -166,13 +155,7 @@ def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.n
     """The ends of the intervals about `values`, NaN without errors."""
     if errors is None:
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
-    _checks.numeric("errors", _finite(errors), ndim=values.ndim)
-    sides = np.asarray(errors, float)
-    if sides.shape != values.shape or np.any(sides < 0):
-        raise ValueError(
-            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
-            f"array of shape {sides.shape} with smallest entry {np.nanmin(sides, initial=np.inf):g} was given."
-        )
+    sides = _parts.checked_errors(errors, values)
     if level is not None:
         from scipy import special  # noqa: PLC0415 - adds a filter of warnings
 
@@ -230,7 +213,6 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
     if not np.any(np.isfinite(values)):
         return False
     color, style = _style.free_look(ax)
-    marker = "o" if len(x) <= _MOST_MARKERS else None
     known = np.isfinite(low) & np.isfinite(values)
     if np.any(known) and uncertainty == "band":
         limits = ax.dataLim.frozen()
@@ -242,13 +224,13 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
     elif np.any(known):
         sides = np.stack([values - low, high - values])[:, known]
         ax.errorbar(x[known], values[known], sides, ls="none", ecolor=color, elinewidth=1.0, capsize=2.0)
-    ax.plot(x, values, color=color, ls=style, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
+    ax.plot(x, values, color=color, ls=style, lw=_style.SLIP_WIDTH, marker=_style.marker_of(x), ms=3.5, label=label)
     return True
 
 
 def _explain(ax: Axes, uncertainty: Uncertainty, level: float | None) -> None:
     """Say at the end of the legend what bars or bands are."""
-    text = "one standard error" if level is None else f"{100 * level:.4g} % confidence interval"
+    text = "one standard error" if level is None else _parts.interval_name(level)
     text, marker = f"{uncertainty}: {text}", "|" if uncertainty == "bars" else "s"
     for line in list(ax.lines):
         if line.get_label() == text:

@@ -60,8 +60,6 @@ def energies(
     for panel in (upper, lower):
         for first, last in zip(starts[inside], ends[inside], strict=True):
             panel.axvspan(max(first, begin), min(last, end), color=_style.STICK, alpha=0.25, lw=0, label="stick")
-        panel.set_xlim(window)
+        _style.time_axis(panel, window)
         _style.legend_above(panel, columns=4)
-        if panel.xaxis.get_tick_params().get("labelbottom", True):
-            panel.set_xlabel("time $t$ (s)")
     return upper, lower

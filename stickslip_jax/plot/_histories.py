@@ -66,9 +66,7 @@ def time_history(
         panels[-1].plot(times, np.asarray(drive.value(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
         panels[-1].set_ylabel(drive.label)
     for panel in panels:
-        panel.set_xlim(window)
-        if panel.xaxis.get_tick_params().get("labelbottom", True):
-            panel.set_xlabel("time $t$ (s)")
+        _style.time_axis(panel, window)
     _style.legend_above(*panels, columns=4)
     return panels
 

@@ -55,7 +55,7 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     means = [order.distributions[quantity].mean for order in present]
     values = np.array([mean.value for mean in means])
     low, high = np.array([mean.interval(level) for mean in means]).T
-    label = f"mean, {100 * level:.4g} % confidence interval"
+    label = f"mean, {_parts.interval_name(level)}"
     look = {"color": _style.STICK if body == "stick" else _style.MASS, "lw": _style.SLIP_WIDTH}
     known = np.isfinite(low)
     if np.any(known):

@@ -112,7 +112,7 @@ def _map_of(
             raise ValueError(
                 f"Argument {name} must hold positive numbers on a logarithmic axis, but {centers[0]:g} is the first."
             )
-    errors = None if errors is None else _checked_errors(errors, values)
+    errors = None if errors is None else _parts.checked_errors(errors, values)
     edges, (across, up, colors) = (_edges(x, logs[0]), _edges(y, logs[1])), map(str, names)
     return _Map((x, y), edges, logs, values, errors, (across, up, colors))
 
@@ -124,17 +124,6 @@ def _read(x: Any, y: Any, values: Any, errors: Any) -> Labeled:
             f"{_checks.show(values)} was given."
         )
     return labeled(x, y, errors, (2,))
-
-
-def _checked_errors(errors: Any, values: np.ndarray) -> np.ndarray:
-    _checks.numeric("errors", np.nan_to_num(np.asarray(errors, float), nan=0.0, posinf=np.inf, neginf=-np.inf), ndim=2)
-    array = np.asarray(errors, float)
-    if array.shape != values.shape or np.any(array < 0):
-        raise ValueError(
-            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
-            f"array of shape {array.shape} with smallest entry {np.nanmin(array, initial=np.inf):g} was given."
-        )
-    return array
 
 
 def _norm(limits: Any, log: bool) -> Normalize:
@@ -233,8 +222,7 @@ def _checked(x: Any, y: Any, values: Any) -> tuple[np.ndarray, np.ndarray, np.nd
             raise ValueError(
                 f"Argument {name} must hold two or more increasing numbers, but {_checks.show(given)} was given."
             )
-    _checks.numeric("values", np.nan_to_num(np.asarray(values, float), nan=0.0, posinf=np.inf, neginf=-np.inf), ndim=2)
-    array = np.asarray(values, float)
+    array = _parts.numbers_or_gaps("values", values, 2)
     if array.shape != (len(x), len(y)):
         raise ValueError(
             f"Argument values must have the shape (len(x), len(y)) = ({len(x)}, {len(y)}), but an array of shape "

@@ -13,7 +13,6 @@ from . import _parts, _style
 from ._types import Numbers
 
 _FREQUENCY_RATIO = r"frequency ratio $r = f_\mathrm{b}\,/\,(\omega/2\pi)$ (dimensionless)"
-_MOST_MARKERS = 60
 
 
 def stick_fraction_curve(
@@ -67,8 +66,8 @@ def stick_fraction_curve(
         band_label = curve.band_label if band_label is None else band_label
         ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=band_label)
     known = np.isfinite(mean)
-    marker = "o" if len(values) <= _MOST_MARKERS else None
     label = curve.label if label is None else label
+    marker = _style.marker_of(values)
     ax.plot(values[known], mean[known], color=color, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
     ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
     ax.set_ylabel("stick fraction $T_s$ (%)")
@@ -126,7 +125,7 @@ def _curve(
         )
     if estimates:
         points = [(one.value, *one.interval(level)) for one in estimates]
-        name = f"{100 * level:.4g} % confidence interval of the mean"
+        name = f"{_parts.interval_name(level)} of the mean"
     else:
         rest = (1 - level) / 2
         points = [(one.mean.value, one.quantile(rest).value, one.quantile(1 - rest).value) for one in distributions]

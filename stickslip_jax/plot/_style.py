@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from matplotlib.typing import ColorType
 
 from .. import _checks
-from ._types import SeveralAxes
+from ._types import SeveralAxes, Window
 
 STICK = "#D55E00"
 """The colour of sticks in every figure, and of nothing else."""
@@ -56,6 +56,18 @@ def free_look(ax: Axes) -> tuple[str, str]:
     taken = {(to_rgba(line.get_color()), line.get_linestyle()) for line in ax.lines}
     looks = [(color, style) for style in LINES for color in SERIES]
     return next((look for look in looks if (to_rgba(look[0]), look[1]) not in taken), looks[0])
+
+
+def marker_of(points: np.ndarray) -> str | None:
+    """The marker of a curve through these points; none for so many that markers would merge."""
+    return "o" if len(points) <= 60 else None
+
+
+def time_axis(ax: Axes, window: Window) -> None:
+    """Limit the abscissa of `ax` to the `window` of time, and name it unless axes below have the name."""
+    ax.set_xlim(window)
+    if ax.xaxis.get_tick_params().get("labelbottom", True):
+        ax.set_xlabel("time $t$ (s)")
 
 
 def log_axis(axis: Axis) -> None:
