@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .. import _checks
 from .._numerics.moments import Moments
@@ -26,13 +27,13 @@ class Convergence:
 
     name: str
     unit: str
-    numbers: np.ndarray
-    values: np.ndarray
-    errors: np.ndarray
+    numbers: Int[np.ndarray, " points"]
+    values: Float[np.ndarray, " points"]
+    errors: Float[np.ndarray, " points"]
     final: Estimate
 
-    def band(self, level: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper end of the confidence intervals at `level`, (points,) each, by Student's t.
+    def band(self, level: float = 0.9) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+        """Lower and upper end of the confidence intervals at `level`, by Student's t.
 
         Raises:
             ValueError: Unless ``0 < level < 1``.
@@ -103,8 +104,8 @@ class HistogramConvergence:
     - `slope`: of the logarithm of the distance against that of the number; -1/2 once every cell holds many pairs.
     """
 
-    numbers: np.ndarray
-    distances: np.ndarray
+    numbers: Int[np.ndarray, " points"]
+    distances: Float[np.ndarray, " points"]
     cells: int
     slope: float
 

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .. import _checks, _html
 from .._numerics.dyadic import CommonBins, DyadicCounts, joined_bins
@@ -27,16 +28,16 @@ class Histogram:
     `counts`, `density` (1/unit) and its standard `error`, (bins,). The density times the bin width sums to 1.
     """
 
-    edges: np.ndarray
-    counts: np.ndarray
-    density: np.ndarray
-    error: np.ndarray
+    edges: Float[np.ndarray, " edges"]
+    counts: Int[np.ndarray, " bins"]
+    density: Float[np.ndarray, " bins"]
+    error: Float[np.ndarray, " bins"]
     number: int
     unit: str
 
     @property
-    def centers(self) -> np.ndarray:
-        """The middle of each bin, (bins,)."""
+    def centers(self) -> Float[np.ndarray, " bins"]:
+        """The middle of each bin."""
         return (self.edges[1:] + self.edges[:-1]) / 2
 
 

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from .. import _checks
 from .._events.slips import slips_after
@@ -78,7 +79,7 @@ class EnsembleStatistics(ByQuantity):
 
     accumulator: StickAccumulator
     sticks: FlatSticks
-    totals: np.ndarray
+    totals: Float[np.ndarray, "samples totals"]
     t1: float
     position_unit: str
     numbering: Numbering

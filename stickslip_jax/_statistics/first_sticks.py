@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .. import _checks
 from .source import EnsembleLike, require_ensemble
@@ -17,11 +18,11 @@ class FirstSticks:
     - `mask`: whether the sample has a stick.
     """
 
-    start: np.ndarray
-    duration: np.ndarray
-    position: np.ndarray
-    ending: np.ndarray
-    mask: np.ndarray
+    start: Float[np.ndarray, " samples"]
+    duration: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, " samples"]
+    ending: Int[np.ndarray, " samples"]
+    mask: Bool[np.ndarray, " samples"]
 
     @property
     def count(self) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .. import _checks
 from .._numerics.dyadic import DyadicCounts, joined_bins
@@ -25,11 +26,11 @@ class JointHistogram:
     `names`, `units`: of x and y.
     """
 
-    x_edges: np.ndarray
-    y_edges: np.ndarray
-    counts: np.ndarray
-    density: np.ndarray
-    error: np.ndarray
+    x_edges: Float[np.ndarray, " x_edges"]
+    y_edges: Float[np.ndarray, " y_edges"]
+    counts: Int[np.ndarray, "x_bins y_bins"]
+    density: Float[np.ndarray, "x_bins y_bins"]
+    error: Float[np.ndarray, "x_bins y_bins"]
     number: int
     names: tuple[str, str]
     units: tuple[str, str]
@@ -44,10 +45,10 @@ class ConditionalMeans:
     - `names`, `units`: of x and y.
     """
 
-    edges: np.ndarray
-    mean: np.ndarray
-    error: np.ndarray
-    counts: np.ndarray
+    edges: Float[np.ndarray, " edges"]
+    mean: Float[np.ndarray, " bins"]
+    error: Float[np.ndarray, " bins"]
+    counts: Int[np.ndarray, " bins"]
     names: tuple[str, str]
     units: tuple[str, str]
 
@@ -96,8 +97,8 @@ class JointDistribution:
         """
         return atoms_of(self.x.values, self.y.values, self.round_off)
 
-    def share_of_atoms(self, bins: int) -> np.ndarray:
-        """The share of the retained pairs of each cell of ``histogram(bins)`` that are atoms, (m, n)."""
+    def share_of_atoms(self, bins: int) -> Float[np.ndarray, "x_bins y_bins"]:
+        """The share of the retained pairs of each cell of ``histogram(bins)`` that are atoms."""
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         cell, inside = self._cells(x_edges, y_edges)
         every, atoms = (

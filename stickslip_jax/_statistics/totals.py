@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from .estimate import Estimate
 from .source import EnsembleLike, origin_of, require_ensemble
@@ -60,7 +61,7 @@ class StatisticOfTotals:
         """Whether it depends on no number of slips."""
         return self.numerator.slip_count == self.denominator.slip_count == 0
 
-    def weights(self, t1: float) -> np.ndarray:
+    def weights(self, t1: float) -> Float[np.ndarray, "2 terms"]:
         """Coefficients of `TOTALS` and the constant, of numerator and denominator, (2, 6); a constant denominator is 1.
 
         Args:

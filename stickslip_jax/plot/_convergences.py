@@ -57,9 +57,7 @@ def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
     low, high = (ends[known] for ends in result.band(level))
     ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--",
                label=f"from all {result.final.samples:,} samples: {_parts.with_error(result.final)}")  # fmt: skip
-    ax.fill_between(
-        numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=_parts.interval_name(level)
-    )
+    ax.fill_between(numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=_parts.interval_name(level))
     ax.plot(
         numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
     )
