@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import _checks
 from .._design.design import Design
+from .conventions import labeled_dataset, variable
 from .estimate import check_level
 
 if TYPE_CHECKING:
@@ -58,12 +59,8 @@ class SobolIndices:
         Raises:
             ImportError: If xarray is not installed.
         """
-        try:
-            import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-        except ImportError:
-            raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
         last = ("output",) if self.outputs else ()
-        variables: dict[Any, Any] = {}
+        variables: dict[str, Any] = {}
         for name, meaning in (("first", "first-order"), ("total", "total"), ("second", "second-order")):
             if getattr(self, name) is None:
                 continue
@@ -71,18 +68,15 @@ class SobolIndices:
             for suffix, ends, what in (
                 ("", (), ""), ("_error", (), ", standard error"), ("_interval", ("interval_end",), ", interval"),
             ):  # fmt: skip
-                about = {"long_name": f"{meaning} Sobol' index{what}", "units": "1"}
-                variables[name + suffix] = ((*ends, *inputs, *last), getattr(self, name + suffix), about)
-        coordinates: dict[Any, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
+                values, about = getattr(self, name + suffix), f"{meaning} Sobol' index{what}"
+                variables[name + suffix] = variable((*ends, *inputs, *last), values, about)
+        coordinates: dict[str, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
         if self.second is not None:
             coordinates["other_factor"] = list(self.factors)
         if last:
             coordinates["output"] = list(self.outputs)
-        attributes = {
-            "Conventions": "CF-1.11", "level": self.level, "base_samples": self.base_samples, "samples": self.samples,
-            "resamples": self.resamples,
-        }  # fmt: skip
-        return xr.Dataset(variables, coordinates, attributes)
+        names = ("level", "base_samples", "samples", "resamples")
+        return labeled_dataset(variables, coordinates, {name: getattr(self, name) for name in names})
 
     def __repr__(self) -> str:
         lines = [

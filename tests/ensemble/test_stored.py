@@ -148,7 +148,7 @@ def test_what_a_version_with_fewer_columns_stored_loads(keep):
     assert repr(back.summary()) == repr(whole.summary())
     again = ss.Ensemble.from_xarray(back.to_xarray())
     assert_same(back, again)
-    with pytest.raises(ValueError, match="it lacks .*stick_position"):
+    with pytest.raises(ValueError, match=r"it lacks .*stick_position"):
         ss.Ensemble.from_xarray(data.drop_vars("stick_position"))
 
 
@@ -163,7 +163,7 @@ def test_sums_that_a_version_did_not_make_are_missing(kept):
     for of in (old.statistics, old.statistics.order(1)):
         with pytest.raises(ValueError, match=f"have no {last}"):
             getattr(of, last)
-    with pytest.raises(ValueError, match="must have sums of the same quantities, but .* simulate the older"):
+    with pytest.raises(ValueError, match=r"must have sums of the same quantities, but .* simulate the older"):
         ss.concatenate([old, dataclasses.replace(kept, key_data=(1, 2))])
 
 
