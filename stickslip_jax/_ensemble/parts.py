@@ -127,7 +127,8 @@ class EnsembleAccumulator:
             self._keep(
                 Part(SampleTotals(sticks, slips, time, none, none), rest=(rest[0], rest[1])), other.retained.sticks
             )
-            # Samples that did not finish took space when they were simulated; what others left out ends it.
+            # Samples that did not finish took space, too, when they were simulated. Where some that did finish are not
+            # retained, there was none left.
             self._retained_samples += other.samples - other.finished
             left = self._space - (other.samples - other.finished) if len(totals) == other.finished else 0
             self._space = max(left, int(self._retained_samples < FEWEST))

@@ -35,10 +35,10 @@ class Estimate:
 
     It is a number where one is asked for (``float(estimate)`` is its value), and can be added, subtracted, multiplied
     and divided, with numbers and with other estimates; ``f"{estimate:.3f}"`` formats the value. A plain number that is
-    added is in the estimate's unit; units multiply and divide as they should.
+    added is in the estimate's unit; units are multiplied and divided too.
 
-    Errors go along to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the error
-    0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
+    Errors are propagated to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the
+    error 0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
     different keys, are taken to be independent. Two different estimates of one origin are not, and how they are
     correlated is not known: what is computed from both has a value, but the error NaN. Of a combination `samples` is
     such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.

@@ -39,8 +39,8 @@ def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> 
     Args:
         ensemble: An `Ensemble` with ``keep="sticks"``.
         count_initial_rest: Whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
-            By default it does not, and the next one is the first. In the words of Lima and Sampaio (2022), to whom a
-            stick is any interval without motion, it does.
+            By default it does not, and the next one is the first. Lima and Sampaio (2022) count it, since they call any
+            interval without motion a stick.
 
     Raises:
         ValueError: For an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.

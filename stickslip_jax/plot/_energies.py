@@ -19,7 +19,7 @@ def energies(
 ) -> tuple[Axes, Axes]:
     """Draw the stored energies, and what was supplied and dissipated since the start, against time; sticks are shaded.
 
-    Left out is what is zero all the time, such as the damping of a system without a damper.
+    Energies that are zero all the time, such as the damping of a system without a damper, are left out.
 
     Args:
         result: A result of `simulate`, one trajectory that reached ``t1``, whose `Simulation.energies` are known.
