@@ -160,8 +160,8 @@ def _count(row, scale, bin_of, place, counts):
 @no_type_check
 def _sum(row, a, mean, scatter, third):
     """Subtract the mean, and add squares and cubes of the deviations."""
-    # In place, because the products with other quantities are of deviations too. Sums of deviations from the mean, found
-    # in an earlier pass, lose no digits where the mean is large compared with the spread.
+    # In place, because products with other quantities are of deviations too. Sums of deviations from the mean, which an
+    # earlier pass found, lose no digits where the mean is large compared with the spread.
     center, square, cube = mean[a], 0.0, 0.0
     for i in range(len(row)):
         step = row[i] - center
