@@ -212,25 +212,27 @@ REASONS = """
 The order is the power of the width w with which an error falls; measured is the slope of a straight line through the
 logarithms of the errors at the widths {first} to {last}, with its standard error. In theory:
 
-- A mass at rest needs friction that grows, by a share r of the largest in a second, until it is released. It leaves
-  with an acceleration that starts from zero, so its velocity grows like r t^2 and it leaves a layer of width w in a
-  time like w^(1/2). The shapes differ in the friction that is missing at s widths: none from s = 1 on (linear),
-  exp(-2s) (tanh), 1/s^2 (rational), 1/s (arctan). The mass is released where the share that is missing equals r times
-  the time to the release: at a time like w, w^(1/2), w^(2/5), w^(1/3), and a velocity like w, w log(1/w), w^(4/5),
-  w^(2/3). That time is the order of the end of a stick, and that velocity the order of the default threshold. Over
-  these widths the logarithm looks like an order of 0.89.
-- A stick begins early by threshold / deceleration: the order of the threshold.
-- The velocity at the release is what the mass has too much of in the slip that follows: the order of the trajectory.
-- An instant has an error of its own, and that of a trajectory which comes there early or late. Where these have
-  opposite signs their sum passes through zero at some width, as under the square wave. A line through such a dip
-  means nothing, and its large standard error says so. The default threshold makes the sum small for ends of sticks
-  under Poisson switching.
-- The stick fraction has the lower order of begin and end, or a better one where early and late instants cancel.
+- The friction that holds a mass at rest grows until the mass is released, by a fraction r of the largest friction per
+  second. The mass leaves with an acceleration that starts from zero, so its velocity grows like r t^2, and it leaves a
+  layer of width w in a time proportional to w^(1/2). The shapes differ in the fraction of the friction that is missing
+  at a velocity of s widths: none for s >= 1 (linear), exp(-2s) (tanh), 1/s^2 (rational), 1/s (arctan). The mass is
+  released where the missing fraction equals r times the time to the release: at a time proportional to w, w^(1/2),
+  w^(2/5), w^(1/3), and a velocity proportional to w, w log(1/w), w^(4/5), w^(2/3). The time gives the order of the end
+  of a stick, the velocity the order of the default threshold. Over these widths the logarithm looks like an order of
+  0.89.
+- A stick begins too early by threshold / deceleration, which has the order of the threshold.
+- A released mass has too high a velocity by the velocity at the release, so the slip that follows, and with it the
+  trajectory, has an error of that order.
+- The error of an instant is the sum of two: its own, and that of a trajectory that comes there early or late. Where
+  these have opposite signs, their sum passes through zero at some width, as under the square wave. A line fitted
+  through such a zero has no meaning, as its large standard error shows. The default threshold makes the sum small for
+  ends of sticks under Poisson switching.
+- The stick fraction has the lower of the orders of begin and end, or a better one where early and late instants cancel.
 
-Sticks are paired by their overlap in time. Missed are short ones: the regularised motion is below the threshold for
-less than the default duration, or passes by. Invented are those where the exact motion passes slowly, just before it
-comes back and sticks. In Leine's system errors of a tenth of the orbit and more are bounded by its size, which makes
-measured orders too small.
+Sticks are paired by their overlap in time. A stick is "missed" if the regularised motion stays below the threshold for
+less than the default minimum duration, or never reaches it: this happens to short sticks. A stick is "invented" where
+the exact motion only slows down, shortly before it comes back and sticks. In Leine's system errors of a tenth of the
+orbit and more are limited by the size of the orbit, which makes the measured orders too small.
 """
 
 

@@ -64,7 +64,7 @@ for panel, frictions in zip(panels, ((0.1, 0.2, 0.3, 0.4, 0.5), (0.6, 0.7, 0.8, 
         bound = np.asarray(ss.stick_duration_bound(ss.MotorCart(mu=mu), voltage, angles))
         highest = float(ss.stick_duration_bound(ss.MotorCart(mu=mu), voltage, math.pi / 2))
         print(f"mu = {mu:g}: at pi/2 {highest:.5g} s; no stick at {100 * (bound == 0).mean():.1f} % of the angles, "
-              f"for ever at {100 * np.isinf(bound).mean():.1f} %")  # fmt: skip
+              f"no limit at {100 * np.isinf(bound).mean():.1f} %")  # fmt: skip
 plt.show()
 
 # %% [markdown]

@@ -126,7 +126,7 @@ def draw_section(along, other):
             column[0].stairs(histogram.density, edges, color=color, lw=1.5, label=f"{value:.3g}{units[along]}")
         unit = found[0].unit
         column[0].set_xlabel(name if unit == "1" else f"{name} ({unit})")
-        column[0].set_ylabel("share per whole number" if unit == "1" else f"probability density (1/{unit})")
+        column[0].set_ylabel("probability" if unit == "1" else f"probability density (1/{unit})")
         column[0].set_xlim(left=0, right=max(one.quantile(0.995).value for one in shown if one.number))
         if "slip duration" in name:
             column[0].set_yscale("log")

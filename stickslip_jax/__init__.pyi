@@ -19,7 +19,7 @@ from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated 
 from ._dynamics.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
 from ._ensemble.collecting import concatenate as concatenate, load as load
-from ._ensemble.parts import Keep as Keep
+from ._ensemble.data import Keep as Keep
 from ._ensemble.result import Ensemble as Ensemble
 from ._events.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps

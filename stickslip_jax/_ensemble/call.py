@@ -30,8 +30,9 @@ from .._types import Array
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Model
+from .data import Keep
 from .origins import check_extendable
-from .parts import EnsembleAccumulator, Keep, Part, prepare
+from .parts import EnsembleAccumulator, Part, prepare
 from .progress import progress_bar
 from .result import Ensemble
 from .setup import MOST_SAMPLES, EnsembleSetup
@@ -63,30 +64,32 @@ def simulate_ensemble(
     """Simulate `samples` independent realisations of the excitation `law`.
 
     Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
-    the chunk size or the threads; ``system, base, y0 = many.realization(i)`` returns what it is simulated with.
+    the chunk size or the threads; ``system, base, y0 = many.realization(i)`` returns what it is simulated with. Any
+    single number of `system`, `law` or `y0` may differ from sample to sample: an array (samples,), or a distribution
+    (see docs/uncertain.md); ``many.input_values`` gives what was drawn.
 
-    Any single number of `system`, `law` or `y0` may differ from sample to sample: an array (samples,), or a
-    distribution such as `Uniform`, a frozen one of scipy.stats, or an object with a method ``icdf(u)``, ``ppf(u)`` or
-    ``sample(key)``. ``many.input_values`` gives what was drawn; docs/uncertain.md has more.
+    Args:
+        system: A `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
+        law: A random excitation, any that `simulate` takes, or an object with ``sample(key, t1)`` that returns one.
+        t1: Duration, s.
+        samples: Their number, or a design (`stickslip_jax.design`) with a row for each.
+        key: From ``jax.random.key(seed)``; None where nothing is random.
+        correlation: Of random numbers; by default they are independent.
+        y0: Initial state as in `simulate`, or an array (samples, coordinates).
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
+        keep: "totals" (fastest); "statistics" (memory does not grow with `samples`); "sticks" keeps every stick too.
+        orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+        count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
+        threads: Worker threads (default: all cores).
+        chunk: Samples simulated per call (default: chosen for speed).
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        first_sample: The number i of the first, where several machines share one ensemble (see `concatenate`).
 
-    - `system`: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own. `t1`: duration, s.
-    - `law`: the random excitation, such as `PoissonSwitching`, any excitation that `simulate` takes, or an object of
-      your own with a method ``sample(key, t1)`` that returns one.
-    - `y0`: initial state as in `simulate`, or an array (samples, coordinates).
-    - `samples`: their number, or a design (`stickslip_jax.design`) with a row for each. `first_sample`: the number i of
-      the first, where several machines share one ensemble (see `concatenate`).
-    - `key`: from ``jax.random.key(seed)``; may be None where nothing is random. `correlation`: of random numbers; by
-      default they are independent.
-    - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
-    - `keep`: "statistics" accumulates the sums for ``many.statistics`` during the simulation (memory does not grow with
-      `samples`); "sticks" keeps every stick as well; "totals" sums only stick time, sticks and slips, the fastest.
-    - `orders`: statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
-    - `count_initial_rest`: whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
-    - `threads`: worker threads (default: all cores). `chunk`: samples simulated per call (default: chosen for speed).
-    - `progress`: True shows a progress bar, False none; by default on a terminal and in a notebook.
+    Returns:
+        An `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
 
-    Returns an `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
-    Raises ValueError for arguments outside these bounds.
+    Raises:
+        ValueError: For arguments outside these bounds.
 
     >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
     >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from .. import _checks
-from .origins import Origin, origins_of, same_object
+from .data import Origin, same_object
+from .origins import origins_of
 from .parts import EnsembleAccumulator
 from .result import Ensemble
 from .stored import fields_of_file
@@ -16,14 +17,18 @@ from .unknown import Unknown, UnknownSystem
 def load(path: str | os.PathLike[str]) -> Ensemble:
     """Read an ensemble that `Ensemble.save` or ``stickslip study`` wrote.
 
-    - `path`: the file, or the folder of a study.
+    Args:
+        path: The file, or the folder of a study.
 
-    Returns the `Ensemble` with the statistics it had, to the last bit; figures, ``realization(i)`` and ``extended``
-    work as before. Objects of your own classes (systems, laws, distributions) come back as stand-ins that hold their
-    name and how they printed: statistics and figures of the sticks still work, what needs the object raises ValueError.
+    Returns:
+        The `Ensemble` with the statistics it had, to the last bit; figures, ``realization(i)`` and ``extended`` work as
+        before. Objects of your own classes (systems, laws, distributions) come back as stand-ins that hold their name
+        and how they printed: statistics and figures of the sticks still work, what needs the object raises ValueError.
 
-    Raises FileNotFoundError for a missing file; ValueError for one that is damaged or cut short, of another program, or
-    of a newer format; ImportError without the extra ``study``.
+    Raises:
+        FileNotFoundError: For a missing file.
+        ValueError: For one that is damaged or cut short, of another program, or of a newer format.
+        ImportError: Without the extra ``study``.
     """
     return Ensemble(**fields_of_file(_checks.path("path", path, "a file name")))
 
@@ -31,16 +36,18 @@ def load(path: str | os.PathLike[str]) -> Ensemble:
 def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     """Join ensembles into one, whose samples are those of the first, then of the second, and so on.
 
-    - `ensembles`: at least one, of the same duration, `keep`, `orders`, `count_initial_rest`, dtype, and kind of
-      position. Their systems, laws, keys, methods and starts may differ.
-
     Where samples follow each other (the same system, law, method, start and key, and ``first_sample`` of one is the
     number after the last of the one before), the result is that of one run. Otherwise `origins` holds where each part
     came from, and ``realization(i)`` looks there; what differs from part to part is `Unknown` in the result, so that it
     cannot be extended. Sticks and counts are those of the parts to the last bit; means and other sums differ from those
     of one run by round-off only, since they are merged from sums.
 
-    Raises ValueError for anything else, and for parts that hold the same random samples twice.
+    Args:
+        ensembles: At least one, of the same duration, `keep`, `orders`, `count_initial_rest`, dtype, and kind of
+            position. Their systems, laws, keys, methods and starts may differ.
+
+    Raises:
+        ValueError: For anything else, and for parts that hold the same random samples twice.
     """
     if not isinstance(ensembles, Sequence) or not ensembles or not all(isinstance(one, Ensemble) for one in ensembles):
         raise ValueError(

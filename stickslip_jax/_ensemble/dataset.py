@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._dynamics.lanes import SampleTotals
 from .._dynamics.method import Exact, Regularized
 from .._events.sticks import FURTHER, FlatSticks
+from .._statistics.conventions import labeled_dataset, variable
 from .._statistics.totals import TOTALS
 from .._status import Ending, Status
+from .data import EnsembleData, Retained
 from .encoding import Encoder
 from .origins import known_inputs
 from .slips import flat_slips
@@ -22,22 +25,20 @@ SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
 """The dimension of samples by what was kept: with "statistics" only sticks of the first samples that finished are."""
 
 
-def dataset_of(ensemble: Any) -> "xarray.Dataset":
+def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names.
 
-    Raises the errors of `Ensemble.to_xarray`.
+    Raises:
+        ImportError: As `Ensemble.to_xarray`.
     """
-    try:
-        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
     variables: dict[str, Any] = {}
-    if ensemble.keep == "sticks":
-        variables |= _sticks(ensemble, ensemble.flat_sticks, "sample") | _slips(ensemble) | _totals(ensemble)
-        variables |= _inputs(ensemble)
-    elif ensemble.keep == "statistics":
-        variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"]) | _retained_totals(ensemble)
-    return xr.Dataset({**variables, **_state(ensemble)}, attrs=_provenance(ensemble))
+    if ensemble.flat_sticks is not None and ensemble.totals is not None:
+        variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
+        variables |= _slips(ensemble) | _totals(ensemble.totals) | _inputs(ensemble)
+    elif ensemble.retained is not None:
+        variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"])
+        variables |= _retained_totals(ensemble.retained)
+    return labeled_dataset({**variables, **_state(ensemble)}, {}, _provenance(ensemble))
 
 
 def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, Any]]:
@@ -46,71 +47,64 @@ def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, Any]]:
     return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
 
 
-def _along(
-    dimension: str | tuple[()], values: Any, long_name: str, unit: str = "1", **attributes: Any
-) -> tuple[Any, ...]:
-    return dimension, values, {"long_name": long_name, "units": unit, **attributes}
-
-
-def _sticks(ensemble: Any, sticks: FlatSticks, sample: str) -> dict[str, Any]:
+def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> dict[str, Any]:
     position = ensemble.system.stick_position
     further = {
-        f"stick_{name}": _along("stick", getattr(sticks, name), one.label, one.unit or position.unit)
+        f"stick_{name}": variable("stick", getattr(sticks, name), one.label, one.unit or position.unit)
         for name, one in FURTHER.items()
     }
     first = ensemble.first_sample if sample == "sample" else 0
     folded = {} if position.period is None else {"period": position.period}
     order = "number of the stick in its sample, from 1; 0: begins at t = 0 and is not numbered (count_initial_rest)"
     return {
-        sample: _along(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
-        "stick_sample": _along("stick", first + sticks.sample, f"{sample.replace('_', ' ')} of the stick"),
-        "stick_order": _along("stick", ensemble.numbering.order_of(sticks), order),
-        "stick_start": _along("stick", sticks.start, "time at which the stick starts", "s"),
-        "stick_end": _along("stick", sticks.end, "time at which the stick ends", "s"),
-        "stick_position": _along("stick", sticks.position, position.name, position.unit, **folded),
+        sample: variable(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
+        "stick_sample": variable("stick", first + sticks.sample, f"{sample.replace('_', ' ')} of the stick"),
+        "stick_order": variable("stick", ensemble.numbering.order_of(sticks), order),
+        "stick_start": variable("stick", sticks.start, "time at which the stick starts", "s"),
+        "stick_end": variable("stick", sticks.end, "time at which the stick ends", "s"),
+        "stick_position": variable("stick", sticks.position, position.name, position.unit, **folded),
         **further,
-        "stick_ending": _along("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
-        "stick_count": _along(sample, sticks.count, "number of sticks", sample_dimension="stick"),
+        "stick_ending": variable("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
+        "stick_count": variable(sample, sticks.count, "number of sticks", sample_dimension="stick"),
     }
 
 
-def _slips(ensemble: Any) -> dict[str, Any]:
+def _slips(ensemble: EnsembleData) -> dict[str, Any]:
     slips, first = flat_slips(ensemble), ensemble.first_sample
-    censored = {"flag_values": [0, 1], "flag_meanings": "COMPLETE HORIZON"}
+    flags, censored = {"flag_values": [0, 1], "flag_meanings": "COMPLETE HORIZON"}, slips.censored.astype(np.int8)
     return {
-        "slip_sample": _along("slip", first + slips.sample, "sample of the slip"),
-        "slip_start": _along("slip", slips.start, "time at which the slip starts", "s"),
-        "slip_end": _along("slip", slips.end, "time at which the slip ends", "s"),
-        "slip_ending": _along("slip", slips.censored.astype(np.int8), "whether the horizon cuts the slip", **censored),
+        "slip_sample": variable("slip", first + slips.sample, "sample of the slip"),
+        "slip_start": variable("slip", slips.start, "time at which the slip starts", "s"),
+        "slip_end": variable("slip", slips.end, "time at which the slip ends", "s"),
+        "slip_ending": variable("slip", censored, "whether the horizon cuts the slip", **flags),
     }
 
 
-def _totals(ensemble: Any) -> dict[str, Any]:
-    totals = ensemble.totals
+def _totals(totals: SampleTotals) -> dict[str, Any]:
     return {
-        "slip_count": _along("sample", totals.slips, "number of slips"),
-        "stick_time": _along("sample", totals.stick_time, "total stick time", "s"),
-        "near_grazing_count": _along("sample", totals.near_grazing_count, "number of events decided by round-off"),
-        "status": _along("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
+        "slip_count": variable("sample", totals.slips, "number of slips"),
+        "stick_time": variable("sample", totals.stick_time, "total stick time", "s"),
+        "near_grazing_count": variable("sample", totals.near_grazing_count, "number of events decided by round-off"),
+        "status": variable("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
     }
 
 
-def _inputs(ensemble: Any) -> dict[str, Any]:
+def _inputs(ensemble: EnsembleData) -> dict[str, Any]:
     """The numbers that differ from sample to sample."""
     known = known_inputs(ensemble).items()
-    return {f"input_{name}": _along("sample", column, name, unit or "1") for name, (column, unit) in known}
+    return {f"input_{name}": variable("sample", column, name, unit or "1") for name, (column, unit) in known}
 
 
-def _retained_totals(ensemble: Any) -> dict[str, Any]:
-    time, _, slips, *_ = ensemble.retained.totals.T
+def _retained_totals(retained: Retained) -> dict[str, Any]:
+    time, _, slips, *_ = retained.totals.T
     sample = SAMPLE["statistics"]
     return {
-        "slip_count": _along(sample, slips.astype(np.int64), "number of slips"),
-        "stick_time": _along(sample, time, "total stick time", "s"),
+        "slip_count": variable(sample, slips.astype(np.int64), "number of slips"),
+        "stick_time": variable(sample, time, "total stick time", "s"),
     }
 
 
-def _state(ensemble: Any) -> dict[str, Any]:
+def _state(ensemble: EnsembleData) -> dict[str, Any]:
     """What else an ensemble is made of: sums of all samples, and numbers of sticks of samples that did not finish."""
     encoder = Encoder()
     state = {
@@ -130,19 +124,18 @@ def _state(ensemble: Any) -> dict[str, Any]:
     texts = {name: encoder.encoded(value) for name, value in state.items()}
     about = "for stickslip_jax.load: sums of all samples"
     return {
-        STATE: _along((), json.dumps(texts), f"{about}, as JSON"),
-        FLOATS: _along("state_float", encoder.floats, f"{about}, long arrays of the JSON"),
-        INTEGERS: _along("state_integer", encoder.integers, f"{about}, long arrays of the JSON"),
+        STATE: variable((), json.dumps(texts), f"{about}, as JSON"),
+        FLOATS: variable("state_float", encoder.floats, f"{about}, long arrays of the JSON"),
+        INTEGERS: variable("state_integer", encoder.integers, f"{about}, long arrays of the JSON"),
     }
 
 
-def _provenance(ensemble: Any) -> dict[str, Any]:
+def _provenance(ensemble: EnsembleData) -> dict[str, Any]:
     """Attributes that say what was simulated, how, and how it ended. Numbers are in SI units."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
     encoder = Encoder()
     attributes: dict[str, Any] = {
-        "Conventions": "CF-1.11",
         "source": f"stickslip_jax {__version__}",
         "format": FORMAT,
         "format_version": FORMAT_VERSION,

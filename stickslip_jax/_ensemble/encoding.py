@@ -19,7 +19,8 @@ from .._numerics.moments import Moments
 from .._numerics.power_sums import PowerSums
 from .._statistics.accumulator import StickAccumulator
 from .._uncertainty.design import Design
-from .origins import GivenMotions, Origin
+from .data import Origin
+from .origins import GivenMotions
 from .unknown import Unknown, UnknownSystem
 
 _SHORT = 32  # entries: longer arrays stand beside the JSON
@@ -60,11 +61,11 @@ class Encoder:
         return np.concatenate([np.zeros(0, np.int64), *self._parts["integers"]])
 
     def text(self, value: Any) -> str:
-        """`value` as JSON; what is a user's own by its name and as it prints."""
+        """`value` as JSON; objects of a user's own classes as the name of the class and as they print."""
         return json.dumps(self.encoded(value))
 
     def encoded(self, value: Any) -> Any:
-        """`value` as JSON takes it; what is a user's own by its name and as it prints."""
+        """`value` as JSON takes it; objects of a user's own classes as the name of the class and as they print."""
         if type(value) is tuple:
             return {"tuple": [self.encoded(part) for part in value]}
         try:

@@ -22,14 +22,14 @@ from .unknown import Unknown, UnknownSystem
 _UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m", "mm", "µm", "rad" or "m/s"
 
 
-def _check_unit(unit: Any) -> None:
+def _check_unit(unit: object) -> None:
     if not isinstance(unit, str) or not _UNIT.fullmatch(unit):
         raise ValueError(
             f"Argument position_unit must be a unit such as 'm', 'mm' or 'rad', but {_checks.show(unit)} was given."
         )
 
 
-def fields_of_simulations(result: Any, numbering: Numbering) -> dict[str, Any]:
+def fields_of_simulations(result: object, numbering: Numbering) -> dict[str, Any]:
     """The fields of the `Ensemble` of a batch of simulations; see `Ensemble.from_simulations`."""
     if not isinstance(result, Simulation) or np.ndim(result.status) != 1:
         shown = f"one of shape {np.shape(result.status)}" if isinstance(result, Simulation) else _checks.show(result)

@@ -48,8 +48,11 @@ def as_netcdf(
 
 
 def read_netcdf(path: Path) -> "xarray.Dataset":
-    """The data set in a file, not `verified`. Raises DamagedFileError for what cannot be read, ImportError without the
-    extra.
+    """The data set in a file, not `verified`.
+
+    Raises:
+        DamagedFileError: For what cannot be read.
+        ImportError: Without the extra.
     """
     import h5py  # noqa: PLC0415 - an extra, loaded when asked for
     import xarray as xr  # noqa: PLC0415

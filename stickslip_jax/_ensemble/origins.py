@@ -1,14 +1,18 @@
 """Where the samples of an ensemble come from: parts that were joined, and realisations that were given."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .data import EnsembleData, Origin
 from .unknown import require_known
+
+Data = TypeVar("Data", bound=EnsembleData)
 
 
 class Realization(NamedTuple):
@@ -17,45 +21,6 @@ class Realization(NamedTuple):
     system: Any
     base: Any
     y0: tuple[float, ...]
-
-
-class Origin(NamedTuple):
-    """What one part of a joined ensemble was simulated from; fields as those of `Ensemble`, which they replace."""
-
-    system: Any
-    law: Any
-    method: Any
-    y0: tuple[Any, ...]
-    key_data: tuple[int, ...] | None
-    first_sample: int
-    samples: int
-    design: Any = None
-    copula: Any = None
-
-    @classmethod
-    def of(cls, ensemble: Any) -> "Origin":
-        """The origin of an ensemble that was not joined."""
-        return cls(*(getattr(ensemble, name) for name in cls._fields))
-
-    def follows(self, before: "Origin") -> bool:
-        """Whether these are the samples after those of `before`, of the same system, law, method, start and key."""
-        if self.first_sample != before.first_sample + before.samples:
-            return False
-        return self.key_data is not None and self.same_run(before)
-
-    def same_run(self, other: "Origin") -> bool:
-        """Whether the samples were drawn by the same key from the same system, law and start, by the same method."""
-        drawn = zip(self[:4], other[:4], strict=True)
-        alike = self.design is other.design and same_object(self.copula, other.copula)
-        return alike and self.key_data == other.key_data and all(same_object(*pair) for pair in drawn)
-
-
-def same_object(one: Any, other: Any) -> bool:
-    """Whether two systems, laws, methods or states have the same class and the same numbers."""
-    try:
-        return type(one) is type(other) and bool(eqx.tree_equal(one, other))
-    except (TypeError, ValueError):  # a user's object that cannot be compared
-        return one is other
 
 
 class GivenMotions(eqx.Module):
@@ -73,9 +38,9 @@ def single(entry: Any) -> Any:
     return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
 
 
-def origins_of(ensemble: Any) -> tuple[Origin, ...]:
+def origins_of(ensemble: EnsembleData) -> tuple[Origin, ...]:
     """The origins of all parts of an ensemble, one if it was not joined."""
-    return ensemble.origins or (Origin.of(ensemble),)
+    return ensemble.origins or (Origin(*(getattr(ensemble, name) for name in Origin._fields)),)
 
 
 def check_dtype(dtype: str) -> None:
@@ -87,12 +52,12 @@ def check_dtype(dtype: str) -> None:
         )
 
 
-def parts_of(ensemble: Any) -> list[Any]:
+def parts_of(ensemble: Data) -> list[Data]:
     """Ensembles that draw again what the samples of each part were simulated from; one if it was not joined."""
     return [dataclasses.replace(ensemble, **origin._asdict(), origins=()) for origin in origins_of(ensemble)]
 
 
-def part_with(ensemble: Any, number: int) -> tuple[Any, int]:
+def part_with(ensemble: Data, number: int) -> tuple[Data, int]:
     """The one of `parts_of` with sample `number`, and the number that it has there."""
     for part in parts_of(ensemble):
         if number < part.samples:
@@ -101,7 +66,7 @@ def part_with(ensemble: Any, number: int) -> tuple[Any, int]:
     raise IndexError(number)
 
 
-def check_extendable(ensemble: Any) -> None:
+def check_extendable(ensemble: EnsembleData) -> None:
     """Raise ValueError unless more samples of `ensemble` can be simulated."""
     if ensemble.origins:
         raise ValueError(
@@ -123,7 +88,7 @@ def check_extendable(ensemble: Any) -> None:
     check_dtype(ensemble.dtype)
 
 
-def known_inputs(ensemble: Any) -> dict[str, tuple[np.ndarray, str]]:
+def known_inputs(ensemble: EnsembleData) -> dict[str, tuple[np.ndarray, str]]:
     """The numbers that differ from sample to sample, (samples,), and their units, by name.
 
     None where it is not known what was simulated, or where different numbers differ in joined parts.
@@ -141,13 +106,13 @@ def known_inputs(ensemble: Any) -> dict[str, tuple[np.ndarray, str]]:
     return {name: (values, unit) for (name, values), unit in zip(values_of(parts).items(), units, strict=True)}
 
 
-def values_of(parts: list[Any]) -> dict[str, np.ndarray]:
+def values_of(parts: Sequence[EnsembleData]) -> dict[str, np.ndarray]:
     """The values of the numbers that differ from sample to sample in `parts`, the same ones in each, by name."""
     found = [part.inputs.values(jnp.dtype(part.dtype), part.first_sample) for part in parts]
     return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
 
 
-def require_whole(ensemble: Any) -> None:
+def require_whole(ensemble: EnsembleData) -> None:
     """Raise ValueError unless the base motion and the start of `ensemble` are known."""
     for what, name in {"law": "base motion", "y0": "initial state"}.items():
         held = getattr(ensemble, what)
@@ -155,7 +120,7 @@ def require_whole(ensemble: Any) -> None:
             require_known(name, one)
 
 
-def given_realization(ensemble: Any, number: int) -> Realization | None:
+def given_realization(ensemble: EnsembleData, number: int) -> Realization | None:
     """The system, the base motion and the initial state of sample `number` where the base motions were given.
 
     None where they were not; raises ValueError where they are not known.

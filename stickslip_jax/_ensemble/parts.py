@@ -1,10 +1,9 @@
 """Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
 import os
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from .._dynamics.lanes import SampleTotals
 from .._events.stick_stream import StickCollector, StickStream
@@ -13,9 +12,7 @@ from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._status import Status
-
-Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
-"""What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or also every stick."""
+from .data import EnsembleData, Keep, Retained
 
 RETAINED = 1_000_000
 """With ``keep="statistics"``, the most sticks that are retained, those of the first samples: for standard errors and
@@ -79,13 +76,6 @@ def prepare(dtype: Any) -> None:
     Part.of(SampleTotals(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
 
 
-class Retained(NamedTuple):
-    """The sticks of the first samples that finished, and the `TOTALS` of each."""
-
-    sticks: FlatSticks
-    totals: Float[np.ndarray, "samples totals"]
-
-
 class EnsembleAccumulator:
     """Merges the parts of an ensemble, which are added in order of the samples.
 
@@ -122,14 +112,14 @@ class EnsembleAccumulator:
         if part.sticks is not None:
             self._keep(part, part.sticks)
 
-    def add_ensemble(self, other: Any) -> None:
+    def add_ensemble(self, other: EnsembleData) -> None:
         """Add all samples of an `Ensemble` that kept the same."""
         self.counts += np.array([other.status_counts[status] for status in Status])
         self.near_grazing_samples += other.near_grazing_samples
         self._merge(other.moments, other.accumulator)
-        if self.keep == "sticks":
-            rest = other.numbering.rest(other.flat_sticks)
-            self._keep(Part(SampleTotals(*other.totals), rest=rest), other.flat_sticks)
+        if self.keep == "sticks" and other.totals is not None:
+            sticks = other.require_sticks()
+            self._keep(Part(other.totals, rest=other.numbering.rest(sticks)), sticks)
         elif other.retained is not None and self._space > 0:
             totals = other.retained.totals
             none = np.zeros(len(totals), int)
@@ -137,7 +127,8 @@ class EnsembleAccumulator:
             self._keep(
                 Part(SampleTotals(sticks, slips, time, none, none), rest=(rest[0], rest[1])), other.retained.sticks
             )
-            # Samples that did not finish took space when they were simulated; what others left out ends it.
+            # Samples that did not finish took space, too, when they were simulated. Where some that did finish are not
+            # retained, there was none left.
             self._retained_samples += other.samples - other.finished
             left = self._space - (other.samples - other.finished) if len(totals) == other.finished else 0
             self._space = max(left, int(self._retained_samples < FEWEST))

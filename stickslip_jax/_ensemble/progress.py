@@ -25,11 +25,14 @@ class Progress(NamedTuple):
 def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
     """Shows a progress bar while the block runs.
 
-    - `progress`: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
-      a notebook.
-    - `samples`: their number.
+    Args:
+        progress: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
+            a notebook.
+        samples: Their number.
 
-    Raises ValueError for another `progress`, ImportError for True without the extra ``study``.
+    Raises:
+        ValueError: For another `progress`.
+        ImportError: For True without the extra ``study``.
     """
     if progress is not None:
         _checks.truth("progress", progress)
@@ -45,7 +48,7 @@ def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
             yield _NO_BAR
             return
         raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
-    # In a notebook, what stays is kept with it for ever.
+    # In a notebook, what stays is saved with it.
     look = {"leave": False, "delay": _DELAY} if notebook and progress is None else {}
     with bar_class(total=samples, unit="sample", unit_scale=True, **look) as bar:
         yield Progress(bar.update, lambda text: bar.set_postfix_str(text, refresh=False))

@@ -8,30 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks, _html
-from .._dynamics.lanes import SampleTotals
-from .._dynamics.method import Exact, Regularized
-from .._events.sticks import FlatSticks, Slips, Sticks
-from .._excitation.excitation import is_random, law_of
+from .._events.sticks import Slips, Sticks
+from .._excitation.excitation import is_random
 from .._files import file_to_write
-from .._numerics.moments import Moments
 from .._simulation.result import Simulation
-from .._statistics.accumulator import Numbering, StickAccumulator
+from .._statistics.accumulator import Numbering
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
-from .._status import Status
-from .._systems.system import System
-from .._uncertainty.copula import GaussianCopula
-from .._uncertainty.design import Design
-from .._uncertainty.inputs import Inputs, Model
+from .data import EnsembleData
 from .given import fields_of_simulations, fields_of_sticks
-from .origins import Origin, Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
-from .parts import Keep, Retained
+from .origins import Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
 from .summary import summary_of
@@ -42,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
-class Ensemble:
+class Ensemble(EnsembleData):
     """Many samples: the result of `simulate_ensemble`, of `load` and `concatenate`, and of the methods ``from_...``.
 
     - `system`, `law`, `t1` (s), `y0` (m, m/s), `samples`, `key_data`, `dtype`: the arguments and the floating dtype.
@@ -66,42 +57,23 @@ class Ensemble:
     - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
 
-    system: System
-    law: Any
-    t1: float
-    method: Exact | Regularized | Unknown | None
-    numbering: Numbering
-    y0: tuple[Any, ...]
-    samples: int
-    key_data: tuple[int, ...] | None
-    dtype: str
-    moments: Moments
-    status_counts: dict[Status, int]
-    near_grazing_samples: int
-    accumulator: StickAccumulator | None
-    retained: Retained | None
-    totals: SampleTotals | None
-    flat_sticks: FlatSticks | None
-    threads: int
-    compile_seconds: float
-    run_seconds: float
-    first_sample: int = 0
-    origins: tuple[Origin, ...] = ()
-    design: Design | None = None
-    copula: GaussianCopula | None = None
-
     _extend: ClassVar[Callable[..., "Ensemble"]]  # `call.py`, which imports this module, puts it here
 
     @classmethod
     def from_simulations(cls, result: Simulation, *, orders: int = 10, count_initial_rest: bool = False) -> "Ensemble":
         """The ensemble of the trajectories that ``jax.vmap(lambda ...: simulate(...))(...)`` returned.
 
-        - `result`: a `Simulation` whose arrays have one leading axis, of samples. All must have the same ``t1``.
-        - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
-
         It keeps every stick, so that all statistics, tests and figures work on it. Numbers of the system that differ
         among the samples are arrays (samples,). ``realization(i)`` returns the base motion that sample i was given, and
-        the state at t = 0, to the last digit or two. Raises ValueError for anything else.
+        the state at t = 0, to the last digit or two.
+
+        Args:
+            result: A `Simulation` whose arrays have one leading axis, of samples. All must have the same ``t1``.
+            orders: As in `simulate_ensemble`.
+            count_initial_rest: As in `simulate_ensemble`.
+
+        Raises:
+            ValueError: For anything else.
         """
         return cls(**fields_of_simulations(result, Numbering.checked(orders, count_initial_rest)))
 
@@ -112,26 +84,33 @@ class Ensemble:
     ) -> "Ensemble":  # fmt: skip
         """The ensemble of sticks that were measured, or simulated elsewhere: one recording of ``[0, t1]`` each sample.
 
-        - `table`: a pandas DataFrame, or a dict of arrays (sticks,), in any order, with the columns
-
-          - `sample`: which recording, whole numbers from 0 or 1, or names;
-          - `start`, and `end` or `duration`: s, from the beginning of the recording; both must agree if both are there;
-          - `position` of the mass at the start of the stick, `slip_displacement` (as in `Sticks`) and `ending` (an
-            `Ending` or its name), each if known.
-
-          Without `ending`, a stick that ends at `t1` is cut by the end of the recording (HORIZON) and all others count
-          as RELEASED. Names may end in a unit as `write_sticks` writes them (start_s, position_m), whose files can be
-          read back.
-        - `t1`: duration of each recording, s.
-        - `samples`: number of recordings; needed where some of them have no stick, which a table cannot show. Their
-          numbers are then from 0 to ``samples - 1``. By default those in the table, which must be numbered without gap.
-        - `position_unit`, such as "mm": by default that in the column's name, else "m".
-        - `period` where positions are angles: then they become those in ``[0, period)``.
-        - `orders`, `count_initial_rest`: as in `simulate_ensemble`.
-
         Slips are what lies between the sticks. What needs a position that was not measured, a system or a base motion
-        raises ValueError and says so. Raises ValueError for a table that lacks a column or has sticks that overlap, lie
-        outside ``[0, t1]`` or have no length.
+        raises ValueError and says so.
+
+        Args:
+            table: A pandas DataFrame, or a dict of arrays (sticks,), in any order, with these columns:
+
+                - `sample`: which recording, whole numbers from 0 or 1, or names;
+                - `start`, and `end` or `duration`: s, from the beginning of the recording; both must agree if both are
+                  there;
+                - `position` of the mass at the start of the stick, `slip_displacement` (as in `Sticks`) and `ending`
+                  (an `Ending` or its name), each if known.
+
+                Without `ending`, a stick that ends at `t1` is cut by the end of the recording (HORIZON) and all others
+                count as RELEASED. Names may end in a unit as `write_sticks` writes them (start_s, position_m), whose
+                files can be read back.
+            t1: Duration of each recording, s.
+            samples: Number of recordings; needed where some of them have no stick, which a table cannot show. Their
+                numbers are then from 0 to ``samples - 1``. By default those in the table, which must be numbered
+                without gap.
+            position_unit: Such as "mm"; by default that in the column's name, else "m".
+            period: Of positions that are angles, which become those in ``[0, period)``.
+            orders: As in `simulate_ensemble`.
+            count_initial_rest: As in `simulate_ensemble`.
+
+        Raises:
+            ValueError: For a table that lacks a column or has sticks that overlap, lie outside ``[0, t1]`` or have no
+                length.
         """
         numbering = Numbering.checked(orders, count_initial_rest)
         return cls(**fields_of_sticks(table, t1, samples, position_unit, period, numbering))
@@ -140,7 +119,8 @@ class Ensemble:
     def from_xarray(cls, dataset: "xarray.Dataset") -> "Ensemble":
         """The ensemble that `to_xarray` made the data set of; see `load`.
 
-        Raises ValueError for a data set that holds no ensemble, one that was changed, and one of a newer format.
+        Raises:
+            ValueError: For a data set that holds no ensemble, one that was changed, and one of a newer format.
         """
         return cls(**fields_of_dataset(dataset))
 
@@ -154,30 +134,18 @@ class Ensemble:
         (a `chunk` that divides the number of the first samples is given to both); else they are merged in other parts,
         and differ by round-off: relatively by at most a few times 2^-53 times the number of parts.
 
-        Raises ValueError for an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
+        Raises:
+            ValueError: For an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
         """
         return type(self)._extend(self, samples, threads, chunk, progress)
-
-    @property
-    def keep(self) -> Keep:
-        """What was kept, as in `simulate_ensemble`."""
-        if self.flat_sticks is not None:
-            return "sticks"
-        return "totals" if self.accumulator is None else "statistics"
-
-    @cached_property
-    def inputs(self) -> Inputs:
-        """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
-        samples = self.first_sample + self.samples if self.design is None else self.design
-        key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
-        return Inputs.of(Model(self.system, law_of(self.law), self.y0), samples, key, self.copula)
 
     @cached_property
     def input_values(self) -> dict[str, np.ndarray]:
         """The values of the numbers that differ from sample to sample, by name, arrays (samples,).
 
-        Raises ValueError for an ensemble that was joined from parts with different ones, or that holds objects which
-        were stored as text only.
+        Raises:
+            ValueError: For an ensemble that was joined from parts with different ones, or that holds objects which were
+                stored as text only.
         """
         parts = parts_of(self)
         for part in parts:
@@ -206,44 +174,20 @@ class Ensemble:
 
     @cached_property
     def slips(self) -> Slips:
-        """Every slip of every sample that finished, arrays (samples, slots). Raises ValueError unless
-        ``keep="sticks"``.
+        """Every slip of every sample that finished, arrays (samples, slots).
+
+        Raises:
+            ValueError: Unless ``keep="sticks"``.
         """
         return padded_slips(self)
-
-    def finished_sticks(self) -> FlatSticks:
-        """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
-
-        Raises ValueError if ``keep="totals"``.
-        """
-        if self.retained is None:
-            raise ValueError(
-                'This ensemble kept only totals; call simulate_ensemble(..., keep="statistics") or keep="sticks".'
-            )
-        return self.retained.sticks
-
-    def numbered_sticks(self) -> FlatSticks:
-        """`finished_sticks`, without those that begin at t = 0 unless `numbering` counts these as the first."""
-        sticks = self.finished_sticks()
-        return sticks if self.numbering.count_initial_rest else sticks.without_initial_rest()
-
-    def require_sticks(self) -> FlatSticks:
-        """`flat_sticks`. Raises ValueError unless ``keep="sticks"``."""
-        if self.flat_sticks is None:
-            raise ValueError('This ensemble did not keep its sticks; call simulate_ensemble(..., keep="sticks").')
-        return self.flat_sticks
-
-    @property
-    def finished(self) -> int:
-        """Number of samples that reached ``t1``."""
-        return self.status_counts[Status.FINISHED]
 
     def realization(self, number: int) -> Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it::
 
             system, base, y0 = many.realization(3)
 
-        Raises ValueError unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
+        Raises:
+            ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise ValueError(
@@ -266,7 +210,10 @@ class Ensemble:
         sticks of each sample, ``stick_sample`` the sample of each stick, ``stick_order`` its number in the sample by
         `numbering`), slips along ``slip``, and the totals of each sample. With "statistics": the sticks of the first
         samples that finished. The attributes say what was simulated and how; ``ensemble_state...`` hold the sums of all
-        samples. Raises ImportError without the extra ``study``.
+        samples.
+
+        Raises:
+            ImportError: Without the extra ``study``.
         """
         from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
 
@@ -275,14 +222,22 @@ class Ensemble:
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the ensemble to a NetCDF 4 file, from which `load` makes it again.
 
-        - `path`: a file name that ends in .nc. `overwrite`: whether to replace a file of that name.
-
         The file is written under another name, ``path`` and ".....unfinished", and gets its own when it is whole: an
         older file stays as it was until then, and if writing fails. It holds a check sum over all that is in it.
 
-        Returns the path. Raises ValueError for another name, FileExistsError where a file of that name would be
-        replaced, FileNotFoundError for a folder that does not exist, OSError where it cannot be written, ImportError
-        without the extra ``study``.
+        Args:
+            path: A file name that ends in .nc.
+            overwrite: Whether to replace a file of that name.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another name.
+            FileExistsError: Where a file of that name would be replaced.
+            FileNotFoundError: For a folder that does not exist.
+            OSError: Where it cannot be written.
+            ImportError: Without the extra ``study``.
         """
         path = file_to_write(path, (".nc",), overwrite=overwrite)
         return write_dataset(self.to_xarray(), path)
@@ -290,14 +245,20 @@ class Ensemble:
     def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
 
-        - `path`: a file name that ends in .csv or .parquet. The column names include the units.
-        - `overwrite`: whether to replace a file of that name. Until the table is whole, an older one stays.
-
         `order` is the number of the stick in its sample, as in ``statistics.order(i)``: 0 for a stick that begins at
         t = 0 (`is_initial_rest`) unless `numbering` counts it as the first.
 
-        Returns the path. Raises ValueError unless ``keep="sticks"``, ImportError without the extra ``tables``, and for
-        paths the errors of `save`.
+        Args:
+            path: A file name that ends in .csv or .parquet. The column names include the units.
+            overwrite: Whether to replace a file of that name. Until the table is whole, an older one stays.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: Unless ``keep="sticks"``.
+            ImportError: Without the extra ``tables``.
+            FileExistsError, FileNotFoundError, OSError: As `save`.
         """
         from .tables import write_sticks  # noqa: PLC0415 - needs an extra
 

@@ -20,7 +20,7 @@ from .._types import AnyArray, Array
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Inputs, Model
-from .parts import Keep
+from .data import Keep
 
 MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 

@@ -1,20 +1,21 @@
 """The slips of an ensemble that kept its sticks: what lies between the sticks of the samples that finished."""
 
-from typing import Any
-
 import numpy as np
 
 from .._events.slips import FlatSlips, slips_among
 from .._events.sticks import Slips, in_slots
 from .._status import Status
+from .data import EnsembleData
 
 
-def flat_slips(ensemble: Any) -> FlatSlips:
+def flat_slips(ensemble: EnsembleData) -> FlatSlips:
     """The slips of all samples that finished. Raises ValueError unless ``keep="sticks"``."""
-    return slips_among(ensemble.require_sticks(), ensemble.t1, ensemble.totals.status == Status.FINISHED)
+    sticks, totals = ensemble.require_sticks(), ensemble.totals
+    assert totals is not None  # kept with the sticks
+    return slips_among(sticks, ensemble.t1, totals.status == Status.FINISHED)
 
 
-def padded_slips(ensemble: Any) -> Slips:
+def padded_slips(ensemble: EnsembleData) -> Slips:
     """The same as `Slips` with arrays (samples, slots), where slots is the largest number of slips (at least 1)."""
     slips = flat_slips(ensemble)
     columns = {"start": (slips.start, np.nan), "end": (slips.end, np.nan), "censored": (slips.censored, False)}

@@ -15,10 +15,10 @@ from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
 from .._status import Status
 from .._systems.system import Coordinate
+from .data import Retained
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
-from .parts import Retained
 from .stored_checks import check_fields
 from .unknown import Unknown, UnknownSystem
 
@@ -68,7 +68,8 @@ def fields_of_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
     """The fields of the `Ensemble` that a data set holds. `is_file`: whether it was read from one, and has a sum.
 
-    Raises the errors of `Ensemble.from_xarray`.
+    Raises:
+        ValueError: As `Ensemble.from_xarray`.
     """
     name = "path" if is_file else "dataset"
     attributes = getattr(dataset, "attrs", None)

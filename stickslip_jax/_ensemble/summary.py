@@ -20,8 +20,8 @@ def summary_of(
         rest = " but those that begin at t = 0" if statistics.sticks.begins_at_zero.any() else ""
         notes.append(f"There is no stick{rest}.")
     notes.append(
-        "Sticks and slips cut by the horizon count with the part before it. Entropies: in 50 bins; of numbers, in one "
-        "for each."
+        "Sticks and slips cut by the horizon count with the part before it. Entropies are those of histograms with 50 "
+        "bins, or with one bin for each whole number."
     )
     if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
         notes.append(

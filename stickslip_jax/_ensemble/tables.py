@@ -10,11 +10,12 @@ from .._events.sticks import FURTHER
 from .._files import file_for_user, file_to_write
 from .._statistics.quantities import STICK_QUANTITIES
 from .._status import Ending
+from .data import EnsembleData
 from .origins import known_inputs
 from .slips import flat_slips
 
 
-def write_sticks(ensemble: Any, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+def write_sticks(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
     sticks = ensemble.require_sticks()
     position = ensemble.system.stick_position.unit
@@ -34,7 +35,7 @@ def write_sticks(ensemble: Any, path: str | os.PathLike[str], overwrite: bool = 
     return _write(columns, path, overwrite)
 
 
-def write_slips(ensemble: Any, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+def write_slips(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """Write every slip of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_slips`."""
     slips = flat_slips(ensemble)
     times = {"start_s": slips.start, "end_s": slips.end, "duration_s": slips.end - slips.start}

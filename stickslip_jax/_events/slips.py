@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .._status import Ending
 from .sticks import FlatSticks
@@ -14,24 +15,24 @@ class FlatSlips(NamedTuple):
     - `sample`: the sample of each slip. `start`, `end`: s. `censored`: whether the horizon cuts it.
     """
 
-    sample: np.ndarray
-    start: np.ndarray
-    end: np.ndarray
-    censored: np.ndarray
+    sample: Int[np.ndarray, " slips"]
+    start: Float[np.ndarray, " slips"]
+    end: Float[np.ndarray, " slips"]
+    censored: Bool[np.ndarray, " slips"]
 
     @property
-    def duration(self) -> np.ndarray:
+    def duration(self) -> Float[np.ndarray, " slips"]:
         """How long each slip lasts, s."""
         return self.end - self.start
 
     @property
-    def order(self) -> np.ndarray:
+    def order(self) -> Int[np.ndarray, " slips"]:
         """The order of each slip within its sample, from 1."""
         first = np.flatnonzero(np.diff(self.sample, prepend=-1))
         return np.arange(len(self.sample)) - np.repeat(first, np.diff(first, append=len(self.sample))) + 1
 
 
-def slips_after(sticks: FlatSticks, t1: float) -> tuple[np.ndarray, np.ndarray]:
+def slips_after(sticks: FlatSticks, t1: float) -> tuple[Float[np.ndarray, " sticks"], Float[np.ndarray, " sticks"]]:
     """Start and duration (s) of the slip after each stick, the last one up to `t1`; NaN where there is none."""
     end, next_start = np.asarray(sticks.end, np.float64), np.append(sticks.start[1:], 0.0)
     last = (sticks.first + sticks.count - 1)[sticks.count > 0]
@@ -40,8 +41,8 @@ def slips_after(sticks: FlatSticks, t1: float) -> tuple[np.ndarray, np.ndarray]:
     return start, next_start - start
 
 
-def slips_among(sticks: FlatSticks, t1: float, finished: np.ndarray | None = None) -> FlatSlips:
-    """The slips on ``[0, t1]`` (s) of all samples that have `finished`, (samples,); None: of all samples.
+def slips_among(sticks: FlatSticks, t1: float, finished: Bool[np.ndarray, " samples"] | None = None) -> FlatSlips:
+    """The slips on ``[0, t1]`` (s) of all samples that have `finished`; None: of all samples.
 
     One before the first stick of a sample unless this begins at t = 0, one between two sticks unless they touch, one
     after the last unless the horizon cuts that. `sticks` holds none of samples that have not finished.

@@ -101,6 +101,7 @@ def _fill(start, end, position, slip, others, skip_rest, first, size, rows):
         for a in range(len(others)):
             rows[3 + a][:size] = others[a][first : first + size]
         return size
+    # Every stick is written, and the next one over it if it is left out: no branch that could be predicted wrongly.
     number = np.uint64(0)
     for i in range(len(starts)):
         one[number], three[number], last[number] = starts[i], positions[i], slips[i]
@@ -115,7 +116,7 @@ def _fill(start, end, position, slip, others, skip_rest, first, size, rows):
 @no_type_check
 def _positive(row):
     """The numbers above 0, moved to the front."""
-    number = 0
+    number = 0  # without a branch, as in `_fill`
     for i in range(len(row)):
         value = row[i]
         row[number] = value
@@ -148,6 +149,7 @@ def _look(row, a, low, high, total):
 @no_type_check
 def _count(row, scale, bin_of, place, counts):
     """Count each number x in bin ``floor(x scale) + bin_of`` of `counts`; `place`: without `bin_of`."""
+    # The first loop is vectorised; the second, which writes to places that only the numbers tell, cannot be.
     for i in range(len(row)):
         place[i] = np.int64(np.floor(row[i] * scale))
     for i in range(len(row)):
@@ -158,6 +160,8 @@ def _count(row, scale, bin_of, place, counts):
 @no_type_check
 def _sum(row, a, mean, scatter, third):
     """Subtract the mean, and add squares and cubes of the deviations."""
+    # In place, because products with other quantities are of deviations too. Sums of deviations from the mean, which an
+    # earlier pass found, lose no digits where the mean is large compared with the spread.
     center, square, cube = mean[a], 0.0, 0.0
     for i in range(len(row)):
         step = row[i] - center
@@ -186,6 +190,7 @@ def survey(start, end, position, slip, others, skip_rest, all_slips, number, low
     Each of the results has one entry for each quantity. Without the sticks that begin at 0 if `skip_rest`; only slips
     above 0 s, unless `all_slips`.
     """
+    # Bins need the range of the numbers, deviations their mean: so this pass comes before `count`.
     d = len(number)
     rows = np.empty((d, _BLOCK))
     for first in range(0, len(start), _BLOCK):
@@ -221,7 +226,8 @@ def count(
                 row = _positive(row)
             _count(row, scale[a], bin_of[a], place, counts)
             _sum(row, a, mean, scatter, third)
-            if a < d - 1:
+            if a < d - 1:  # not slips, which are in no pair
+                # A wide bin of pairs is 2**bits bins of the single quantity.
                 bits, offset = shift[a], pair_bin_of[a]
                 for i in range(size):
                     place[i] = (place[i] >> bits) - offset
@@ -244,6 +250,7 @@ def numbered(start, end, position, others, owner, order, skipped, columns, numbe
     `earlier`: scratch array. `skipped`: how many sticks of each sample have no number, (samples,).
     """
     most = len(number)
+    # Sticks of one sample come in order of time, so that its first stick is always seen before its second.
     for i in range(len(start)):
         whose = np.uint64(owner[i])
         which = order[i] - skipped[whose]

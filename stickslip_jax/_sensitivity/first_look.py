@@ -8,7 +8,7 @@ from .. import _checks
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
-from .._ensemble.parts import Keep
+from .._ensemble.data import Keep
 from .._excitation.excitation import GivenSteps, is_random, key_data_for, law_of
 from .._excitation.piecewise import VelocitySteps
 from .._forks import require_threads_of_jax

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 # Values that repeat have more than _REPEATS others within round-off, and are either _DENSER times as dense as an
 # interval around them that is _WIDER times as wide (where the density is singular like the inverse of a square root,
@@ -21,10 +22,10 @@ class Atoms(NamedTuple):
     - `of_pair`: which pairs are at one of them, (pairs,).
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    share: np.ndarray
-    of_pair: np.ndarray
+    x: Float[np.ndarray, " atoms"]
+    y: Float[np.ndarray, " atoms"]
+    share: Float[np.ndarray, " atoms"]
+    of_pair: Bool[np.ndarray, " pairs"]
 
 
 def repeated(values: np.ndarray, round_off: float, span: float) -> np.ndarray:
@@ -51,9 +52,9 @@ def atoms_of(x: np.ndarray, y: np.ndarray, round_off: tuple[float, float]) -> At
     Both values of such a pair are `repeated`. `round_off`: of x and of y.
     """
     spans = [float(np.ptp(values)) if len(values) else 0.0 for values in (x, y)]
-    ways = list(zip((x, y), round_off, spans, strict=True))
-    both = np.flatnonzero(np.logical_and(*(repeated(*way) for way in ways)))
-    place = np.stack([_groups(values[both], _within(off, span)) for values, off, span in ways])
+    axes = list(zip((x, y), round_off, spans, strict=True))
+    both = np.flatnonzero(np.logical_and(*(repeated(*axis) for axis in axes)))
+    place = np.stack([_groups(values[both], _within(off, span)) for values, off, span in axes])
     _, first, pair, counts = np.unique(place, axis=1, return_index=True, return_inverse=True, return_counts=True)
     atoms = np.flatnonzero(counts > max(_REPEATS, _LEAST_SHARE * len(x)))
     atoms = atoms[np.argsort(-counts[atoms], kind="stable")]

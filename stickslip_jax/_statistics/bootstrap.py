@@ -28,13 +28,19 @@ def bootstrap_interval(
     Whole samples are drawn with replacement, never single sticks, because the sticks of one sample are dependent. The
     deviation of each resample is divided by the resample's own standard error, which accounts for skewness.
 
-    - `ensemble`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``. The draws are from its retained samples; the
-      interval is for all its samples.
-    - `statistic`: a function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
-    - `resamples`: their number. `seed`: of the draws.
+    Args:
+        ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``. The draws are from its retained samples; the
+            interval is for all its samples.
+        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
+        level: The probability that the interval holds the true value.
+        resamples: Their number.
+        seed: Of the draws.
 
-    Returns the two ends, in the unit of the statistic; NaN, NaN where the statistic or its error is not defined. Raises
-    ValueError for other arguments.
+    Returns:
+        The two ends, in the unit of the statistic; NaN, NaN where the statistic or its error is not defined.
+
+    Raises:
+        ValueError: For other arguments.
     """
     check_level(level)
     _checks.whole_number("resamples", resamples, minimum=100, maximum=10**7)

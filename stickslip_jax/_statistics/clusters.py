@@ -9,6 +9,7 @@ import math
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 
 
 class Clusters:
@@ -19,7 +20,7 @@ class Clusters:
     - `of_all`: number of realisations that the statistic is from. Errors are measured on the retained ones and scaled.
     """
 
-    def __init__(self, values: np.ndarray, owner: np.ndarray, realizations: int, of_all: int):
+    def __init__(self, values: np.ndarray, owner: Int[np.ndarray, " number"], realizations: int, of_all: int):
         self.values = np.asarray(values, np.float64)
         self.owner, self.realizations, self.of_all = owner, realizations, of_all
 
@@ -33,15 +34,15 @@ class Clusters:
             return math.nan
         return self.realizations / len(self.values) / math.sqrt(self.of_all)
 
-    def error(self, influence: np.ndarray) -> float:
-        """The standard error of a statistic with these influence values, (number,)."""
+    def error(self, influence: Float[np.ndarray, " number"]) -> float:
+        """The standard error of a statistic with these influence values."""
         if math.isnan(self.scale):
             return math.nan
         sums = np.bincount(self.owner, weights=influence, minlength=self.realizations)
         return float(sums.std(ddof=1)) * self.scale
 
-    def errors_of_shares(self, bins: np.ndarray, number: int) -> np.ndarray:
-        """The standard errors of the shares of values in bins 0, 1, ..., `number` - 1, (number,).
+    def errors_of_shares(self, bins: Int[np.ndarray, " values"], number: int) -> Float[np.ndarray, " bins"]:
+        """The standard errors of the shares of values in bins 0, 1, ..., `number` - 1.
 
         `bins`: the bin of each value; below 0 for none.
         """

@@ -11,6 +11,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .. import _checks
 from .._events.sticks import NUMBERS
@@ -26,9 +27,9 @@ class Sequences(NamedTuple):
     - `remark`: a sentence that says how many values were used and left out.
     """
 
-    values: np.ndarray
-    first: np.ndarray
-    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
+    values: Float[np.ndarray, " values"]
+    first: Int[np.ndarray, " samples"]
+    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
     remark: str
 
     @property
@@ -45,11 +46,11 @@ class _Intervals(NamedTuple):
     - `exists`: whether there is such a value. `complete`: whether the simulation did not cut it. `values`: the value.
     """
 
-    begin: np.ndarray
-    length: np.ndarray
-    exists: np.ndarray
-    complete: np.ndarray
-    values: np.ndarray
+    begin: Float[np.ndarray, " sticks"]
+    length: Float[np.ndarray, " intervals"]
+    exists: Bool[np.ndarray, " sticks"]
+    complete: Bool[np.ndarray, " sticks"]
+    values: Float[np.ndarray, " sticks"]
 
 
 def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:

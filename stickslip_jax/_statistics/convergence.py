@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .. import _checks
 from .._numerics.moments import Moments
@@ -26,15 +27,16 @@ class Convergence:
 
     name: str
     unit: str
-    numbers: np.ndarray
-    values: np.ndarray
-    errors: np.ndarray
+    numbers: Int[np.ndarray, " points"]
+    values: Float[np.ndarray, " points"]
+    errors: Float[np.ndarray, " points"]
     final: Estimate
 
-    def band(self, level: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper end of the confidence intervals at `level`, (points,) each, by Student's t.
+    def band(self, level: float = 0.9) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+        """Lower and upper end of the confidence intervals at `level`, by Student's t.
 
-        Raises ValueError unless ``0 < level < 1``.
+        Raises:
+            ValueError: Unless ``0 < level < 1``.
         """
         check_level(level)
         from scipy import special  # noqa: PLC0415 - adds a filter of warnings
@@ -46,7 +48,10 @@ class Convergence:
         """Number of samples at which the standard error is `relative_error` times the value.
 
         From the spread over all samples, since errors fall with the square root of the number. None where the value is
-        0 or the spread is not known. Raises ValueError unless `relative_error` is positive.
+        0 or the spread is not known.
+
+        Raises:
+            ValueError: Unless `relative_error` is positive.
         """
         _checks.positive("relative_error", relative_error)
         spread = self.final.standard_error * math.sqrt(self.final.samples)
@@ -61,13 +66,15 @@ class Convergence:
 def convergence(ensemble: EnsembleLike, statistic: Callable[[Any], Estimate], points: int = 40) -> Convergence:
     """How the estimate of `statistic` converges as the number of samples grows.
 
-    - `ensemble`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``; the estimates use its first retained
-      samples.
-    - `statistic`: a function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
-    - `points`: the largest number of estimates; their numbers of samples are spread evenly on a logarithmic scale, from
-      2 to all retained samples.
+    Args:
+        ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``; the estimates use its first retained
+            samples.
+        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
+        points: The largest number of estimates; their numbers of samples are spread evenly on a logarithmic scale, from
+            2 to all retained samples.
 
-    Raises ValueError for other arguments and for an ensemble of fewer than 2 retained samples.
+    Raises:
+        ValueError: For other arguments and for an ensemble of fewer than 2 retained samples.
     """
     ensemble = require_ensemble(ensemble)
     ensemble.finished_sticks()  # refuses an ensemble that has none
@@ -97,15 +104,18 @@ class HistogramConvergence:
     - `slope`: of the logarithm of the distance against that of the number; -1/2 once every cell holds many pairs.
     """
 
-    numbers: np.ndarray
-    distances: np.ndarray
+    numbers: Int[np.ndarray, " points"]
+    distances: Float[np.ndarray, " points"]
     cells: int
     slope: float
 
     def samples_for(self, distance: float) -> int | None:
         """Number of samples at which the distance is `distance`, if it goes on falling with the square root of it.
 
-        None where the last distance is not known. Raises ValueError unless `distance` is positive.
+        None where the last distance is not known.
+
+        Raises:
+            ValueError: Unless `distance` is positive.
         """
         _checks.positive("distance", distance)
         if len(self.distances) == 0 or not math.isfinite(self.distances[-1]):
@@ -121,11 +131,15 @@ def histogram_convergence(
     The retained samples are split into two halves. The histogram of the first n samples of one half is compared with
     that of the first n of the other, so the two are independent.
 
-    - `ensemble`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``. `x`, `y`: as in
-      ``ensemble.statistics.joint``.
-    - `bins`: largest number along each axis. `points`: largest number of distances.
+    Args:
+        ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
+        x: As in ``ensemble.statistics.joint``.
+        y: As in ``ensemble.statistics.joint``.
+        bins: Largest number along each axis.
+        points: Largest number of distances.
 
-    Raises ValueError for arguments outside these bounds, and for an ensemble of fewer than 4 retained samples.
+    Raises:
+        ValueError: For arguments outside these bounds, and for an ensemble of fewer than 4 retained samples.
     """
     joint = require_ensemble(ensemble).statistics.joint(x, y)
     realizations = joint.x.realizations

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .. import _checks, _html
 from .._numerics.dyadic import CommonBins, DyadicCounts, joined_bins
@@ -27,16 +28,16 @@ class Histogram:
     `counts`, `density` (1/unit) and its standard `error`, (bins,). The density times the bin width sums to 1.
     """
 
-    edges: np.ndarray
-    counts: np.ndarray
-    density: np.ndarray
-    error: np.ndarray
+    edges: Float[np.ndarray, " edges"]
+    counts: Int[np.ndarray, " bins"]
+    density: Float[np.ndarray, " bins"]
+    error: Float[np.ndarray, " bins"]
     number: int
     unit: str
 
     @property
-    def centers(self) -> np.ndarray:
-        """The middle of each bin, (bins,)."""
+    def centers(self) -> Float[np.ndarray, " bins"]:
+        """The middle of each bin."""
         return (self.edges[1:] + self.edges[:-1]) / 2
 
 
@@ -97,9 +98,10 @@ class Distribution:
     def skewness(self) -> Estimate:
         """The third central moment over the cube of the standard deviation; NaN where all values are equal.
 
-        Its standard error is for many values without heavy tails, whose largest values decide both and are missed by
-        most runs: of 2,000 values in 400 clusters it is 0.87 of the spread of runs for exponential values, 0.82 where
-        clusters differ too (log-normal factors of spread 0.3), 0.37 for log-normal ones (``log_std`` 1).
+        Its standard error holds for many values without heavy tails. With heavy tails it is too small, because the
+        largest values determine skewness and error, and most runs have none of them: for 2,000 values in 400 clusters
+        it is 0.87 of the spread over runs for exponential values, 0.82 where clusters differ too (log-normal factors of
+        spread 0.3), and 0.37 for log-normal values (``log_std`` 1).
         """
         value = float(self.sums.skewness[0])
         if math.isnan(value):
@@ -113,10 +115,11 @@ class Distribution:
         """The `share`-quantile: the value that a `share` of all values does not exceed.
 
         Read off a histogram of up to 8192 bins (1024 for a single order), linearly within a bin, so it is accurate to
-        `resolution`; for whole numbers it is exact. Its error is that of the share of values below it, converted by
-        the distribution function (Woodruff 1952).
+        `resolution`; for whole numbers it is exact. Its error is that of the share of values below it, converted by the
+        distribution function (Woodruff 1952).
 
-        Raises ValueError unless ``0 <= share <= 1``.
+        Raises:
+            ValueError: Unless ``0 <= share <= 1``.
         """
         _checks.numeric("share", share)
         if not 0 <= share <= 1:
@@ -145,8 +148,10 @@ class Distribution:
         """The histogram of all values, in at most `bins` bins of equal width, or in the bins of `common_bins`.
 
         By default 50; of whole numbers, one for each number (up to 8192: beyond, 2, 4, ... numbers share one). Each bin
-        is a union of bins of the finest histogram, so that the counts are exact. Raises ValueError unless `bins` is
-        None, a whole number of at least 1, or bins that hold all values.
+        is a union of bins of the finest histogram, so that the counts are exact.
+
+        Raises:
+            ValueError: Unless `bins` is None, a whole number of at least 1, or bins that hold all values.
         """
         edges, counts = self._joined(bins)
         place = np.searchsorted(edges, self.clusters.values, side="right") - 1
@@ -162,7 +167,10 @@ class Distribution:
         about (bins - 1) / (2 number). The standard error is that of the entropy in these very bins, as `common_bins`
         fix them (of 2,000 values in 400 clusters stated 0.027, spread of runs 0.028). A number of bins makes bins that
         follow the range of the values: in another run they may be twice as wide, and the entropy lower by up to 0.69
-        nats (spread 0.17 in the same runs). Raises ValueError as `histogram`.
+        nats (spread 0.17 in the same runs).
+
+        Raises:
+            ValueError: As `histogram`.
         """
         edges, counts = self._joined(bins)
         name = f"entropy of the histogram in {len(counts)} bins"
@@ -292,7 +300,8 @@ def common_bins(distributions: Sequence[Distribution], bins: int | None = None) 
 
     By default 50; of whole numbers, one for each number. Histograms and entropies in the same bins can be compared.
 
-    Raises ValueError for anything but distributions in one unit, with at least one value among them.
+    Raises:
+        ValueError: For anything but distributions in one unit, with at least one value among them.
 
     >>> law, study = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 50.0, "samples": 500, "key": jax.random.key(0)}
     >>> ensembles = [ss.simulate_ensemble(ss.papers.belt_oscillator(mu), law, **study) for mu in (0.5, 1.0)]

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from .. import _checks
 from .._events.slips import slips_after
@@ -48,7 +49,8 @@ if TYPE_CHECKING:
 def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
     """All statistics of an ensemble that was simulated with ``keep="statistics"`` or ``"sticks"``.
 
-    Raises ValueError for any other argument.
+    Raises:
+        ValueError: For any other argument.
     """
     ensemble = require_ensemble(ensemble)
     sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
@@ -77,7 +79,7 @@ class EnsembleStatistics(ByQuantity):
 
     accumulator: StickAccumulator
     sticks: FlatSticks
-    totals: np.ndarray
+    totals: Float[np.ndarray, "samples totals"]
     t1: float
     position_unit: str
     numbering: Numbering
@@ -192,7 +194,8 @@ class EnsembleStatistics(ByQuantity):
     def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th stick of each sample that has so many.
 
-        Raises ValueError unless ``1 <= number <= orders``.
+        Raises:
+            ValueError: Unless ``1 <= number <= orders``.
         """
         if _checks.whole_number("number", number) > self.orders:
             raise ValueError(
@@ -219,15 +222,20 @@ class EnsembleStatistics(ByQuantity):
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
         """The joint distribution of two quantities of a stick, or of two sticks of one sample.
 
-        - `x`, `y`: "start", "duration", "position", "slip_before" (duration of the slip before the stick),
-          "slip_start" or "slip_duration" (of the slip after the stick, s), both of the same stick; or each with the
-          number of the stick: ``joint(("duration", 1), ("duration", 2))`` is the joint distribution of the durations of
-          the first and the second stick, ``joint(("slip_duration", 1), ("duration", 2))`` that of the slip between the
-          two and the second stick.
-
         A stick that the horizon cuts has no slip after it, and its pairs with one are left out. The two durations,
         ("duration", "position") and ("start", "duration") were summed over all samples; any other pair rests on the
-        retained samples. Raises ValueError for other arguments.
+        retained samples.
+
+        Args:
+            x: "start", "duration", "position", "slip_before" (duration of the slip before the stick), "slip_start" or
+                "slip_duration" (of the slip after the stick, s), of the same stick as `y`; or with the number of the
+                stick: ``joint(("duration", 1), ("duration", 2))`` is the joint distribution of the durations of the
+                first and the second stick, ``joint(("slip_duration", 1), ("duration", 2))`` that of the slip between
+                the two and the second stick.
+            y: Likewise; with the number of a stick if `x` has one.
+
+        Raises:
+            ValueError: For other arguments.
         """
         (of_x, number_x), (of_y, number_y) = _stick_value("x", x), _stick_value("y", y)
         for of in (of_x, of_y):
@@ -265,9 +273,10 @@ class EnsembleStatistics(ByQuantity):
     def to_xarray(self, bins: int | None = None) -> "xarray.Dataset":
         """Moments, quantiles, histograms, joint histograms and means by order as an ``xarray.Dataset`` with units.
 
-        - `bins`: at most, of each histogram; by default 50, of whole numbers one for each number.
-
         Needs the extra ``study`` (else ImportError).
+
+        Args:
+            bins: At most, of each histogram; by default 50, of whole numbers one for each number.
         """
         return dataset_of_statistics(self, bins)
 

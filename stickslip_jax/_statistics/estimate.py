@@ -5,7 +5,7 @@ import html
 import math
 import operator
 from collections.abc import Callable, Hashable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsFloat, TypeGuard
 
 import numpy as np
 
@@ -35,10 +35,10 @@ class Estimate:
 
     It is a number where one is asked for (``float(estimate)`` is its value), and can be added, subtracted, multiplied
     and divided, with numbers and with other estimates; ``f"{estimate:.3f}"`` formats the value. A plain number that is
-    added is in the estimate's unit; units multiply and divide as they should.
+    added is in the estimate's unit; units are multiplied and divided too.
 
-    Errors go along to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the error
-    0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
+    Errors are propagated to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the
+    error 0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
     different keys, are taken to be independent. Two different estimates of one origin are not, and how they are
     correlated is not known: what is computed from both has a value, but the error NaN. Of a combination `samples` is
     such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
@@ -60,7 +60,8 @@ class Estimate:
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Confidence interval at `level`, by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
 
-        Raises ValueError unless ``0 < level < 1``.
+        Raises:
+            ValueError: Unless ``0 < level < 1``.
         """
         check_level(level)
         if self.samples < 2 or math.isnan(self.standard_error):
@@ -85,42 +86,42 @@ class Estimate:
     def __abs__(self) -> "Estimate":
         return _combined(f"|{self.name}|", abs(self.value), self.unit, (math.copysign(1.0, self.value), self))
 
-    def __add__(self, other: Any) -> "Estimate":
+    def __add__(self, other: object) -> "Estimate":
         return _sum(self, other, "+") if _is_number(other) else NotImplemented
 
-    def __radd__(self, other: Any) -> "Estimate":
+    def __radd__(self, other: object) -> "Estimate":
         if isinstance(other, int) and other == 0:  # where sum() begins
             return self
         return _sum(other, self, "+") if _is_number(other) else NotImplemented
 
-    def __sub__(self, other: Any) -> "Estimate":
+    def __sub__(self, other: object) -> "Estimate":
         return _sum(self, other, "-") if _is_number(other) else NotImplemented
 
-    def __rsub__(self, other: Any) -> "Estimate":
+    def __rsub__(self, other: object) -> "Estimate":
         return _sum(other, self, "-") if _is_number(other) else NotImplemented
 
-    def __mul__(self, other: Any) -> "Estimate":
+    def __mul__(self, other: object) -> "Estimate":
         return _product(self, other) if _is_number(other) else NotImplemented
 
-    def __rmul__(self, other: Any) -> "Estimate":
+    def __rmul__(self, other: object) -> "Estimate":
         return _product(other, self) if _is_number(other) else NotImplemented
 
-    def __truediv__(self, other: Any) -> "Estimate":
+    def __truediv__(self, other: object) -> "Estimate":
         return _quotient(self, other) if _is_number(other) else NotImplemented
 
-    def __rtruediv__(self, other: Any) -> "Estimate":
+    def __rtruediv__(self, other: object) -> "Estimate":
         return _quotient(other, self) if _is_number(other) else NotImplemented
 
-    def __lt__(self, other: Any) -> bool:
+    def __lt__(self, other: object) -> bool:
         return _compared(self, other, operator.lt) if _is_number(other) else NotImplemented
 
-    def __le__(self, other: Any) -> bool:
+    def __le__(self, other: object) -> bool:
         return _compared(self, other, operator.le) if _is_number(other) else NotImplemented
 
-    def __gt__(self, other: Any) -> bool:
+    def __gt__(self, other: object) -> bool:
         return _compared(self, other, operator.gt) if _is_number(other) else NotImplemented
 
-    def __ge__(self, other: Any) -> bool:
+    def __ge__(self, other: object) -> bool:
         return _compared(self, other, operator.ge) if _is_number(other) else NotImplemented
 
     def __str__(self) -> str:
@@ -148,7 +149,7 @@ class Estimate:
         return f"{format_with_error(self.value, self.standard_error)}{unit}"
 
 
-def estimate_by(statistic: Any, ensemble: Any) -> Estimate:
+def estimate_by(statistic: Callable[[Any], object], ensemble: object) -> Estimate:
     """What `statistic` estimates. Raises ValueError if that is no `Estimate`."""
     found = statistic(ensemble)
     if not isinstance(found, Estimate):
@@ -176,7 +177,7 @@ def format_with_error(value: float, error: float) -> str:
     return f"{value:.{decimals}f} +- {error:.{decimals}f}"
 
 
-def _is_number(other: Any) -> bool:
+def _is_number(other: Any) -> TypeGuard[SupportsFloat]:
     """Whether an estimate can be computed with `other`: an estimate, or a real number that JAX does not trace."""
     if isinstance(other, Estimate):
         return True
@@ -185,18 +186,14 @@ def _is_number(other: Any) -> bool:
     return np.asarray(other).dtype.kind in "iuf"
 
 
-def _value_of(other: Any) -> float:
-    return float(other.value if isinstance(other, Estimate) else other)
-
-
-def _inside(other: Any) -> str:
+def _inside(other: SupportsFloat) -> str:
     """The name of a number or an estimate in the name of a combination."""
     if not isinstance(other, Estimate):
         return f"{float(other):.6g}"
     return other.name if other._slopes is None else f"({other.name})"
 
 
-def _one_unit(one: Any, other: Any, what: str) -> str:
+def _one_unit(one: SupportsFloat, other: SupportsFloat, what: str) -> str:
     """The unit of both numbers; a plain number has that of the other. Raises ValueError where they differ."""
     units = [number.unit for number in (one, other) if isinstance(number, Estimate)]
     if not same_unit(units[0], units[-1]):
@@ -207,37 +204,37 @@ def _one_unit(one: Any, other: Any, what: str) -> str:
     return units[0]
 
 
-def _compared(one: Any, other: Any, how: Callable[[float, float], bool]) -> bool:
+def _compared(one: SupportsFloat, other: SupportsFloat, how: Callable[[float, float], bool]) -> bool:
     _one_unit(one, other, "compared")
-    return how(_value_of(one), _value_of(other))
+    return how(float(one), float(other))
 
 
-def _sum(one: Any, other: Any, sign: str) -> Estimate:
+def _sum(one: SupportsFloat, other: SupportsFloat, sign: str) -> Estimate:
     unit, slope = _one_unit(one, other, "added or subtracted"), 1.0 if sign == "+" else -1.0
-    value = _value_of(one) + slope * _value_of(other)
+    value = float(one) + slope * float(other)
     return _combined(f"{_inside(one)} {sign} {_inside(other)}", value, unit, (1.0, one), (slope, other))
 
 
-def _product(one: Any, other: Any) -> Estimate:
+def _product(one: SupportsFloat, other: SupportsFloat) -> Estimate:
     unit = unit_of_product(_unit_of(one), _unit_of(other))
-    a, b = _value_of(one), _value_of(other)
+    a, b = float(one), float(other)
     return _combined(f"{_inside(one)} * {_inside(other)}", a * b, unit, (b, one), (a, other))
 
 
-def _quotient(one: Any, other: Any) -> Estimate:
+def _quotient(one: SupportsFloat, other: SupportsFloat) -> Estimate:
     unit = unit_of_product(_unit_of(one), _unit_of(other), -1)
-    a, b = _value_of(one), _value_of(other)
-    if b == 0 and not isinstance(other, Estimate):
+    a, b = float(one), float(other)
+    if b == 0 and isinstance(one, Estimate) and not isinstance(other, Estimate):
         raise ZeroDivisionError(f"The estimate {one.name!r} was divided by zero.")
     inverse = 1 / b if b else math.nan
     return _combined(f"{_inside(one)} / {_inside(other)}", a * inverse, unit, (inverse, one), (-a * inverse**2, other))
 
 
-def _unit_of(other: Any) -> str:
+def _unit_of(other: SupportsFloat) -> str:
     return other.unit if isinstance(other, Estimate) else "1"
 
 
-def _combined(name: str, value: float, unit: str, *parts: tuple[float, Any]) -> Estimate:
+def _combined(name: str, value: float, unit: str, *parts: tuple[float, SupportsFloat]) -> Estimate:
     """The estimate `value` with the error that follows from its derivatives by `parts`, (derivative, part) each."""
     slopes: dict[_Source, float] = {}
     for slope, part in parts:

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .. import _checks
 from .source import EnsembleLike, require_ensemble
@@ -17,11 +18,11 @@ class FirstSticks:
     - `mask`: whether the sample has a stick.
     """
 
-    start: np.ndarray
-    duration: np.ndarray
-    position: np.ndarray
-    ending: np.ndarray
-    mask: np.ndarray
+    start: Float[np.ndarray, " samples"]
+    duration: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, " samples"]
+    ending: Int[np.ndarray, " samples"]
+    mask: Bool[np.ndarray, " samples"]
 
     @property
     def count(self) -> int:
@@ -35,12 +36,14 @@ class FirstSticks:
 def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> FirstSticks:
     """The first stick of every sample.
 
-    - `ensemble`: an `Ensemble` with ``keep="sticks"``.
-    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
-      By default it does not, and the next one is the first. In the words of Lima and Sampaio (2022), to whom a stick is
-      any interval without motion, it does.
+    Args:
+        ensemble: An `Ensemble` with ``keep="sticks"``.
+        count_initial_rest: Whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
+            By default it does not, and the next one is the first. Lima and Sampaio (2022) count it, since they call any
+            interval without motion a stick.
 
-    Raises ValueError for an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
+    Raises:
+        ValueError: For an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
     """
     _checks.truth("count_initial_rest", count_initial_rest)
     sticks = require_ensemble(ensemble).require_sticks()

@@ -32,21 +32,8 @@ def identically_distributed(
     """Test whether the values of all orders (first, second, ... in a sample) have the same distribution.
 
     Sample i gives its value of one order only, the one with index i modulo the number of orders. So all values that are
-    compared come from different samples and are independent, whatever the dependence within a sample.
-
-    - `source`: an `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
-      Which stick of an ensemble is the first is set by its ``count_initial_rest``; of ``flat_sticks`` all are numbered.
-    - `quantity`: "duration" of the sticks (s), "position" of the mass at their start (m), "slip_duration", that of
-      the slip after each stick (s); or the instants "start" and "slip_start" at which a stick, or the slip after it,
-      begins (s). Instants increase with the order, so they are neither identically distributed nor independent; tests
-      on them show by how much.
-    - `orders`: their number, from the first on, or a sequence of at least two different ones.
-    - `significance`: largest probability, in (0, 1), of rejecting a true hypothesis.
-    - `starts_before`: only values that begin before this instant (s) are used; a position begins with the slip before
-      it. By default the end of the simulation minus the longest value, so that none is cut. With ``math.inf`` all
-      complete values are used; these are too short on average, more so for later orders, and the tests detect it
-      if many are cut. Where the motion comes to rest for good the default leaves no value, and an instant must be
-      given.
+    compared come from different samples and are independent, whatever the dependence within a sample. The question is
+    that of Lima and Sampaio (2017, introduction).
 
     The tests: that of Anderson and Darling on all orders at once (statistic: normalised; effect: the largest difference
     between the means of two orders, in standard deviations within an order); then that of Kolmogorov and Smirnov on
@@ -55,8 +42,23 @@ def identically_distributed(
     fewer than two remain. Values that are all equal, as in periodic motion, are identically distributed; differences of
     a few hundred rounding errors are ignored.
 
-    Question: Lima and Sampaio 2017, introduction. Raises ValueError for another source, an ensemble that kept only
-    totals, and arguments outside these bounds.
+    Args:
+        source: An `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
+            Which stick of an ensemble is the first is set by its ``count_initial_rest``; of ``flat_sticks`` all are
+            numbered.
+        quantity: "duration" of the sticks (s), "position" of the mass at their start (m), "slip_duration", that of the
+            slip after each stick (s); or the instants "start" and "slip_start" at which a stick, or the slip after it,
+            begins (s). Instants increase with the order, so they are neither identically distributed nor independent;
+            tests on them show by how much.
+        orders: Their number, from the first on, or a sequence of at least two different ones.
+        significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
+        starts_before: Only values that begin before this instant (s) are used; a position begins with the slip before
+            it. By default the end of the simulation minus the longest value, so that none is cut; where the motion
+            comes to rest for good, that leaves no value. With ``math.inf`` all complete values are used; these are too
+            short on average, more so for later orders, and the tests detect it if many are cut.
+
+    Raises:
+        ValueError: For another source, an ensemble that kept only totals, and arguments outside these bounds.
     """
     check_significance(significance)
     wanted = _orders(orders)
@@ -68,7 +70,7 @@ def identically_distributed(
     at = sequences.first + order - 1
     groups = [sequences.values[at[has & (member == index)]] for index in range(len(wanted))]
     kept = {order: group for order, group in zip(wanted, groups, strict=True) if len(group) >= FEWEST_VALUES}
-    remarks = [sequences.remark, f"Each of the {samples} samples is asked for one order, and {has.sum()} have it."]
+    remarks = [sequences.remark, f"Each of the {samples} samples gives a value of one order; {has.sum()} have one."]
     if left := [str(order) for order in wanted if order not in kept]:
         remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
     if len(kept) >= 2:

@@ -35,17 +35,6 @@ def independent(
 ) -> Verdict:
     """Test whether values of one sample that follow each other are independent: of one quantity, or one of each of two.
 
-    - `source`, `significance`, `starts_before`: as in `identically_distributed`. A pair is used only if its later value
-      begins before ``starts_before``. This depends on the earlier value, but does not make independent values
-      dependent. Without it (``math.inf``) a long value leaves less time for the next before the simulation ends.
-    - `quantity`: one as in `identically_distributed`: do its values depend on each other? Or two, the earlier first:
-      ``("duration", "slip_duration")`` asks whether a stick and the slip after it are independent, and
-      ``("slip_duration", "duration")`` whether a slip and the stick after it are.
-    - `lag`: 1 pairs each value with the next, 2 with the one after that, and so on.
-    - `first`: order of the first value that counts as the earlier one. The first two tests take this pair of each
-      sample, the third this one and all later.
-    - `bins`: number of quantile bins of each value in the chi-square test, at least 2.
-
     The tests; none of them takes a drift of the distribution with the order for dependence:
 
     1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair from each sample that
@@ -58,9 +47,24 @@ def independent(
        one degree of freedom fewer than there are samples with pairs). Also finds a factor that all values of a sample
        share.
 
-    A test needs 10 pairs (the third: 10 samples with pairs) and values that are not all equal; the answer is None if
-    no test could be made. Question: Lima and Sampaio 2017, introduction. Raises ValueError as
-    `identically_distributed`.
+    A test needs 10 pairs (the third: 10 samples with pairs) and values that are not all equal; the answer is None if no
+    test could be made.
+
+    Args:
+        source: As in `identically_distributed`.
+        quantity: One as in `identically_distributed`: do its values depend on each other? Or two, the earlier first:
+            ``("duration", "slip_duration")`` asks whether a stick and the slip after it are independent, and
+            ``("slip_duration", "duration")`` whether a slip and the stick after it are.
+        lag: 1 pairs each value with the next, 2 with the one after that, and so on.
+        first: Order of the first value that counts as the earlier one. The first two tests take this pair of each
+            sample, the third this one and all later.
+        bins: Number of quantile bins of each value in the chi-square test, at least 2.
+        significance: As in `identically_distributed`.
+        starts_before: As there, for the later value of a pair. That depends on the earlier value, but does not make
+            independent values dependent; without it (``math.inf``) a long value leaves less time for the next.
+
+    Raises:
+        ValueError: As `identically_distributed`.
     """
     check_significance(significance)
     lag, first = _checks.whole_number("lag", lag, maximum=_MOST), _checks.whole_number("first", first, maximum=_MOST)
@@ -69,11 +73,8 @@ def independent(
     pairs, remarks, values = _pairs(source, (earlier, later), lag, first, starts_before)
     at = np.flatnonzero(pairs.order == first)
     early, late = pairs.early[at], pairs.late[at]
-    tests = (
-        _spearman(early, late, pairs.names),
-        _chi_square(early, late, bins, pooled=earlier == later),
-        _serial(pairs),
-    )
+    chi_square = _chi_square(early, late, bins, pooled=earlier == later)
+    tests = (_spearman(early, late, pairs.names), chi_square, _serial(pairs))
     reason = "" if any(test.made for test in tests) else tests[0].reason
     given = len(pairs.count)
     remarks = (*remarks, f"{len(at)} of {given} samples have {'values of ' * (earlier == later)}{pairs.names}.")

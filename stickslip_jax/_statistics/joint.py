@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from .. import _checks
 from .._numerics.dyadic import DyadicCounts, joined_bins
@@ -25,11 +26,11 @@ class JointHistogram:
     `names`, `units`: of x and y.
     """
 
-    x_edges: np.ndarray
-    y_edges: np.ndarray
-    counts: np.ndarray
-    density: np.ndarray
-    error: np.ndarray
+    x_edges: Float[np.ndarray, " x_edges"]
+    y_edges: Float[np.ndarray, " y_edges"]
+    counts: Int[np.ndarray, "x_bins y_bins"]
+    density: Float[np.ndarray, "x_bins y_bins"]
+    error: Float[np.ndarray, "x_bins y_bins"]
     number: int
     names: tuple[str, str]
     units: tuple[str, str]
@@ -44,10 +45,10 @@ class ConditionalMeans:
     - `names`, `units`: of x and y.
     """
 
-    edges: np.ndarray
-    mean: np.ndarray
-    error: np.ndarray
-    counts: np.ndarray
+    edges: Float[np.ndarray, " edges"]
+    mean: Float[np.ndarray, " bins"]
+    error: Float[np.ndarray, " bins"]
+    counts: Int[np.ndarray, " bins"]
     names: tuple[str, str]
     units: tuple[str, str]
 
@@ -96,8 +97,8 @@ class JointDistribution:
         """
         return atoms_of(self.x.values, self.y.values, self.round_off)
 
-    def share_of_atoms(self, bins: int) -> np.ndarray:
-        """The share of the retained pairs of each cell of ``histogram(bins)`` that are atoms, (m, n)."""
+    def share_of_atoms(self, bins: int) -> Float[np.ndarray, "x_bins y_bins"]:
+        """The share of the retained pairs of each cell of ``histogram(bins)`` that are atoms."""
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         cell, inside = self._cells(x_edges, y_edges)
         every, atoms = (
@@ -116,7 +117,8 @@ class JointDistribution:
     def histogram(self, bins: int = 40) -> JointHistogram:
         """The histogram of all pairs, in at most `bins` bins of equal width along each axis.
 
-        Raises ValueError unless `bins` is a whole number from 1 to 128.
+        Raises:
+            ValueError: Unless `bins` is a whole number from 1 to 128.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         cell, _ = self._cells(x_edges, y_edges)
@@ -158,7 +160,10 @@ class JointDistribution:
         """Mutual information of the histogram in at most `bins` x `bins` cells, nats.
 
         ``sum p_ij log(p_ij / (p_i p_j))`` over the cells. Never negative: for independent quantities the estimate is
-        about ``(x bins - 1) (y bins - 1) / (2 number)``, not 0. Raises ValueError as `histogram`.
+        about ``(x bins - 1) (y bins - 1) / (2 number)``, not 0.
+
+        Raises:
+            ValueError: As `histogram`.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         name = f"mutual information in {counts.shape[0]} x {counts.shape[1]} bins"
@@ -174,7 +179,8 @@ class JointDistribution:
     def conditional_mean(self, bins: int = 20) -> ConditionalMeans:
         """The mean of y given x, for x in `bins` bins of equal width, over the retained pairs.
 
-        Raises ValueError unless `bins` is a whole number of at least 1.
+        Raises:
+            ValueError: Unless `bins` is a whole number of at least 1.
         """
         _checks.whole_number("bins", bins)
         x, y = self.x.values, self.y.values
@@ -195,7 +201,8 @@ class JointDistribution:
     def cells_of_retained(self, bins: int) -> tuple[np.ndarray, int]:
         """The cell of each retained pair in a histogram of at most `bins` x `bins` cells, and the number of cells.
 
-        Raises ValueError as `histogram`.
+        Raises:
+            ValueError: As `histogram`.
         """
         x_edges, y_edges, counts = self._joined(self._checked(bins))
         return self._cells(x_edges, y_edges)[0], counts.size

@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import _checks
 from .._uncertainty.design import Design
+from .conventions import labeled_dataset, variable
 from .estimate import check_level
 
 if TYPE_CHECKING:
@@ -55,14 +56,11 @@ class SobolIndices:
     def to_xarray(self) -> "xarray.Dataset":
         """All arrays as an ``xarray.Dataset`` with dimensions factor, other_factor, output and interval_end.
 
-        Raises ImportError if xarray is not installed.
+        Raises:
+            ImportError: If xarray is not installed.
         """
-        try:
-            import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-        except ImportError:
-            raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
         last = ("output",) if self.outputs else ()
-        variables: dict[Any, Any] = {}
+        variables: dict[str, Any] = {}
         for name, meaning in (("first", "first-order"), ("total", "total"), ("second", "second-order")):
             if getattr(self, name) is None:
                 continue
@@ -70,18 +68,15 @@ class SobolIndices:
             for suffix, ends, what in (
                 ("", (), ""), ("_error", (), ", standard error"), ("_interval", ("interval_end",), ", interval"),
             ):  # fmt: skip
-                about = {"long_name": f"{meaning} Sobol' index{what}", "units": "1"}
-                variables[name + suffix] = ((*ends, *inputs, *last), getattr(self, name + suffix), about)
-        coordinates: dict[Any, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
+                values, about = getattr(self, name + suffix), f"{meaning} Sobol' index{what}"
+                variables[name + suffix] = variable((*ends, *inputs, *last), values, about)
+        coordinates: dict[str, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
         if self.second is not None:
             coordinates["other_factor"] = list(self.factors)
         if last:
             coordinates["output"] = list(self.outputs)
-        attributes = {
-            "Conventions": "CF-1.11", "level": self.level, "base_samples": self.base_samples, "samples": self.samples,
-            "resamples": self.resamples,
-        }  # fmt: skip
-        return xr.Dataset(variables, coordinates, attributes)
+        names = ("level", "base_samples", "samples", "resamples")
+        return labeled_dataset(variables, coordinates, {name: getattr(self, name) for name in names})
 
     def __repr__(self) -> str:
         lines = [
@@ -127,15 +122,18 @@ def sobol_indices(
     ``SALib.analyze.sobol``. Factors must be independent: with a `GaussianCopula`, the indices are those of the
     independent numbers that go into it.
 
-    - `outputs`: a number for each sample, (samples,), or several, (samples, outputs), in the order of the design's
-      rows; or a dict or DataFrame of named outputs (samples,).
-    - `design`: from `stickslip_jax.design.saltelli`. What its `realization` makes of the base's own randomness is
-      written there: with "own", every total index holds all of the noise.
-    - `level`: of the intervals, which are percentiles of the bootstrap. Whole base rows are drawn with replacement, as
-      if they were independent: on a Sobol' sequence, errors and intervals are rather too large.
-    - `resamples`: of the bootstrap, at least 100. `seed`: of its draws.
+    Args:
+        outputs: A number for each sample, (samples,), or several, (samples, outputs), in the order of the design's
+            rows; or a dict or DataFrame of named outputs (samples,).
+        design: From `stickslip_jax.design.saltelli`. What its `realization` makes of the base's own randomness is
+            written there: with "own", every total index holds all of the noise.
+        level: Of the intervals, which are percentiles of the bootstrap. Whole base rows are drawn with replacement, as
+            if they were independent: on a Sobol' sequence, errors and intervals are rather too large.
+        resamples: Of the bootstrap, at least 100.
+        seed: Of its draws.
 
-    Raises ValueError for outputs that do not fit the design or are not finite, and for other arguments.
+    Raises:
+        ValueError: For outputs that do not fit the design or are not finite, and for other arguments.
     """
     if not isinstance(design, Design) or not design.factors:
         raise ValueError(

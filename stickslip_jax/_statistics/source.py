@@ -48,7 +48,7 @@ def require_ensemble(ensemble: Any) -> Any:
     return ensemble
 
 
-def origin_of(ensemble: Any) -> Hashable:
+def origin_of(ensemble: EnsembleLike) -> Hashable:
     """What the samples of an ensemble have in common with those of others: its key; without one, their own means."""
     key_data = getattr(ensemble, "key_data", None)
     if key_data is not None:
@@ -57,7 +57,7 @@ def origin_of(ensemble: Any) -> Hashable:
     return ("no key", float(ensemble.t1), int(moments.number), *map(float, moments.mean))
 
 
-def require_statistic(statistic: Any) -> None:
+def require_statistic(statistic: object) -> None:
     """Raise ValueError if `statistic` cannot be called."""
     if not callable(statistic) or isinstance(statistic, type):
         raise ValueError(

@@ -54,7 +54,8 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
 
     `skipped`: how many sticks of each sample come before its first numbered one, 0 or 1.
 
-    Raises ValueError where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
+    Raises:
+        ValueError: Where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
     """
     d, compiled = _SLIP + 1, loops.compiled()
     skip_rest = bool(np.any(skipped))

@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from .estimate import Estimate
 from .source import EnsembleLike, origin_of, require_ensemble
@@ -60,10 +61,11 @@ class StatisticOfTotals:
         """Whether it depends on no number of slips."""
         return self.numerator.slip_count == self.denominator.slip_count == 0
 
-    def weights(self, t1: float) -> np.ndarray:
+    def weights(self, t1: float) -> Float[np.ndarray, "2 terms"]:
         """Coefficients of `TOTALS` and the constant, of numerator and denominator, (2, 6); a constant denominator is 1.
 
-        - `t1`: s.
+        Args:
+            t1: Duration of the samples, s.
         """
         rows = np.array([(*one[:-2], one.constant + one.t1 * t1) for one in (self.numerator, self.denominator)], float)
         return rows / rows[1, -1] if self.denominator.is_constant else rows

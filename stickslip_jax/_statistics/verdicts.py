@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -121,7 +120,8 @@ def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     Holm's method (1979, Scandinavian Journal of Statistics 6, 65): the i-th smallest of n p-values is multiplied by
     n - i + 1, and is at least as large as the adjusted one before it.
 
-    - `p_values`: numbers in [0, 1]; NaN (no test) stays NaN.
+    Args:
+        p_values: Numbers in [0, 1]; NaN (no test) stays NaN.
     """
     given = np.array(p_values, float)
     adjusted = np.full(given.shape, np.nan)
@@ -131,7 +131,7 @@ def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     return tuple(float(p) for p in adjusted)
 
 
-def check_significance(significance: Any) -> None:
+def check_significance(significance: float) -> None:
     """Raise ValueError unless `significance` is a number between 0 and 1."""
     _checks.numeric("significance", significance)
     if not 0 < significance < 1:

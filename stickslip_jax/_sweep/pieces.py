@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from .._ensemble.call import simulate_piece
+from .._ensemble.data import Retained
 from .._ensemble.encoding import Decoder, Encoder
-from .._ensemble.parts import EnsembleAccumulator, Retained
+from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
 from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._ensemble.parts import Keep
+from .._ensemble.data import Keep
 from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import Numbering

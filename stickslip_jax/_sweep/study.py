@@ -12,7 +12,7 @@ from .. import _checks
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method
 from .._ensemble.call import simulate_ensemble
-from .._ensemble.parts import Keep
+from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
 from .._ensemble.setup import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion

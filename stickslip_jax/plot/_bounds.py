@@ -29,11 +29,17 @@ def stick_bounds(
     This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
     infinite; the legend gives the share of such angles, and says so where no angle allows a stick.
 
-    - `system`: a `MotorCart`. `voltage`: a `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
-    - `mu`: friction coefficients in place of that of `system`, zero or positive.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        system: A `MotorCart`.
+        voltage: A `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
+        mu: Friction coefficients in place of that of `system`, zero or positive.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for arguments of another kind.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
     """
     signal: Any = unphased(voltage)
     stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
@@ -48,7 +54,8 @@ def stick_bounds(
         endless = np.isinf(longest)
         color, line = _style.free_look(ax)
         none = not np.any(longest > 0)
-        label = rf"$\mu$ = {one:g}" + (f", for ever at {100 * endless.mean():.0f} %" if endless.any() else "")
+        label = rf"$\mu$ = {one:g}"
+        label += f", no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else ""
         # A curve that is zero throughout lies on the axis, below the ends of the others.
         look: dict[str, Any] = {"lw": (2.5 if none else 1) * _style.SLIP_WIDTH, "zorder": 3 if none else 2}
         label += ": no stick" if none else ""

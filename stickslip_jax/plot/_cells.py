@@ -51,7 +51,8 @@ def number_of_bins(bins: JointBins) -> int:
 def cells_of_pairs(joint: JointDistribution, bins: int) -> Cells:
     """The joint histogram of all pairs, with the standard errors of its sides.
 
-    Raises ValueError for more than 128 bins.
+    Raises:
+        ValueError: For more than 128 bins.
     """
     drawn = joint.histogram(bins)
     edges = (drawn.x_edges, drawn.y_edges)
@@ -70,7 +71,10 @@ def cells_of_pairs(joint: JointDistribution, bins: int) -> Cells:
 def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
     """The joint histogram of position and duration of complete sticks.
 
-    `bins`: as in `joint_histogram`. Raises ValueError for anything else.
+    `bins`: as in `joint_histogram`.
+
+    Raises:
+        ValueError: For anything else.
     """
     edges, number = _edges(bins, sticks), len(sticks.duration)
     counts, *_ = np.histogram2d(sticks.position, sticks.duration, edges)

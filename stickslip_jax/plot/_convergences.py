@@ -14,16 +14,20 @@ _FEWEST = 10  # samples: intervals from fewer are so wide that the others could 
 def convergence(result: Convergence | HistogramConvergence, *, level: float = 0.9, ax: Axes | None = None) -> Axes:
     """Draw an estimate, or the distance between two joint histograms, against the number of samples.
 
-    - `result`: of `stickslip_jax.convergence`: the estimate with its confidence interval over a logarithmic axis of the
-      number of samples, and a line at the estimate from all samples. Intervals from fewer than 10 samples may leave the
-      axes. Or of `stickslip_jax.histogram_convergence`: the total-variation distance between two histograms with
-      independent samples, both axes logarithmic, and the slope -1/2 that it approaches once every cell holds many
-      pairs; distances of 0 are left out.
-    - `level`: of the confidence intervals, by Student's t.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: Of `stickslip_jax.convergence`: the estimate with its confidence interval over a logarithmic axis of the
+            number of samples, and a line at the estimate from all samples. Intervals from fewer than 10 samples may
+            leave the axes. Or of `stickslip_jax.histogram_convergence`: the total-variation distance between two
+            histograms with independent samples, both axes logarithmic, and the slope -1/2 that it approaches once every
+            cell holds many pairs; distances of 0 are left out.
+        level: Of the confidence intervals, by Student's t.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes, with a note in them if no estimate or distance is defined. Raises ValueError for arguments of
-    another kind.
+    Returns:
+        The axes, with a note in them if no estimate or distance is defined.
+
+    Raises:
+        ValueError: For arguments of another kind.
     """
     if not isinstance(result, (Convergence, HistogramConvergence)):
         raise ValueError(
@@ -53,9 +57,7 @@ def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
     low, high = (ends[known] for ends in result.band(level))
     ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--",
                label=f"from all {result.final.samples:,} samples: {_parts.with_error(result.final)}")  # fmt: skip
-    ax.fill_between(
-        numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=f"{100 * level:.4g} % confidence interval"
-    )
+    ax.fill_between(numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=_parts.interval_name(level))
     ax.plot(
         numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
     )

@@ -12,8 +12,6 @@ from . import _parts, _style
 from ._labeled import Labeled, is_labeled, labeled
 from ._types import LabeledData, Numbers
 
-_MOST_MARKERS = 60
-
 Uncertainty: TypeAlias = Literal["bars", "band"]
 
 
@@ -34,24 +32,30 @@ def curve(
 ) -> Axes:
     """Draw a statistic against a parameter, with error bars or a band. Call it again with the same `ax` to compare.
 
-    - `x`, `y`: values of the parameter, (points,) in any order, and for each an `Estimate`, such as
-      ``ss.mean_stick_duration(ensemble)`` or ``ensemble.statistics.duration.median``, or a number, NaN for a gap.
+    Args:
+        x: Values of the parameter, (points,) in any order. Or, without `y`, an ``xarray.DataArray`` with one dimension,
+            or two, for several curves; or an ``xarray.Dataset``. Their attributes ``long_name`` and ``units`` name the
+            axes.
+        y: For each of these values an `Estimate`, such as ``ss.mean_stick_duration(ensemble)`` or
+            ``ensemble.statistics.duration.median``, or a number, NaN for a gap. Of a Dataset the name of a variable.
+        errors: Standard errors of numbers, in their shape; of a Dataset the name of a variable, by default that which
+            the attribute ``ancillary_variables`` names, or that called like `y` and ``_error`` or ``_standard_error``.
+        level: Of the confidence intervals that are drawn, by Student's t for estimates, else by the normal
+            distribution. None: one standard error to both sides.
+        uncertainty: How these are drawn, "bars" or "band".
+        along: Of an array with two dimensions, which is on the abscissa; by default the first.
+        xlabel: Name of the abscissa, with its unit, where nothing else says it.
+        ylabel: Name of the ordinate, likewise.
+        label: Name of the curve in the legend; of several, before the value of the other coordinate.
+        xlog: Whether the abscissa is logarithmic.
+        ylog: Whether the ordinate is logarithmic. Values of zero or less are left out then, and counted.
+        ax: Where to draw; by default the axes of a new figure.
 
-      Or `x` alone: an ``xarray.DataArray`` with one dimension, or two, for several curves; or an ``xarray.Dataset``,
-      and `y` the name of a variable. Their attributes ``long_name`` and ``units`` name the axes.
-    - `errors`: standard errors of numbers, in their shape; of a Dataset the name of a variable, by default that which
-      the attribute ``ancillary_variables`` names, or that called like `y` and ``_error`` or ``_standard_error``.
-    - `level`: of the confidence intervals that are drawn, by Student's t for estimates, else by the normal
-      distribution. None: one standard error to both sides.
-    - `uncertainty`: how these are drawn, "bars" or "band".
-    - `along`: of an array with two dimensions, which is on the abscissa; by default the first.
-    - `xlabel`, `ylabel`: names of the axes, with units, where nothing else says them.
-    - `label`: name of the curve in the legend; of several, before the value of the other coordinate.
-    - `xlog`, `ylog`: whether an axis is logarithmic. Others than positive values are left out, and counted.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Returns:
+        The axes, with a note in them if there is nothing to draw.
 
-    Returns the axes, with a note in them if there is nothing to draw. Raises ValueError for arguments of another kind,
-    length or unit.
+    Raises:
+        ValueError: For arguments of another kind, length or unit.
     """
     _check_options(level, uncertainty, xlog, ylog, {"xlabel": xlabel, "ylabel": ylabel, "label": label})
     if is_labeled(x):
@@ -114,8 +118,7 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
     order = np.argsort(places, kind="stable")
     estimates = list(y) if isinstance(y, (list, tuple)) and any(isinstance(one, Estimate) for one in y) else []
     if not estimates:
-        _checks.numeric("y", _finite(y), ndim=1)
-        values, name = np.asarray(y, float), None
+        values, name = _parts.numbers_or_gaps("y", y, 1), None
         low, high = _ends(values, errors, level)
     else:
         name = _name_of(estimates)
@@ -130,14 +133,6 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
     if len(values) != len(places):
         raise ValueError(f"Argument y must have the length {len(places)} of x, but it has {len(values)}.")
     return _Curves(places[order], [_Curve(values[order], low[order], high[order], label)], ylabel=name)
-
-
-def _finite(values: object) -> object:
-    """The values with zeros for NaN, to be checked for all else; as they are if they are no numbers."""
-    try:
-        return np.nan_to_num(np.asarray(values, float), nan=0.0, posinf=np.inf, neginf=-np.inf)
-    except (TypeError, ValueError):
-        return values
 
 
 def _name_of(estimates: list[Estimate]) -> str | None:
@@ -160,13 +155,7 @@ def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.n
     """The ends of the intervals about `values`, NaN without errors."""
     if errors is None:
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
-    _checks.numeric("errors", _finite(errors), ndim=values.ndim)
-    sides = np.asarray(errors, float)
-    if sides.shape != values.shape or np.any(sides < 0):
-        raise ValueError(
-            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
-            f"array of shape {sides.shape} with smallest entry {np.nanmin(sides, initial=np.inf):g} was given."
-        )
+    sides = _parts.checked_errors(errors, values)
     if level is not None:
         from scipy import special  # noqa: PLC0415 - adds a filter of warnings
 
@@ -224,7 +213,6 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
     if not np.any(np.isfinite(values)):
         return False
     color, style = _style.free_look(ax)
-    marker = "o" if len(x) <= _MOST_MARKERS else None
     known = np.isfinite(low) & np.isfinite(values)
     if np.any(known) and uncertainty == "band":
         limits = ax.dataLim.frozen()
@@ -236,13 +224,13 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
     elif np.any(known):
         sides = np.stack([values - low, high - values])[:, known]
         ax.errorbar(x[known], values[known], sides, ls="none", ecolor=color, elinewidth=1.0, capsize=2.0)
-    ax.plot(x, values, color=color, ls=style, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
+    ax.plot(x, values, color=color, ls=style, lw=_style.SLIP_WIDTH, marker=_style.marker_of(x), ms=3.5, label=label)
     return True
 
 
 def _explain(ax: Axes, uncertainty: Uncertainty, level: float | None) -> None:
     """Say at the end of the legend what bars or bands are."""
-    text = "one standard error" if level is None else f"{100 * level:.4g} % confidence interval"
+    text = "one standard error" if level is None else _parts.interval_name(level)
     text, marker = f"{uncertainty}: {text}", "|" if uncertainty == "bars" else "s"
     for line in list(ax.lines):
         if line.get_label() == text:

@@ -19,13 +19,20 @@ def energies(
 ) -> tuple[Axes, Axes]:
     """Draw the stored energies, and what was supplied and dissipated since the start, against time; sticks are shaded.
 
-    - `result`: a result of `simulate`, one trajectory that reached ``t1``, whose `Simulation.energies` are known.
-    - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
-    - `axes`: two, for the stored energies and for those supplied and dissipated; by default those of a new figure, one
-      below the other.
+    Energies that are zero all the time, such as the damping of a system without a damper, are left out.
 
-    Left out is what is zero all the time, such as the damping of a system without a damper. Returns the axes. Raises
-    ValueError for arguments of another kind, for a simulation that did not reach ``t1``, and as `Simulation.energies`.
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``, whose `Simulation.energies` are known.
+        window: First and last time to draw, s; all of ``[0, t1]`` by default.
+        axes: Two, for the stored energies and for those supplied and dissipated; by default those of a new figure, one
+            below the other.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, for a simulation that did not reach ``t1``, and as
+            `Simulation.energies`.
     """
     check_simulation(result)
     begin, end = window = check_window(window, float(result.t1))
@@ -53,8 +60,6 @@ def energies(
     for panel in (upper, lower):
         for first, last in zip(starts[inside], ends[inside], strict=True):
             panel.axvspan(max(first, begin), min(last, end), color=_style.STICK, alpha=0.25, lw=0, label="stick")
-        panel.set_xlim(window)
+        _style.time_axis(panel, window)
         _style.legend_above(panel, columns=4)
-        if panel.xaxis.get_tick_params().get("labelbottom", True):
-            panel.set_xlabel("time $t$ (s)")
     return upper, lower

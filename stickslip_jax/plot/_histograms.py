@@ -26,24 +26,31 @@ def histogram(
 
     Call it again with the same `ax` to compare: each histogram has a colour of its own, and all fit into the axes.
 
-    - `result`: a distribution, such as ``ensemble.statistics.duration`` or ``.order(2).start``. Its histogram is drawn
-      over all samples, with bars of one standard error and the mean; sticks and slips cut by the horizon are included
-      with the part seen. From a single sample there is no standard error.
+    The height is a probability density, 1/unit; of whole numbers it is the probability of each number, averaged over
+    the numbers of a bin where these share one.
 
-      Or the sticks themselves: an `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the first
-      samples), ``first_stick(ensemble)``, or a `Simulation` (one, or a batch by ``vmap``). The durations of complete
-      sticks are drawn; the legend gives the number of those cut by the horizon, which are left out. So are
-      samples that did not reach ``t1``.
-    - `bins`: of a distribution, the largest number of bins, which have equal width and hold all values; by default 50,
-      of whole numbers one for each number, centred on it. Of sticks, the number of equal bins from 0 to the longest
-      duration, by default 50, or their increasing edges, s. Sticks outside the edges are not drawn but count: density
-      times bin width stays the share of all complete sticks.
-    - `label`: what is drawn, before the number of values in the legend.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: A distribution, such as ``ensemble.statistics.duration`` or ``.order(2).start``. Its histogram is drawn
+            over all samples, with bars of one standard error and the mean; sticks and slips cut by the horizon are
+            included with the part seen. From a single sample there is no standard error.
 
-    The height is a density, 1/unit; of whole numbers it is the share of values per whole number. Returns the axes, with
-    a note in them if there is nothing to draw. Raises ValueError for an ensemble with ``keep="totals"``, for edges
-    given with a distribution, and for arguments of another kind.
+            Or the sticks themselves: an `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the
+            first samples), ``first_stick(ensemble)``, or a `Simulation` (one, or a batch by ``vmap``). The durations of
+            complete sticks are drawn; the legend gives the number of those cut by the horizon, which are left out. So
+            are samples that did not reach ``t1``.
+        bins: Of a distribution, the largest number of bins, which have equal width and hold all values; by default 50,
+            of whole numbers one for each number, centred on it. Of sticks, the number of equal bins from 0 to the
+            longest duration, by default 50, or their increasing edges, s. Sticks outside the edges are not drawn but
+            count: density times bin width stays the share of all complete sticks.
+        label: What is drawn, before the number of values in the legend.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes, with a note in them if there is nothing to draw.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, for edges given with a distribution, and for arguments of
+            another kind.
     """
     bars = _bars_of_distribution(result, bins) if isinstance(result, Distribution) else _bars_of_sticks(result, bins)
     _checks.text("label", label, or_none=True)
@@ -124,7 +131,7 @@ def _bars_of_distribution(distribution: Distribution, bins: Bins | None) -> _Bar
         errors=drawn.error,
         color=_parts.color_of(distribution.name),
         xlabel=_parts.quantity_label(distribution.name, distribution.unit),
-        ylabel="share per whole number" if whole else _parts.density_label(distribution.unit),
+        ylabel="probability" if whole else _parts.density_label(distribution.unit),
         label=label,
         empty=empty,
         is_whole=whole,

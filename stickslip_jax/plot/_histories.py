@@ -9,7 +9,7 @@ from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
 from ._excitations import drive_of
-from ._trajectory import Segment, check_simulation, check_window, joined, segments_of, values_of
+from ._trajectory import Phase, check_simulation, check_window, joined, phases_of, values_of
 from ._types import SeveralAxes, Window
 
 _LONG = 12  # letters: after a longer name the symbol goes into a second line
@@ -23,22 +23,28 @@ def time_history(
 ) -> tuple[Axes, ...]:
     """Draw the state against time, and below it what drives it; sticks are thick and coloured.
 
-    - `result`: a result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
-      velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a system of
-      your own each coordinate. What drives it besides the velocity of the base has axes of its own: the voltage of a
-      motor, the acceleration of the ground, or a force.
-    - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
-    - `axes`: as many as there are coordinates, and if the excitation is to be drawn, one more; by default those of a
-      new figure, one below the other.
-
     The shaded band shows where friction can hold a stick. For a mass and spring without damping and force, on a base of
     piecewise-constant velocity, it holds the positions ``|x| <= mu n / k`` (static friction coefficient mu, normal
     force n, stiffness k); with them it moves, as it does with the base's acceleration. For a `MotorCart` it holds the
     currents ``|motor_constant c| <= mu m g d |sin alpha|``, at which the motor's torque is no larger than that of
     friction.
 
-    States are as exact as the simulation, at every event and on a fine grid between events. Returns the axes. Raises
-    ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
+    States are as exact as the simulation, at every event and on a fine grid between events.
+
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
+            velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a
+            system of your own each coordinate. What drives it besides the velocity of the base has axes of its own: the
+            voltage of a motor, the acceleration of the ground, or a force.
+        window: First and last time to draw, s; all of ``[0, t1]`` by default.
+        axes: As many as there are coordinates, and if the excitation is to be drawn, one more; by default those of a
+            new figure, one below the other.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
     """
     check_simulation(result)
     window = check_window(window, float(result.t1))
@@ -48,21 +54,19 @@ def time_history(
     if drive is not None and (axes is None or len(_style.axes_in(axes)) == len(names) + 1):
         names = (*names, "excitation")
     panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
-    segments = segments_of(result, window)
-    _draw_band(panels, result, segments)
+    phases = phases_of(result, window)
+    _draw_band(panels, result, phases)
     if result.system.rides_base:
-        _draw_base(panels[1], segments, "ground" if isinstance(result.base, GroundMotion) else "base")
+        _draw_base(panels[1], phases, "ground" if isinstance(result.base, GroundMotion) else "base")
     for number, coordinate in enumerate(coordinates):
-        _draw_state(panels[number], segments, number, result.system.body_name)
+        _draw_state(panels[number], phases, number, result.system.body_name)
         panels[number].set_ylabel(_label(coordinate, result.system.rides_base and number == 1) + whose)
     if drive is not None and len(panels) > len(coordinates):
-        times = np.concatenate([segment.times for segment in segments])
+        times = np.concatenate([phase.times for phase in phases])
         panels[-1].plot(times, np.asarray(drive.value(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
         panels[-1].set_ylabel(drive.label)
     for panel in panels:
-        panel.set_xlim(window)
-        if panel.xaxis.get_tick_params().get("labelbottom", True):
-            panel.set_xlabel("time $t$ (s)")
+        _style.time_axis(panel, window)
     _style.legend_above(*panels, columns=4)
     return panels
 
@@ -73,31 +77,30 @@ def _label(coordinate: Coordinate, holds_base: bool) -> str:
     return label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
 
 
-def _draw_state(panel: Axes, segments: list[Segment], number: int, name: str) -> None:
+def _draw_state(panel: Axes, phases: list[Phase], number: int, name: str) -> None:
     """Coordinate `number` as a line, sticks thick and coloured."""
-    sticks = [segment for segment in segments if segment.sticks]
-    times, values = (np.concatenate([values_of(segment, key) for segment in segments]) for key in ("times", number))
+    sticks = [phase for phase in phases if phase.sticks]
+    times, values = (np.concatenate([values_of(phase, key) for phase in phases]) for key in ("times", number))
     panel.plot(times, values, color=_style.MASS, lw=_style.SLIP_WIDTH, label=name)
     stuck = (joined(sticks, "times"), joined(sticks, number))
     panel.plot(*stuck, color=_style.STICK, lw=_style.STICK_WIDTH, solid_capstyle="butt", label=f"{name}, stick")
 
 
-def _draw_base(panel: Axes, segments: list[Segment], name: str) -> None:
+def _draw_base(panel: Axes, phases: list[Phase], name: str) -> None:
     """The base velocity as a line with vertical jumps; two points are enough where it is constant."""
-    kept = [slice(None) if np.ptp(segment.base_velocity) > 0 else [0, -1] for segment in segments]
+    kept = [slice(None) if np.ptp(phase.base_velocity) > 0 else [0, -1] for phase in phases]
     times, velocities = (
-        np.concatenate([values_of(segment, key)[points] for segment, points in zip(segments, kept, strict=True)])
+        np.concatenate([values_of(phase, key)[points] for phase, points in zip(phases, kept, strict=True)])
         for key in ("times", "base_velocity")
     )
     panel.plot(times, velocities, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label=name)
 
 
-def _draw_band(panels: tuple[Axes, ...], result: Simulation, segments: list[Segment]) -> None:
+def _draw_band(panels: tuple[Axes, ...], result: Simulation, phases: list[Phase]) -> None:
     """The values at which friction can hold a stick: a band that may change in time."""
     number = result.system.band_coordinate
     times, lowest, highest, state = (
-        np.concatenate([values_of(segment, key) for segment in segments])
-        for key in ("times", "lowest", "highest", number)
+        np.concatenate([values_of(phase, key) for phase in phases]) for key in ("times", "lowest", "highest", number)
     )
     if not np.all(np.isfinite(lowest)):
         return

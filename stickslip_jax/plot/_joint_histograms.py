@@ -31,35 +31,37 @@ def joint_histogram(
 ) -> tuple[Axes, ...]:
     """Draw the joint histogram of two quantities as a probability density, with the histogram of each beside it.
 
-    - `result`: a joint distribution, such as ``ensemble.statistics.joint("duration", "position")``: all pairs,
-      sticks cut by the horizon included with the part seen; the histograms beside it have bars of one standard error.
-
-      Or the sticks themselves, as in `stick_map`: position at which they begin, and duration. Of a `MotorCart` this is
-      Lima and Sampaio (2022), figures 4 and 5, right. Sticks cut by the horizon are left out.
-    - `bins`: of a joint distribution, the largest number of bins along each axis, at most 128, which have equal width
-      and hold all pairs. Of sticks, the number of equal bins each way, or two such numbers, or two sequences of
-      increasing edges: of position (m, or angle in rad) first, then of duration (s). By default they reach from the
-      smallest to the largest position (one period of the angle) and from 0 to the longest duration. Sticks outside the
-      edges are not drawn but count: density times bin area stays the share of all complete sticks.
-    - `log`: whether colours follow the logarithm of the density, to show rare pairs beside frequent ones.
-    - `conditional_mean`: of a joint distribution, whether to draw the mean of the ordinate in each bin of the abscissa
-      (20 bins at most), with bars of one standard error, from the retained pairs.
-    - `system`, `bound`, `period`: with sticks only, as in `stick_map`.
-    - `axes`: three axes, of the joint histogram, above it and to the right of it; or one, for the joint histogram
-      alone. By default the three of a new figure.
-
     Points that have a probability of their own (`JointDistribution.atoms`) are circles, whose area is in proportion to
     their share, and are left out of the density, which would depend on the bins. Cells without a pair are white.
-    Returns the axes, with a note in the first if there is nothing to draw. Raises ValueError for an ensemble with
-    ``keep="totals"``, and for arguments of another kind.
+
+    Args:
+        result: A joint distribution, such as ``ensemble.statistics.joint("duration", "position")``: all pairs, sticks
+            cut by the horizon included with the part seen; the histograms beside it have bars of one standard error.
+            Or sticks as in `stick_map`, without those cut by the horizon: position at which they begin, and duration
+            (of a `MotorCart`: Lima and Sampaio 2022, figures 4 and 5, right).
+        bins: Of a joint distribution, the largest number of bins along each axis, at most 128. Of sticks, the number of
+            equal bins each way, or two such numbers or sequences of increasing edges: of position (m, rad), then of
+            duration (s). Sticks outside of edges are not drawn but count: density times area stays a share of all.
+        log: Whether colours follow the logarithm of the density, to show rare pairs beside frequent ones.
+        conditional_mean: Whether to draw the mean ordinate of the retained pairs of a joint distribution in each bin of
+            the abscissa (20 bins at most), with bars of one standard error.
+        system: With sticks only, as in `stick_map`.
+        bound: Likewise.
+        period: Likewise.
+        axes: Three, of the joint histogram, above and right of it; or one, for it alone. By default those of a figure.
+
+    Returns:
+        The axes, with a note in the first if there is nothing to draw.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
     _checks.truth("log", log)
     _checks.truth("conditional_mean", conditional_mean)
     if isinstance(result, JointDistribution):
         _refuse_options_of_sticks(system=system, bound=bound, period=period)
         number = number_of_bins(bins)
-        cells = cells_of_pairs(result, number)
-        panels = _panels(axes)
+        cells, panels = cells_of_pairs(result, number), _panels(axes)
         _draw(panels, cells, log)
         _finish_pairs(panels[0], result, cells)
         _draw_atoms(panels[0], result)
@@ -72,12 +74,10 @@ def joint_histogram(
                 "Argument conditional_mean must be False for sticks, but True was given; it is drawn of a joint "
                 'distribution: ensemble.statistics.joint("position", "duration").'
             )
-        cells = cells_of_sticks(sticks, bins)
-        panels = _panels(axes)
+        cells, panels = cells_of_sticks(sticks, bins), _panels(axes)
         _draw(panels, cells, log)
         finish(panels[0], sticks)
-    _finish(panels, cells)
-    return panels
+    return _finished(panels, cells)
 
 
 def _refuse_options_of_sticks(**options: object) -> None:
@@ -147,8 +147,8 @@ def _finish_pairs(main: Axes, joint: JointDistribution, cells: Cells) -> None:
         main.set_ylim(cells.edges[1][0], cells.edges[1][-1])
 
 
-def _finish(panels: tuple[Axes, ...], cells: Cells) -> None:
-    """The limits of the histograms beside the first of `panels`, and the legend."""
+def _finished(panels: tuple[Axes, ...], cells: Cells) -> tuple[Axes, ...]:
+    """The `panels` with a legend, and with the limits of the histograms beside the first."""
     main, *others = panels
     if others and not cells.empty:
         above, right = others
@@ -158,6 +158,7 @@ def _finish(panels: tuple[Axes, ...], cells: Cells) -> None:
         right.set_xlim(left=0)
     if _parts.has_labels(main):
         _style.legend_above(*others[:1], main, columns=1)
+    return panels
 
 
 def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> None:

@@ -19,14 +19,18 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     gray bars at the bottom show the share of those that do, on the axis at the right. Orders that no sample has are
     left out.
 
-    - `result`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
-    - `quantity`: "duration" (s), "start" (s) or "position" (m; of a motor its angle, rad) of the stick; "slip_duration"
-      or "slip_start" (s) of the slip, from the retained samples.
-    - `level`: of the confidence intervals, by Student's t. There are none from a single sample.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
+        quantity: "duration" (s), "start" (s) or "position" (m; of a motor its angle, rad) of the stick; "slip_duration"
+            or "slip_start" (s) of the slip, from the retained samples.
+        level: Of the confidence intervals, by Student's t. There are none from a single sample.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes, with a note in them if there are no sticks. Raises ValueError for an ensemble with
-    ``keep="totals"``, and for arguments of another kind.
+    Returns:
+        The axes, with a note in them if there are no sticks.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
     _parts.require("result", result, Ensemble, "the result of simulate_ensemble")
     of_slips = [one.name for one in SLIP_QUANTITIES]
@@ -51,7 +55,7 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     means = [order.distributions[quantity].mean for order in present]
     values = np.array([mean.value for mean in means])
     low, high = np.array([mean.interval(level) for mean in means]).T
-    label = f"mean, {100 * level:.4g} % confidence interval"
+    label = f"mean, {_parts.interval_name(level)}"
     look = {"color": _style.STICK if body == "stick" else _style.MASS, "lw": _style.SLIP_WIDTH}
     known = np.isfinite(low)
     if np.any(known):

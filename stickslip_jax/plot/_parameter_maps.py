@@ -40,25 +40,34 @@ def parameter_map(
 
     Cells end half way between neighbouring values of the parameters; hatched gray cells hold no value.
 
-    - `x`, `y`: values of the parameters, increasing, evenly spaced or not; (nx,) and (ny,), each two or more.
-    - `values`: of the quantity, (nx, ny); NaN where it is not defined or was not computed.
+    Args:
+        x: Two or more increasing values of a parameter, evenly spaced or not, (nx,). Or, without `values`, an
+            ``xarray.DataArray``, whose first dimension is on the abscissa; or an ``xarray.Dataset``. Their attributes
+            ``long_name`` and ``units`` name axes and colours.
+        y: Values of the other parameter, likewise, (ny,). Of a Dataset the name of a variable.
+        values: Of the quantity, (nx, ny); NaN where it is not defined or was not computed.
+        errors: Standard errors of the values, (nx, ny); of a Dataset the name of a variable, by default as in `curve`.
+            Dots mark cells where the error is large, or not known.
+        error_share: Errors above this share of the value are large.
+        xlabel: Name of the abscissa, with its unit, where nothing else says it.
+        ylabel: Name of the ordinate, likewise.
+        label: Name of the quantity, likewise.
+        xlog: Whether the abscissa is logarithmic.
+        ylog: Whether the ordinate is logarithmic.
+        log: Whether the colours are logarithmic. Values that are not positive are drawn like missing ones then.
+        contours: Whether to draw lines of equal values, too, except in flat regions, where their course is chance:
+            where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`,
+            below four of its standard errors.
+        limits: Values of the first and the last colour, such as ``(0, 1)`` for shares, so that maps can be compared; by
+            default the smallest and the largest value.
+        ax: Where to draw; by default the axes of a new figure.
 
-      Or `x` alone: an ``xarray.DataArray``, whose first dimension is on the abscissa; or an ``xarray.Dataset``, and `y`
-      the name of a variable. Their attributes ``long_name`` and ``units`` name axes and colours.
-    - `errors`: standard errors of the values, (nx, ny); of a Dataset the name of a variable, by default as in `curve`.
-      Dots mark cells where the error is above the share `error_share` of the value, or not known.
-    - `xlabel`, `ylabel`, `label`: of the parameters and the quantity, with units, where nothing else says them.
-    - `xlog`, `ylog`, `log`: whether the axes and the colours are logarithmic. Values that are not positive have no
-      logarithmic colour, and are drawn like missing ones.
-    - `contours`: whether to draw lines of equal values, too, except in flat regions, where their course is chance:
-      where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`, below
-      four of its standard errors.
-    - `limits`: values of the first and the last colour, such as ``(0, 1)`` for shares, so that maps can be compared; by
-      default the smallest and the largest value.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Returns:
+        The axes, with a note in them if no value is known.
 
-    Returns the axes, with a note in them if no value is known. Raises ValueError for arrays of other shapes, infinite
-    numbers, parameters that do not increase, and arguments of another kind.
+    Raises:
+        ValueError: For arrays of other shapes, infinite numbers, parameters that do not increase, and arguments of
+            another kind.
     """
     for name, truth in (("xlog", xlog), ("ylog", ylog), ("log", log), ("contours", contours)):
         _checks.truth(name, truth)
@@ -103,7 +112,7 @@ def _map_of(
             raise ValueError(
                 f"Argument {name} must hold positive numbers on a logarithmic axis, but {centers[0]:g} is the first."
             )
-    errors = None if errors is None else _checked_errors(errors, values)
+    errors = None if errors is None else _parts.checked_errors(errors, values)
     edges, (across, up, colors) = (_edges(x, logs[0]), _edges(y, logs[1])), map(str, names)
     return _Map((x, y), edges, logs, values, errors, (across, up, colors))
 
@@ -115,17 +124,6 @@ def _read(x: Any, y: Any, values: Any, errors: Any) -> Labeled:
             f"{_checks.show(values)} was given."
         )
     return labeled(x, y, errors, (2,))
-
-
-def _checked_errors(errors: Any, values: np.ndarray) -> np.ndarray:
-    _checks.numeric("errors", np.nan_to_num(np.asarray(errors, float), nan=0.0, posinf=np.inf, neginf=-np.inf), ndim=2)
-    array = np.asarray(errors, float)
-    if array.shape != values.shape or np.any(array < 0):
-        raise ValueError(
-            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
-            f"array of shape {array.shape} with smallest entry {np.nanmin(array, initial=np.inf):g} was given."
-        )
-    return array
 
 
 def _norm(limits: Any, log: bool) -> Normalize:
@@ -224,8 +222,7 @@ def _checked(x: Any, y: Any, values: Any) -> tuple[np.ndarray, np.ndarray, np.nd
             raise ValueError(
                 f"Argument {name} must hold two or more increasing numbers, but {_checks.show(given)} was given."
             )
-    _checks.numeric("values", np.nan_to_num(np.asarray(values, float), nan=0.0, posinf=np.inf, neginf=-np.inf), ndim=2)
-    array = np.asarray(values, float)
+    array = _parts.numbers_or_gaps("values", values, 2)
     if array.shape != (len(x), len(y)):
         raise ValueError(
             f"Argument values must have the shape (len(x), len(y)) = ({len(x)}, {len(y)}), but an array of shape "

@@ -1,5 +1,7 @@
 """What the figures of statistics share: names of axes, notes in empty axes, outlines of histograms, rectangles."""
 
+from contextlib import suppress
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -20,6 +22,31 @@ def require(name: str, value: object, kind: type, where: str) -> None:
         raise ValueError(
             f"Argument {name} must be {article} {kind.__name__}, but {_checks.show(value)} was given; give {where}."
         )
+
+
+def numbers_or_gaps(name: str, given: object, ndim: int) -> np.ndarray:
+    """The argument `name` as an array of `ndim` dimensions, in which NaN is a gap. Raises ValueError for others."""
+    finite = given
+    with suppress(TypeError, ValueError):
+        finite = np.nan_to_num(np.asarray(given, float), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    _checks.numeric(name, finite, ndim=ndim)
+    return np.asarray(given, float)
+
+
+def checked_errors(errors: object, values: np.ndarray) -> np.ndarray:
+    """Standard errors of the `values`, NaN where not known. Raises ValueError for others."""
+    array = numbers_or_gaps("errors", errors, values.ndim)
+    if array.shape != values.shape or np.any(array < 0):
+        raise ValueError(
+            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
+            f"array of shape {array.shape} with smallest entry {np.nanmin(array, initial=np.inf):g} was given."
+        )
+    return array
+
+
+def interval_name(level: float) -> str:
+    """The name of confidence intervals at `level` in legends."""
+    return f"{100 * level:.4g} % confidence interval"
 
 
 def quantity_label(name: str, unit: str) -> str:

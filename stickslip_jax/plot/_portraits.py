@@ -11,23 +11,23 @@ from .._excitation.ground import GroundMotion
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
-from ._trajectory import Segment, check_simulation, check_window, has_steady_base, joined, segments_of
+from ._trajectory import Phase, check_simulation, check_window, has_steady_base, joined, phases_of
 from ._types import Window
 
 _POSITION, _SCALED = "position", "position_times_omega"
 
-Group = tuple[str, Callable[[Segment], bool], dict[str, Any]]
-"""How to draw a kind of segment: its label, which segments are of that kind, and how they look."""
+Group = tuple[str, Callable[[Phase], bool], dict[str, Any]]
+"""How to draw a kind of phase: its label, which phases are of that kind, and how they look."""
 
 
-def _slip(sign: int) -> Callable[[Segment], bool]:
-    return lambda segment: not segment.sticks and np.sign(segment.base_velocity[0]) == sign
+def _slip(sign: int) -> Callable[[Phase], bool]:
+    return lambda phase: not phase.sticks and np.sign(phase.base_velocity[0]) == sign
 
 
 # On a base at rest a stick is a point, which is visible by markers at its ends, as wide as the line.
 _STICK: Group = (
     "stick",
-    lambda segment: segment.sticks,
+    lambda phase: phase.sticks,
     {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
 )
 _BY_BASE: tuple[Group, ...] = (
@@ -37,7 +37,7 @@ _BY_BASE: tuple[Group, ...] = (
     _STICK,
 )
 _ALIKE: tuple[Group, ...] = (
-    ("slip", lambda segment: not segment.sticks, {"color": _style.EITHER_WAY, "lw": _style.SLIP_WIDTH}),
+    ("slip", lambda phase: not phase.sticks, {"color": _style.EITHER_WAY, "lw": _style.SLIP_WIDTH}),
     _STICK,
 )
 
@@ -55,21 +55,25 @@ def phase_portrait(
     Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
     black while it moves backward, and pale blue while it is at rest; on other bases slip is purple. Crosses mark the
     centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, eq. 3), if the friction
-    coefficient is constant and there is no force and no ground motion; on a base that moves one way only, that about
-    which a mass slower than the base moves: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
-    against the angle modulo 2 pi; its sticks are points. For a system of your own, the second coordinate is drawn
-    against the first.
+    coefficient is constant and there is no force and no ground motion; on a base that moves in one direction only, the
+    centre for a mass slower than the base: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
+    against the angle modulo 2 pi; its sticks are points. For your own system, the second coordinate against the first.
 
-    - `result`: a result of `simulate`, one trajectory that reached ``t1``.
-    - `window`: first and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
-    - `abscissa`: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega", the
-      position times the natural angular frequency (m/s), in which undamped slip arcs are circles, as in the paper.
-    - `energy_regions`: whether to shade where a slip takes energy from the base: where the mass moves the way of the
-      base and is slower, ``0 < x' < v`` (Lima and Sampaio 2015, section 2). Elsewhere friction takes energy from the
-      mass. For a mass and spring on a base of piecewise-constant velocity; each of its velocities has one such region.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``.
+        window: First and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
+        abscissa: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
+            which undamped slip arcs are circles, as in the paper.
+        energy_regions: Whether to shade where a slip takes energy from the base: where the mass moves in its direction
+            and is slower, ``0 < x' < v`` (Lima and Sampaio 2015, section 2). For a mass and spring on a base of
+            piecewise-constant velocity; each of its velocities has one such region.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for arguments of another kind, and for a simulation that did not reach ``t1``.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
     """
     check_simulation(result)
     window = check_window(window, float(result.t1))
@@ -88,33 +92,33 @@ def phase_portrait(
             f"velocity, but a {type(result.system).__name__} on {_checks.show(result.base)} was given."
         )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
-    segments = segments_of(result, window)
+    phases = phases_of(result, window)
     if energy_regions:
-        for velocity in set(np.unique([segment.base_velocity[0] for segment in segments])) - {0}:
+        for velocity in set(np.unique([phase.base_velocity[0] for phase in phases])) - {0}:
             ax.axhspan(0, velocity, color=_style.FED, alpha=0.25, lw=0, label="friction feeds energy in")
     if first.period:
-        _draw_periodic(ax, segments, first, second)
+        _draw_periodic(ax, phases, first, second)
     else:
-        _draw_plane(ax, result, segments, abscissa)
+        _draw_plane(ax, result, phases, abscissa)
     _style.legend_above(ax, columns=2)
     return ax
 
 
-def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: str) -> None:
+def _draw_plane(ax: Axes, one: Simulation, phases: list[Phase], abscissa: str) -> None:
     """The second coordinate against the first, or against the first times the natural angular frequency."""
     first, second = one.system.coordinates[:2]
     scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
     for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
-        chosen = [segment for segment in segments if belongs(segment)]
+        chosen = [phase for phase in phases if belongs(phase)]
         if chosen:
-            ends = np.cumsum([len(segment.times) + 1 for segment in chosen]) - 2
-            starts = ends + 1 - [len(segment.times) for segment in chosen]
+            ends = np.cumsum([len(phase.times) + 1 for phase in chosen]) - 2
+            starts = ends + 1 - [len(phase.times) for phase in chosen]
             marked = np.union1d(starts, ends).tolist()
             ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
     center = one.system.slip_center
     if center is not None and not isinstance(one.base, GroundMotion):
         look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
-        directions = _directions(one, segments)
+        directions = _directions(one, phases)
         label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
         ax.plot(scale * float(center) * directions, 0 * directions, label=label, **look)
     whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
@@ -125,27 +129,27 @@ def _draw_plane(ax: Axes, one: Simulation, segments: list[Segment], abscissa: st
         ax.set_aspect("equal", adjustable="datalim")
 
 
-def _directions(one: Simulation, segments: list[Segment]) -> np.ndarray:
-    """-1 and 1; or the only one of them in which the base moves in all `segments`."""
+def _directions(one: Simulation, phases: list[Phase]) -> np.ndarray:
+    """-1 and 1; or the only one of them in which the base moves in all `phases`."""
     if has_steady_base(one):
-        signs = {np.sign(segment.base_velocity[0]) for segment in segments}
+        signs = {np.sign(phase.base_velocity[0]) for phase in phases}
         if len(signs) == 1 and 0 not in signs:
             return np.array(list(signs))
     return np.array([-1.0, 1.0])
 
 
-def _draw_periodic(ax: Axes, segments: list[Segment], first: Coordinate, second: Coordinate) -> None:
+def _draw_periodic(ax: Axes, phases: list[Phase], first: Coordinate, second: Coordinate) -> None:
     """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
     assert first.period is not None
     period = first.period
-    still = [segment for segment in segments if segment.sticks and np.ptp(segment.state[:2], axis=1).max() == 0]
+    still = [phase for phase in phases if phase.sticks and np.ptp(phase.state[:2], axis=1).max() == 0]
     points = set(map(id, still))
     for label, belongs, look in _ALIKE:
-        chosen = [segment for segment in segments if belongs(segment) and id(segment) not in points]
+        chosen = [phase for phase in phases if belongs(phase) and id(phase) not in points]
         if chosen:
             ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1), period), label=label, **look)
     if still:
-        angles, speeds = np.transpose([[values[0] for values in segment.state[:2]] for segment in still])
+        angles, speeds = np.transpose([[values[0] for values in phase.state[:2]] for phase in still])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
     name = _style.angle_axis(ax, period)

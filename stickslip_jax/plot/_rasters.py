@@ -19,13 +19,17 @@ def stick_raster(result: Ensemble, *, samples: int = 100, window: Window | None 
 
     Rows are the realisations that reached ``t1``, counted from 0 at the top. Sticks cut by the horizon end there.
 
-    - `result`: an `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
-    - `samples`: how many realisations to draw, at most.
-    - `window`: first and last time to draw, s; all of ``[0, t1]`` by default.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
+        samples: How many realisations to draw, at most.
+        window: First and last time to draw, s; all of ``[0, t1]`` by default.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes, with a note in them if there is no stick in the window. Raises ValueError for an ensemble with
-    ``keep="totals"``, and for arguments of another kind.
+    Returns:
+        The axes, with a note in them if there is no stick in the window.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
     _parts.require("result", result, Ensemble, "the result of simulate_ensemble")
     _checks.whole_number("samples", samples)

@@ -16,12 +16,18 @@ def save(
 ) -> None:
     """Save the figure that `axes` belong to, and close it.
 
-    - `axes`: what a function of this module returned: one matplotlib Axes, or several of one figure.
-    - `path`: the file; its ending chooses the format. `title`: written above the figure. `dpi`: dots per inch.
-    - `overwrite`: whether to replace a file of that name. Until the new one is whole, an older one stays.
+    Args:
+        axes: What a function of this module returned: one matplotlib Axes, or several of one figure.
+        path: The file; its ending chooses the format.
+        title: Written above the figure.
+        dpi: Dots per inch.
+        overwrite: Whether to replace a file of that name. Until the new one is whole, an older one stays.
 
-    Raises ValueError if `axes` holds anything else and for what is no file name of a figure, FileExistsError where a
-    file would be replaced, FileNotFoundError for a folder that does not exist, OSError where it cannot be written.
+    Raises:
+        ValueError: If `axes` holds anything else and for what is no file name of a figure.
+        FileExistsError: Where a file would be replaced.
+        FileNotFoundError: For a folder that does not exist.
+        OSError: Where it cannot be written.
     """
     found = (axes,) if isinstance(axes, Axes) else _style.axes_in(axes)
     if not found:

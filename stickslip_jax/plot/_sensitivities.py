@@ -15,12 +15,17 @@ _INTERVAL = 1.96  # standard errors: 95 % of a normal distribution
 def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, ax: Axes | None = None) -> Axes:
     """Draw the derivative of one statistic against the value of the parameter, with a band of 95 % confidence.
 
-    - `results`: results of `sensitivity` for one statistic and one parameter at different values, in any order. They
-      know the value of the parameter.
-    - `pathwise`: whether to draw the pathwise part alone, too, which leaves out sticks that appear and vanish.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        results: Results of `sensitivity` for one statistic and one parameter at different values, in any order. They
+            know the value of the parameter.
+        pathwise: Whether to draw the pathwise part alone, too, which leaves out sticks that appear and vanish.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for arguments of another kind, and if statistics or parameters differ.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and if statistics or parameters differ.
     """
     points = _checked_curve(results)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
@@ -57,11 +62,16 @@ def tornado(results: Mapping[str, Sensitivity] | Sequence[Sensitivity], *, ax: A
 
     The error bars are intervals of 95 % confidence.
 
-    - `results`: of `sensitivity` for one statistic and several parameters, best with ``elasticity=True``, so that the
-      parameters can be compared; or several such results for one parameter each.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        results: Of `sensitivity` for one statistic and several parameters, best with ``elasticity=True``, so that the
+            parameters can be compared; or several such results for one parameter each.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Raises ValueError for arguments of another kind, and if statistics differ.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and if statistics differ.
     """
     bars = _checked(list(results.values()) if isinstance(results, Mapping) else results)
     ax = _style.axes_or_new(ax, (5.6, 0.45 * len(bars) + 1.4))

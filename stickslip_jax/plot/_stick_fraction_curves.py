@@ -13,7 +13,6 @@ from . import _parts, _style
 from ._types import Numbers
 
 _FREQUENCY_RATIO = r"frequency ratio $r = f_\mathrm{b}\,/\,(\omega/2\pi)$ (dimensionless)"
-_MOST_MARKERS = 60
 
 
 def stick_fraction_curve(
@@ -32,25 +31,28 @@ def stick_fraction_curve(
     As in Lima and Sampaio (conference paper), figure 6 (square wave: one steady period, given as numbers) and figure 7
     (random steps: mean and band, given as distributions). Call it again with the same `ax` to compare.
 
-    - `parameter_values`: (points,), in any order.
-    - `fractions`: one for each value, all of one kind:
+    Args:
+        parameter_values: (points,), in any order.
+        fractions: One for each value, all of one kind:
 
-      - ``ensemble.statistics.stick_fraction``: the mean is drawn, with a band that holds the share `level` of the
-        realisations, between two quantiles.
-      - an `Estimate`, such as ``stick_fraction(ensemble)``: the band is the confidence interval of the mean, which
-        shrinks as samples are added.
-      - a number between 0 and 1, such as the stick fraction of one simulation: the band is that of `errors`.
-    - `errors`: with numbers only, how far the band reaches below and above them, as fractions: (points,), or
-      (2, points) with the lower side first. By default there is no band.
-    - `level`: of the band of distributions and estimates.
-    - `xlabel`: name of the parameter, with its unit. By default it is the frequency ratio of the paper, base frequency
-      over natural frequency, which is positive.
-    - `label`, `band_label`: names of the line and of the band in the legend. By default "mean" and what the band holds
-      for distributions and estimates, and none for numbers.
-    - `ax`: where to draw; by default the axes of a new figure.
+            - ``ensemble.statistics.stick_fraction``: the mean is drawn, with a band between two quantiles that holds
+              the share `level` of the realisations.
+            - an `Estimate`, such as ``stick_fraction(ensemble)``: the band is the confidence interval of the mean.
+            - a number between 0 and 1, such as the stick fraction of one simulation: the band is that of `errors`.
+        errors: With numbers only, how far the band reaches below and above them, as fractions: (points,), or
+            (2, points) with the lower side first. By default there is no band.
+        level: Of the band of distributions and estimates.
+        xlabel: Name of the parameter, with its unit. By default it is the frequency ratio of the paper, base frequency
+            over natural frequency, which is positive.
+        label: Name of the line in the legend; by default "mean" for distributions and estimates, none for numbers.
+        band_label: Name of the band; by default what it holds for distributions and estimates, none for numbers.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes. Points without a finished sample are left out, and so is the band of estimates from one sample.
-    Raises ValueError for arguments of another kind or length.
+    Returns:
+        The axes. Points without a finished sample are left out, and so is the band of estimates from one sample.
+
+    Raises:
+        ValueError: For arguments of another kind or length.
     """
     values = _checked_values(parameter_values, xlabel)
     curve = _curve(fractions, len(values), errors, level)
@@ -64,8 +66,8 @@ def stick_fraction_curve(
         band_label = curve.band_label if band_label is None else band_label
         ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=band_label)
     known = np.isfinite(mean)
-    marker = "o" if len(values) <= _MOST_MARKERS else None
     label = curve.label if label is None else label
+    marker = _style.marker_of(values)
     ax.plot(values[known], mean[known], color=color, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
     ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
     ax.set_ylabel("stick fraction $T_s$ (%)")
@@ -123,7 +125,7 @@ def _curve(
         )
     if estimates:
         points = [(one.value, *one.interval(level)) for one in estimates]
-        name = f"{100 * level:.4g} % confidence interval of the mean"
+        name = f"{_parts.interval_name(level)} of the mean"
     else:
         rest = (1 - level) / 2
         points = [(one.mean.value, one.quantile(rest).value, one.quantile(1 - rest).value) for one in distributions]

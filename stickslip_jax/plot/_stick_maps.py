@@ -24,19 +24,23 @@ def stick_map(
     are left out, because only a part of them was seen; the legend gives their number. So are samples that did not reach
     ``t1``.
 
-    - `result`: an `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the first samples); the
-      first stick of each sample, ``first_stick(ensemble)``; or a `Simulation` (one, or a batch by ``vmap``).
-    - `system`: what was simulated. It must be given with ``first_stick(ensemble)``, which does not know it:
-      ``ensemble.system``.
-    - `bound`: the voltage whose closed-form `stick_duration_bound` to draw (``ensemble.law``, say), for a `MotorCart`;
-      by default none. The current's transient when a stick begins can prolong it by about the electrical time constant,
-      inductance over resistance.
-    - `period`: angles are drawn modulo this, pi or 2 pi, rad; by default 2 pi. The sticks of a `MotorCart` repeat
-      themselves after pi.
-    - `ax`: where to draw; by default the axes of a new figure.
+    Args:
+        result: An `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the first samples); the
+            first stick of each sample, ``first_stick(ensemble)``; or a `Simulation` (one, or a batch by ``vmap``).
+        system: What was simulated. It must be given with ``first_stick(ensemble)``, which does not know it:
+            ``ensemble.system``.
+        bound: The voltage whose closed-form `stick_duration_bound` to draw (``ensemble.law``, say), for a `MotorCart`;
+            by default none. The current's transient when a stick begins can prolong it by about the electrical time
+            constant, inductance over resistance.
+        period: Angles are drawn modulo this, pi or 2 pi, rad; by default 2 pi. The sticks of a `MotorCart` repeat
+            themselves after pi.
+        ax: Where to draw; by default the axes of a new figure.
 
-    Returns the axes, with a note in them if there is no complete stick. Raises ValueError for an ensemble with
-    ``keep="totals"``, and for arguments of another kind.
+    Returns:
+        The axes, with a note in them if there is no complete stick.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
     sticks = placed_sticks(result, system, bound, period)
     ax = _style.axes_or_new(ax, (5.6, 4.0))

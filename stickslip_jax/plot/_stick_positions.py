@@ -42,7 +42,10 @@ def placed_sticks(
 ) -> PlacedSticks:
     """The complete sticks of `result`, and what else to draw with them, checked.
 
-    `also`: what else the figure takes, for the message. Raises ValueError for unsuitable arguments.
+    `also`: what else the figure takes, for the message.
+
+    Raises:
+        ValueError: For unsuitable arguments.
     """
     sticks = complete_sticks(result, also=also)
     system = _checked_system(system, None if isinstance(result, FirstSticks) else result.system)
@@ -112,7 +115,7 @@ def finish(ax: Axes, sticks: PlacedSticks) -> None:
 
 
 def _draw_bound(ax: Axes, sticks: PlacedSticks) -> None:
-    """The longest duration at each angle; shaded where a stick can last for ever."""
+    """The longest duration at each angle; shaded where there is no limit."""
     assert sticks.period is not None
     assert sticks.voltage is not None
     angles = np.linspace(0, sticks.period, _BOUND_POINTS)
@@ -121,5 +124,5 @@ def _draw_bound(ax: Axes, sticks: PlacedSticks) -> None:
     drawn = np.where(endless, np.nan, longest)
     ax.plot(angles, drawn, color=_style.MASS, lw=1.5, label="longest possible, closed form")
     if np.any(endless):
-        look = {"color": _style.BAND, "alpha": 0.3, "lw": 0, "zorder": 0, "label": "can stick for ever"}
+        look = {"color": _style.BAND, "alpha": 0.3, "lw": 0, "zorder": 0, "label": "sticks of any duration"}
         ax.fill_between(angles, 0, 1, where=endless, transform=ax.get_xaxis_transform(), **look)

@@ -35,8 +35,10 @@ class CompleteSticks(NamedTuple):
 def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteSticks:
     """The complete sticks of a `Simulation`, one or a batch, of an `Ensemble`, those that it kept, or of `FirstSticks`.
 
-    `also`: what else the figure takes, for the message. Raises ValueError for anything else, and for an ensemble with
-    ``keep="totals"``.
+    `also`: what else the figure takes, for the message.
+
+    Raises:
+        ValueError: For anything else, and for an ensemble with ``keep="totals"``.
     """
     part = ""
     if isinstance(result, Ensemble):
@@ -68,7 +70,10 @@ def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteStick
 def edges_of_bins(name: str, bins: Bins, span: tuple[float, float], unit: str) -> np.ndarray:
     """The edges of `bins`, (bins + 1,): so many of equal width over `span`, or the increasing edges given.
 
-    `name` of the argument and `unit` are for the message. Raises ValueError for anything else.
+    `name` of the argument and `unit` are for the message.
+
+    Raises:
+        ValueError: For anything else.
     """
     if np.ndim(bins) == 0:
         return np.linspace(*span, _checks.whole_number(name, bins) + 1)

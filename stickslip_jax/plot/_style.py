@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from matplotlib.typing import ColorType
 
 from .. import _checks
-from ._types import SeveralAxes
+from ._types import SeveralAxes, Window
 
 STICK = "#D55E00"
 """The colour of sticks in every figure, and of nothing else."""
@@ -58,6 +58,18 @@ def free_look(ax: Axes) -> tuple[str, str]:
     return next((look for look in looks if (to_rgba(look[0]), look[1]) not in taken), looks[0])
 
 
+def marker_of(points: np.ndarray) -> str | None:
+    """The marker of a curve through these points; none for so many that markers would merge."""
+    return "o" if len(points) <= 60 else None
+
+
+def time_axis(ax: Axes, window: Window) -> None:
+    """Limit the abscissa of `ax` to the `window` of time, and name it unless axes below have the name."""
+    ax.set_xlim(window)
+    if ax.xaxis.get_tick_params().get("labelbottom", True):
+        ax.set_xlabel("time $t$ (s)")
+
+
 def log_axis(axis: Axis) -> None:
     """Make an axis logarithmic, with plain numbers at its ticks, as many as its limits leave room for."""
     low, high = axis.get_view_interval()
@@ -84,7 +96,10 @@ def axes_in(axes: SeveralAxes | None) -> tuple[Axes, ...]:
 def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:
     """The axes given, one for each of `names`; by default those of a new figure, one below the other.
 
-    `size` of the figure in inches. Raises ValueError if `axes` does not hold as many matplotlib Axes.
+    `size` of the figure in inches.
+
+    Raises:
+        ValueError: If `axes` does not hold as many matplotlib Axes.
     """
     if axes is None:
         figure, axes = plt.subplots(len(names), 1, sharex=True, squeeze=False, figsize=size, layout="constrained")

@@ -1,4 +1,4 @@
-"""A simulated trajectory cut into segments at its events, so that sticks are drawn exactly where they happen."""
+"""A simulated trajectory cut into phases at its events, so that sticks are drawn exactly where they happen."""
 
 import math
 from contextlib import suppress
@@ -22,7 +22,7 @@ _MOST_POINTS = 100_000
 _SMALLEST_BUFFER = 8192
 
 
-class Segment(NamedTuple):
+class Phase(NamedTuple):
     """The trajectory between two neighbouring events: all slip or all stick, without a jump of the base velocity.
 
     Arrays (points,): `times` in s; `state` in the units of the system's coordinates; `base_velocity` in m/s; `lowest`
@@ -81,8 +81,8 @@ def has_steady_base(one: Simulation) -> bool:
     return one.system.rides_base and isinstance(one.base, (VelocitySteps, BangBangLaw))
 
 
-def segments_of(one: Simulation, window: Window) -> list[Segment]:
-    """The segments of the trajectory inside the window (s), in order of time."""
+def phases_of(one: Simulation, window: Window) -> list[Phase]:
+    """The phases of the trajectory inside the window (s), in order of time."""
     mask = np.asarray(one.sticks.mask)
     starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
     knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
@@ -92,7 +92,7 @@ def segments_of(one: Simulation, window: Window) -> list[Segment]:
     times = _grid(knots, numbers)
     lasts = np.cumsum(numbers + 1) - 1
     firsts = lasts - numbers
-    # At the end of a segment the base velocity is that just before a jump. At the ends of the window it is that inside,
+    # At the end of a phase the base velocity is that just before a jump. At the ends of the window it is that inside,
     # in case the base jumps there within the round-off.
     base_times = times.copy()
     base_times[lasts] = np.nextafter(times[lasts], times.dtype.type(0))
@@ -107,19 +107,19 @@ def segments_of(one: Simulation, window: Window) -> list[Segment]:
     parts = [np.split(values, firsts[begins][1:]) for values in (times, *state, *others)]
     rows = zip(*parts, sticks[begins], strict=True)
     size = len(state)
-    return [Segment(row[0], row[1 : 1 + size], *row[1 + size : -1], sticks=bool(row[-1])) for row in rows]
+    return [Phase(row[0], row[1 : 1 + size], *row[1 + size : -1], sticks=bool(row[-1])) for row in rows]
 
 
-def values_of(segment: Segment, name: str | int) -> np.ndarray:
-    """The values of a segment called `name`, or of the coordinate with that number; (points,)."""
-    return segment.state[name] if isinstance(name, int) else getattr(segment, name)
+def values_of(phase: Phase, name: str | int) -> np.ndarray:
+    """The values of a phase called `name`, or of the coordinate with that number; (points,)."""
+    return phase.state[name] if isinstance(name, int) else getattr(phase, name)
 
 
-def joined(segments: list[Segment], name: str | int) -> np.ndarray:
-    """The values of all segments one after the other, with a NaN between two, where the line is to break."""
-    if not segments:
+def joined(phases: list[Phase], name: str | int) -> np.ndarray:
+    """The values of all phases one after the other, with a NaN between two, where the line is to break."""
+    if not phases:
         return np.zeros(0)
-    return np.concatenate([values for segment in segments for values in (values_of(segment, name), [np.nan])])[:-1]
+    return np.concatenate([values for phase in phases for values in (values_of(phase, name), [np.nan])])[:-1]
 
 
 def _knots(one: Simulation, window: Window, events: np.ndarray) -> tuple[np.ndarray, float]:

@@ -12,7 +12,8 @@ import xarray as xr
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._events.sticks import NUMBERS, slips_between
+from stickslip_jax._events.sticks import FURTHER, NUMBERS, slips_between
+from stickslip_jax._statistics.quantities import STICK_QUANTITIES
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -130,6 +131,40 @@ def test_ragged_arrays_have_the_sample_of_each_stick_and_slip(kept):
     # Groups of the sample index are the samples.
     sums = (data.stick_end - data.stick_start).groupby(data.stick_sample).sum()
     np.testing.assert_allclose(sums, kept.totals.stick_time[sums.stick_sample.to_numpy()], rtol=1e-12)
+
+
+@pytest.mark.parametrize("keep", ["sticks", "statistics"])
+def test_what_a_version_with_fewer_columns_stored_loads(keep):
+    """A column that a file lacks is not known: NaN, and all else as it was."""
+    whole = ss.simulate_ensemble(SYSTEM, POISSON, samples=90, keep=keep, **RUN)
+    data = whole.to_xarray()
+    back = ss.Ensemble.from_xarray(data.drop_vars([f"stick_{name}" for name in FURTHER]))
+    for name in NUMBERS:
+        column = getattr(back.finished_sticks(), name)
+        if name in FURTHER:
+            assert np.all(np.isnan(column))
+        else:
+            np.testing.assert_array_equal(column, getattr(whole.finished_sticks(), name))
+    assert repr(back.summary()) == repr(whole.summary())
+    again = ss.Ensemble.from_xarray(back.to_xarray())
+    assert_same(back, again)
+    with pytest.raises(ValueError, match=r"it lacks .*stick_position"):
+        ss.Ensemble.from_xarray(data.drop_vars("stick_position"))
+
+
+def test_sums_that_a_version_did_not_make_are_missing(kept):
+    """As of a quantity that was summed by later versions only; here all but the last of today's."""
+    sums = kept.accumulator
+    fewer = sums._replace(stick_bins=sums.stick_bins[:-1], order_bins=sums.order_bins[:-1])
+    old = dataclasses.replace(kept, accumulator=fewer)
+    last = STICK_QUANTITIES[-1].name
+    assert old.statistics.missing == {last}
+    assert last not in repr(old.summary())
+    for of in (old.statistics, old.statistics.order(1)):
+        with pytest.raises(ValueError, match=f"have no {last}"):
+            getattr(of, last)
+    with pytest.raises(ValueError, match=r"must have sums of the same quantities, but .* simulate the older"):
+        ss.concatenate([old, dataclasses.replace(kept, key_data=(1, 2))])
 
 
 def test_a_class_of_ones_own_comes_back_as_a_stand_in(tmp_path, short):

@@ -72,7 +72,7 @@ PRINTED = {
     ),
     "electromechanical": (
         r"mu = 0\.2: at pi/2 0\.10315 s",
-        r"mu = 0\.6: at pi/2 inf s; no stick at 19\.1 % of the angles, for ever at 30\.8 %",
+        r"mu = 0\.6: at pi/2 inf s; no stick at 19\.1 % of the angles, no limit at 30\.8 %",
         r"mu \|sin alpha\| > 0\.17698, for ever where it is > 0\.53093",
         r"by at most 9 mA of 4\.9 A",
         r"with 9\.8 m/s\^2 the longest stick at mu = 0\.5 is 1\.0 ms shorter",

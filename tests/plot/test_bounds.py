@@ -25,7 +25,7 @@ def test_curves_are_the_bounds_and_break_where_they_are_infinite():
     assert {low.get_color(), high.get_color()}.isdisjoint({_style.STICK})
     assert low.get_color() != high.get_color()
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert texts == [r"$\mu$ = 0.2", rf"$\mu$ = 0.6, for ever at {100 * np.mean(held > 0.530931):.0f} %"]
+    assert texts == [r"$\mu$ = 0.2", rf"$\mu$ = 0.6, no limit at {100 * np.mean(held > 0.530931):.0f} % of the angles"]
 
 
 def test_one_curve_of_the_system_itself_into_given_axes():

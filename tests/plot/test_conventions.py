@@ -36,7 +36,7 @@ def test_figures_are_called_alike(draw):
     assert last.default is None
     returned = str(inspect.signature(draw).return_annotation)
     assert ("tuple" in returned) == (last.name == "axes")
-    assert f"`{last.name}`: " in draw.__doc__
+    assert f"\n        {last.name}: " in draw.__doc__
 
 
 @pytest.mark.parametrize("draw", FIGURES)

@@ -11,7 +11,7 @@ from support.plot import MAP_LABELS, T1, band_of, error_bars, line, mesh, only, 
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._ensemble.parts import Retained
+from stickslip_jax._ensemble.data import Retained
 from stickslip_jax._statistics.convergence import convergence, histogram_convergence
 from stickslip_jax.plot import _style
 
@@ -215,7 +215,7 @@ def test_axes_name_quantity_and_unit(many):
     named = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (*drawn[:2], *drawn[2], *drawn[3:])]
     assert named == [
         ("stick position (m)", "probability density (1/m)"),
-        ("number of sticks", "share per whole number"),
+        ("number of sticks", "probability"),
         ("stick start (s)", "stick duration (s)"),
         ("", "probability\ndensity (1/s)"),
         ("probability\ndensity (1/s)", ""),

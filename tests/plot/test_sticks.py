@@ -94,7 +94,7 @@ def test_map_shades_where_the_cart_can_stick_for_ever(many):
     endless = np.isinf(np.asarray(ss.stick_duration_bound(many.system, voltage, angles)))
     assert np.any(endless)
     assert np.array_equal(np.isnan(longest), endless)
-    assert "can stick for ever" in [text.get_text() for text in ax.get_legend().get_texts()]
+    assert "sticks of any duration" in [text.get_text() for text in ax.get_legend().get_texts()]
 
 
 def test_map_and_joint_histogram_of_a_mass(one):

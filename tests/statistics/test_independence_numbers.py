@@ -230,7 +230,7 @@ class TestEdges:
             "  Chi-square, 5 x 5 quantile bins: p = ",
             "  Serial rank correlation, ",
             "  Used ",
-            "  Each of the 300 samples is asked for one order, and ",
+            "  Each of the 300 samples gives a value of one order; ",
         )
         assert all(line.startswith(start) for line, start in zip(lines[1:], starts, strict=False))
         assert "+-" in lines[5]

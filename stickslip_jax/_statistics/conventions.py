@@ -1,0 +1,30 @@
+"""Labelled arrays of xarray with the attributes of the CF conventions."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    import xarray
+
+Variables: TypeAlias = Mapping[Any, Any]
+"""Variables or coordinates by name, as xarray takes them."""
+
+
+def variable(
+    dimensions: str | tuple[str, ...], values: object, long_name: str, unit: str = "1", **attributes: object
+) -> tuple[str | tuple[str, ...], object, dict[str, object]]:
+    """A variable as xarray takes it, with its name in words and its unit."""
+    return dimensions, values, {"long_name": long_name, "units": unit, **attributes}
+
+
+def labeled_dataset(variables: Variables, coordinates: Variables, attributes: Mapping[str, object]) -> "xarray.Dataset":
+    """The data set of these variables.
+
+    Raises:
+        ImportError: Without the extra ``study``.
+    """
+    try:
+        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
+    except ImportError:
+        raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
+    return xr.Dataset(variables, coordinates, {"Conventions": "CF-1.11", **attributes})
