@@ -42,7 +42,7 @@ from ._statistics.registry import (
     stick_fraction,
 )
 from ._status import Ending, Status
-from ._sweep.errors import StudyError
+from ._sweep.errors import SweepError
 from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from ._systems.mass_spring import MassSpring
 from ._systems.system import Coordinate, System
@@ -83,7 +83,7 @@ if TYPE_CHECKING:
     from ._statistics.independence import independent, independent_and_identical  # noqa: F401
     from ._statistics.sobol_indices import SobolIndices, sobol_indices
     from ._statistics.verdicts import HypothesisTest, Verdict  # noqa: F401
-    from ._sweep.study import Study
+    from ._sweep.sweep import Sweep
     from ._systems.motor_cart import MotorCart, stick_duration_bound
     from ._systems.switched_system import SwitchedSystem
 
@@ -106,7 +106,7 @@ _LATER = {
     "_statistics.independence": "independent independent_and_identical",
     "_statistics.sobol_indices": "SobolIndices sobol_indices",
     "_statistics.verdicts": "HypothesisTest Verdict",
-    "_sweep.study": "Study",
+    "_sweep.sweep": "Sweep",
     "_systems.motor_cart": "MotorCart stick_duration_bound",
     "_systems.switched_system": "SwitchedSystem",
 }
@@ -201,9 +201,9 @@ __all__ = [
     "StickValue",
     "Sticks",
     "Stribeck",
-    "Study",
-    "StudyError",
     "SumOfHarmonics",
+    "Sweep",
+    "SweepError",
     "SwitchedSystem",
     "System",
     "TabulatedSpectrum",

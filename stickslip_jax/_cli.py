@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 
 from . import _compilation_cache, _starting
+from ._sweep.errors import SweepError
 
 if TYPE_CHECKING:
     from .study._options import StudyCommand
@@ -62,7 +63,7 @@ def _run_or_fail(tokens: Sequence[str], left: str) -> int:
         return _fail(error, 1)
     try:
         return _run(tokens)
-    except StudyError as error:
+    except (StudyError, SweepError) as error:
         return _fail(error, 2)
     except MemoryError as error:
         reason = f"MemoryError: {error}" if str(error) else "MemoryError"

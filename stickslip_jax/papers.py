@@ -1,4 +1,4 @@
-"""The systems, base motions and initial states of published studies, ready to simulate, and two parametric studies.
+"""The systems, base motions and initial states of published studies, ready to simulate, and two parameter sweeps.
 
 All are by Lima and Sampaio: "An electromechanical system with uncertain stick-slip oscillations" (2022; `motor_cart`),
 "Parametric analysis of the statistical model of the stick-slip process" (2017; `parametric_analysis`), "Stick-mode
@@ -23,7 +23,7 @@ from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage
 from ._simulation.call import simulate
-from ._sweep.study import Study
+from ._sweep.sweep import Sweep
 from ._systems.friction import Coulomb
 from ._systems.mass_spring import MassSpring
 from ._systems.motor_cart import MotorCart
@@ -150,7 +150,7 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     return jnp.sum(jnp.maximum(end - jnp.maximum(start, t1 - period), 0)) / period
 
 
-def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int = 0) -> Study:
+def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int = 0) -> Sweep:
     """Stick-slip statistics over the friction coefficient and the rate of a Poisson switching base (2017 paper).
 
     The paper varies the two one after the other; its values are missing in the text that this is made from. The grid of
@@ -158,11 +158,11 @@ def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int =
 
     - `samples`: at each point. `t1`: duration, s. `seed`: of the random numbers.
 
-    Raises ValueError for arguments that `Study` refuses.
+    Raises ValueError for arguments that `Sweep` refuses.
     """
     over = {"mu": np.linspace(*ANALYSIS_FRICTIONS), "rate": np.geomspace(*ANALYSIS_RATES)}
     law = PoissonSwitching(speed=BELT_SPEED, rate=1.0)
-    return Study(belt_oscillator(), law, over=over, t1=t1, samples=samples, key=_key(seed), y0=(0.0, BELT_SPEED))
+    return Sweep(belt_oscillator(), law, over=over, t1=t1, samples=samples, key=_key(seed), y0=(0.0, BELT_SPEED))
 
 
 def stick_share_map(
@@ -173,7 +173,7 @@ def stick_share_map(
     samples: int | None = None,
     t1: float = 200.0,
     seed: int = 0,
-) -> Study:
+) -> Sweep:
     """The share of time spent sticking over friction coefficient and frequency ratio r (2015 and conference papers).
 
     It is the share of all of ``[0, t1]``, the beginning included; that of a steady period of the square wave is
@@ -185,7 +185,7 @@ def stick_share_map(
     - `mu`, `ratios`: friction coefficients and frequency ratios; by default 20 of 0.1 to 2, and 25 of 0.1 to 2.5.
     - `samples`: at each point; by default 1000 of the random belt, else 1. `t1`: s. `seed`: of the random numbers.
 
-    Raises ValueError for another belt, and for arguments that `Study` refuses.
+    Raises ValueError for another belt, and for arguments that `Sweep` refuses.
     """
     _checks.chosen("belt", belt, get_args(Belt))
     laws = {
@@ -198,7 +198,7 @@ def stick_share_map(
     if belt != "constant":
         over["r"] = np.linspace(*SHARE_RATIOS) if ratios is None else ratios
     usual = SHARE_SAMPLES if belt == "random" else 1
-    return Study(
+    return Sweep(
         belt_oscillator(), laws[belt], over=over, t1=t1, samples=usual if samples is None else samples,
         key=_key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
         statistics=["stick_fraction"],

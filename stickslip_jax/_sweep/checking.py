@@ -1,4 +1,4 @@
-"""Checks of all points of a study at once: arrays of values in place of the numbers of one point."""
+"""Checks of all points of a sweep at once: arrays of values in place of the numbers of one point."""
 
 from collections.abc import Callable
 from typing import Any

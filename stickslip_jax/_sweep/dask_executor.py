@@ -13,7 +13,7 @@ from typing import Any
 
 from .. import _checks
 from .._files import write_whole
-from .errors import StudyError
+from .errors import SweepError
 from .executors import Executor, WorkerDiedError, Written
 from .locking import cannot_write
 from .plan import Plan, Task
@@ -38,7 +38,7 @@ class DaskCluster(Executor):
 
     def __init__(self, plan: Plan, client: Any, store: Store, shared_folder: bool):
         _check_client(client)
-        self._client, self._checked, self._study = client, plan, sent(plan)
+        self._client, self._checked, self._sent = client, plan, sent(plan)
         self._store, self._shared = store, shared_folder
         self._futures: dict[Task, Any] = {}
         self._threads, self._counted = 1, -_COUNTED
@@ -49,13 +49,13 @@ class DaskCluster(Executor):
     def _send(self) -> Any:
         """The future of the plan in the cluster."""
         self.check()
-        name, data = f"stickslip-plan-{uuid.uuid4().hex[:8]}", self._study.plan
+        name, data = f"stickslip-plan-{uuid.uuid4().hex[:8]}", self._sent.plan
         submit = functools.partial(self._client.submit, pure=False, retries=_RETRIES)
         parts = [
             submit(bytes, data[at : at + _PART], key=f"{name}-{number}")
             for number, at in enumerate(range(0, len(data), _PART))
         ]
-        return submit(_assembled, parts, self._study._replace(plan=b"")._asdict(), key=name)
+        return submit(_assembled, parts, self._sent._replace(plan=b"")._asdict(), key=name)
 
     @property
     def at_once(self) -> int:
@@ -83,13 +83,13 @@ class DaskCluster(Executor):
         try:
             found = future.result()
         except KilledWorker as error:
-            raise StudyError(
+            raise SweepError(
                 f"Workers of the cluster died {error.allowed_failures + 1} times with the same piece, the last "
                 f"{error.last_worker.address}; what is done is kept. Perhaps memory ran out: give the workers more, or "
                 "fewer threads, and run again."
             ) from error
         except UnfitWorkerError as error:
-            raise StudyError(str(error)) from error
+            raise SweepError(str(error)) from error
         except CancelledError as error:  # by a restart of the cluster, with all others
             self.check()
             raise WorkerDiedError(f"the cluster cancelled its tasks: {error}", others=True) from error
@@ -99,8 +99,8 @@ class DaskCluster(Executor):
         except RuntimeError as error:
             if "deserialization" not in str(error):
                 raise
-            raise StudyError(
-                f"The scheduler of the cluster cannot read the study ({str(error).partition('.')[0]}); install "
+            raise SweepError(
+                f"The scheduler of the cluster cannot read the sweep ({str(error).partition('.')[0]}); install "
                 "stickslip_jax, dask and distributed in the same versions there."
             ) from error
         finally:
@@ -113,7 +113,7 @@ class DaskCluster(Executor):
         return self._store.path_of(self._checked.points.identity(task.point), task, self._checked)
 
     def _check_visible(self, path: Path, size: int) -> None:
-        """Raises StudyError for a file that a worker wrote and that is not here; network folders take a moment."""
+        """Raises SweepError for a file that a worker wrote and that is not here; network folders take a moment."""
         end = time.monotonic() + _VISIBLE
         while True:
             with contextlib.suppress(OSError):
@@ -122,7 +122,7 @@ class DaskCluster(Executor):
                     return
             self._store.check_kept()
             if time.monotonic() > end:
-                raise StudyError(
+                raise SweepError(
                     f"{path.name}, which a worker has written, is not in {path.parent}; the folder is not the same "
                     "everywhere: leave shared_folder out, and run again."
                 )
@@ -130,7 +130,7 @@ class DaskCluster(Executor):
 
     def check(self) -> None:
         if self._client.status != "running":
-            raise StudyError(
+            raise SweepError(
                 "The connection to the cluster was lost; the pieces that came before are kept in "
                 f"{self._store.folder}. Connect a new client: the same call with it goes on from there."
             )
@@ -138,7 +138,7 @@ class DaskCluster(Executor):
             self._count()
 
     def _count(self) -> None:
-        """Count the threads of the cluster, and say where there is none, because the study then waits."""
+        """Count the threads of the cluster, and say where there is none, because the sweep then waits."""
         try:
             threads = sum(self._client.nthreads().values())
         except OSError:  # of a connection that is being lost, which the next check tells
@@ -149,10 +149,10 @@ class DaskCluster(Executor):
         idle = ""
         if not threads:
             start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
-            idle = f"The cluster has no workers, and the study waits for them; {start}"
+            idle = f"The cluster has no workers, and the sweep waits for them; {start}"
         elif self._futures and time.monotonic() > self._came + _LONG and self._are_paused():
             idle = (
-                "The workers of the cluster are paused, because their memory is nearly full, and the study waits for "
+                "The workers of the cluster are paused, because their memory is nearly full, and the sweep waits for "
                 "them; give them more memory, or stop with Ctrl-C."
             )
         if idle and idle not in self._told:  # once: workers come and go
@@ -196,14 +196,14 @@ def _assembled(parts: list[bytes], others: dict[str, Any]) -> Sent:
     return Sent(**{**others, "plan": b"".join(parts)})
 
 
-def _perform(study: Sent, task: tuple) -> bytes | Failed | NoMemory:
-    return perform_sent(study, Task(*task))
+def _perform(plan: Sent, task: tuple) -> bytes | Failed | NoMemory:
+    return perform_sent(plan, Task(*task))
 
 
-def _perform_and_write(study: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed | NoMemory:
-    """Do a task, and write its piece into the folder of the study. Raises UnfitWorkerError where that is not here."""
+def _perform_and_write(plan: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed | NoMemory:
+    """Do a task, and write its piece into the folder of the sweep. Raises UnfitWorkerError where that is not here."""
     _check_shared(Path(path).parents[1], mark)
-    found = perform_sent(study, Task(*task))
+    found = perform_sent(plan, Task(*task))
     if not isinstance(found, bytes):
         return found
     whole = sealed(mark, Path(path).name, found)
@@ -219,8 +219,8 @@ def _check_shared(folder: Path, mark: bytes) -> None:
     try:
         if Store.reading(folder).mark == mark:
             return
-        reason = "holds another study"
-    except StudyError as error:
+        reason = "holds another sweep"
+    except SweepError as error:
         reason = f"cannot be used ({error})"
     raise UnfitWorkerError(
         f"{_where()}: {folder} {reason} there; leave shared_folder out unless the folder is the same everywhere."

@@ -1,4 +1,4 @@
-"""The result of a study as one labelled data set."""
+"""The result of a sweep as one labelled data set."""
 
 import json
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from .._statistics.registry import BY_NAME as STICK_BY_NAME
 from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS, SampledQuantity
 from .._status import Status
 from .._systems.system import require_system
-from .errors import StudyError
+from .errors import SweepError
 from .groups import GROUPS
 from .locking import cannot_write
 from .manifest import sum_of
@@ -71,7 +71,7 @@ def dataset_of(work: Work) -> "xarray.Dataset":
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
-        raise ImportError("Studies need xarray: pip install 'stickslip_jax[study]'.") from None
+        raise ImportError("Sweeps need xarray: pip install 'stickslip_jax[study]'.") from None
     plan, columns = work.plan, Columns(work.plan)
     bins = _common_bins(work)
     for point in range(plan.points.number):
@@ -238,7 +238,7 @@ def _attributes(plan: Plan, body: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
-    """Write the data set to the folder of the study, as a whole. Raises StudyError if that fails."""
+    """Write the data set to the folder of the sweep, as a whole. Raises SweepError if that fails."""
     path = store.folder / DATA
     try:
         packing = {name: {"zlib": True, "complevel": 1} for name in dataset.variables if dataset[name].size > 1024}
@@ -246,16 +246,16 @@ def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
     except OSError as error:
         raise cannot_write(store.folder, error) from error
     except ImportError:
-        raise ImportError("Studies need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+        raise ImportError("Sweeps need h5netcdf: pip install 'stickslip_jax[study]'.") from None
     return path
 
 
 def read_dataset(folder: Path) -> "xarray.Dataset":
-    """The data set of a finished study. Raises StudyError if there is none, or a damaged one."""
+    """The data set of a finished sweep. Raises SweepError if there is none, or a damaged one."""
     path = folder / DATA
     if not path.is_file():  # a named pipe would wait for ever
-        raise StudyError(f"{folder} holds no finished study; run it, or resume it, first.")
+        raise SweepError(f"{folder} holds no finished sweep; run it, or resume it, first.")
     try:
         return verified(read_netcdf(path))
     except DamagedFileError as error:
-        raise StudyError(f"{path} cannot be read ({error}); run the study again, which writes it anew.") from error
+        raise SweepError(f"{path} cannot be read ({error}); run the sweep again, which writes it anew.") from error

@@ -1,8 +1,8 @@
-"""The exceptions of studies."""
+"""The exceptions of sweeps."""
 
 
-class StudyError(ValueError):
-    """A study that cannot run: bad input in its file or options, a folder that cannot be used, points that failed.
+class SweepError(ValueError):
+    """A sweep that cannot run, or not to its end: a folder that cannot be used, points that failed, no memory.
 
     The message is one sentence, which says what to do.
     """

@@ -1,4 +1,4 @@
-"""What does the tasks of a study, and the threads of this process, the simplest of them."""
+"""What does the tasks of a sweep, and the threads of this process, the simplest of them."""
 
 from abc import ABC, abstractmethod
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,7 +9,7 @@ from .workers import Failed, NoMemory, Performer, attempted
 
 
 class Written(NamedTuple):
-    """What comes back for a piece that the worker has written into the folder of the study."""
+    """What comes back for a piece that the worker has written into the folder of the sweep."""
 
     size: int
 
@@ -36,7 +36,7 @@ class Executor(ABC):
 
     @abstractmethod
     def result(self, task: Task, future: Any) -> bytes | Written | Failed | NoMemory:
-        """What came of a future that is done. Raises WorkerDiedError, StudyError where there is no going on, and what
+        """What came of a future that is done. Raises WorkerDiedError, SweepError where there is no going on, and what
         went wrong with the task.
         """
 
@@ -48,7 +48,7 @@ class Executor(ABC):
         """Make it work again after all tasks under way were lost."""
 
     def check(self) -> None:  # noqa: B027 - only connections are lost
-        """Raises StudyError if no future can become done any more."""
+        """Raises SweepError if no future can become done any more."""
 
 
 class Threads(Executor):
@@ -56,7 +56,7 @@ class Threads(Executor):
 
     def __init__(self, plan: Plan, threads: int):
         self._performer, self._threads = Performer(plan), threads
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="stickslip study")
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="stickslip sweep")
 
     @property
     def at_once(self) -> int:

@@ -1,4 +1,4 @@
-"""Dimensionless groups by which the papers sweep, as parameters of a study."""
+"""Dimensionless groups that the papers vary, as parameters of a sweep."""
 
 import math
 from collections.abc import Callable

@@ -1,11 +1,11 @@
-"""Looking at a study without changing its folder, also while a run writes to it."""
+"""Looking at a sweep without changing its folder, also while a run writes to it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from .._status import Status
 from .dataset import dataset_of, read_dataset
-from .errors import StudyError
+from .errors import SweepError
 from .manifest import sum_of
 from .store import Store
 from .work import Work
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import xarray
 
 
-class StudyStatus(NamedTuple):
-    """How far a study has come.
+class SweepStatus(NamedTuple):
+    """How far a sweep has come.
 
     - `points`, `complete`: of these are done. `samples`: simulated. `most_samples`: wanted, or, where points end at a
       standard error (`is_adaptive`), at most.
@@ -34,8 +34,8 @@ class StudyStatus(NamedTuple):
     is_finished: bool
 
 
-def status_of(folder: Path) -> StudyStatus:
-    """The status of the study in `folder`. Raises StudyError if there is none."""
+def status_of(folder: Path) -> SweepStatus:
+    """The status of the sweep in `folder`. Raises SweepError if there is none."""
     store = Store.reading(folder)
     is_running, is_finished = store.is_in_use, _finished(store) is not None
     # Whether a point has the standard error that was asked for, only a plan that can be run can tell.
@@ -50,14 +50,14 @@ def status_of(folder: Path) -> StudyStatus:
     for _ in work.tasks():  # counts what is done, of the pieces that were found to be whole
         pass
     points = plan.points.number
-    return StudyStatus(
+    return SweepStatus(
         points, points if is_finished else work.complete, sum(work.done), points * plan.samples, plan.is_adaptive,
         endings, seconds, is_running, is_finished,
     )  # fmt: skip
 
 
 def stored_dataset(folder: Path) -> "xarray.Dataset":
-    """The result of the study in `folder`, as far as it is there. Raises StudyError if there is no study, or one of
+    """The result of the sweep in `folder`, as far as it is there. Raises SweepError if there is no sweep, or one of
     own classes that is not finished.
     """
     store = Store.reading(folder)
@@ -69,6 +69,6 @@ def _finished(store: Store) -> "xarray.Dataset | None":
     """The stored data set, if it is that of what was asked for last."""
     try:
         found = read_dataset(store.folder)
-    except (StudyError, OSError, ValueError):  # none, or a damaged one, which the pieces replace
+    except (SweepError, OSError, ValueError):  # none, or a damaged one, which the pieces replace
         return None
     return found if found.attrs.get("manifest_sha256") == sum_of(store.body) else None

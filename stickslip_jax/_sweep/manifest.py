@@ -1,4 +1,4 @@
-"""The manifest of a study's folder: everything that decides its numbers, and what was asked for."""
+"""The manifest of a sweep's folder: everything that decides its numbers, and what was asked for."""
 
 import dataclasses
 import hashlib
@@ -10,10 +10,11 @@ import jax
 import jax.lib
 
 from .._ensemble.encoding import Encoder
-from .errors import OtherProgramError, StudyError, UnreadableError
+from .errors import OtherProgramError, SweepError, UnreadableError
 from .plan import Plan
 
-FORMAT, FORMAT_VERSION = "stickslip_jax study", 2  # 1 had pieces whose check sums did not tell which piece they are
+FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 3
+_OLDER_FORMAT = "stickslip_jax study"  # of versions 1 and 2
 OBJECTS = ("system", "law", "y0", "method")
 DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "piece", "dtype")
 _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
@@ -28,7 +29,7 @@ _DEEPEST = 64  # levels of parts within parts; ours have some ten
 
 
 def manifest_text(plan: Plan) -> str:
-    """The manifest of a study as JSON."""
+    """The manifest of a sweep as JSON."""
     encoder = Encoder()
     body = {
         "format": FORMAT,
@@ -48,7 +49,7 @@ def manifest_text(plan: Plan) -> str:
 
 
 def extended(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """The manifest of a study that adds to another: what decides the numbers as it is written there.
+    """The manifest of a sweep that adds to another: what decides the numbers as it is written there.
 
     Numbers may be equal and written otherwise, 1 and 1.0, and the pieces bear the fingerprint of what is there.
     """
@@ -62,7 +63,7 @@ def _text(body: dict[str, Any]) -> str:
 def body_of(text: str) -> dict[str, Any]:
     """The manifest in a text.
 
-    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and StudyError for
+    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and SweepError for
     another format.
     """
     try:
@@ -74,7 +75,7 @@ def body_of(text: str) -> dict[str, Any]:
     body = whole.get("body")
     if not isinstance(body, dict) or _depth(body) > _DEEPEST or sum_of(body) != whole.get("sha256"):
         raise UnreadableError("its check sum is wrong")
-    if body.get("format") != FORMAT:
+    if body.get("format") not in (FORMAT, _OLDER_FORMAT):
         raise OtherProgramError("it is of another program")
     _check_format(body)
     _check_parts(body)
@@ -82,14 +83,14 @@ def body_of(text: str) -> dict[str, Any]:
 
 
 def _check_format(body: dict[str, Any]) -> None:
-    """Raises StudyError for a manifest of another format than this version writes."""
+    """Raises SweepError for a manifest of another format than this version writes."""
     version = body.get("format_version")
     if version == FORMAT_VERSION or not isinstance(version, int):
         return
     versions_there = body.get("versions")
     writer = versions_there.get("stickslip_jax") if isinstance(versions_there, dict) else "of an unknown version"
-    todo = "install that version or a newer one" if version > FORMAT_VERSION else "run the study into another folder"
-    raise StudyError(
+    todo = "install that version or a newer one" if version > FORMAT_VERSION else "run the sweep into another folder"
+    raise SweepError(
         f"it has format {version}, written by stickslip_jax {writer}, and this version reads {FORMAT_VERSION}; {todo}."
     )
 
@@ -178,5 +179,5 @@ def _brief(value: Any) -> str:
 
 
 def with_piece(plan: Plan, body: dict[str, Any]) -> Plan:
-    """`plan` cut into pieces as the study of a manifest."""
+    """`plan` cut into pieces as the sweep of a manifest."""
     return dataclasses.replace(plan, piece=body["deciding"]["piece"])

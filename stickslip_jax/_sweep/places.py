@@ -1,4 +1,4 @@
-"""Where a study runs: in threads, in processes of this machine, or on a cluster of dask."""
+"""Where a sweep runs: in threads, in processes of this machine, or on a cluster of dask."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ from .store import Store
 
 
 class Where(NamedTuple):
-    """Where to simulate, as in the arguments of `Study.run`."""
+    """Where to simulate, as in the arguments of `Sweep.run`."""
 
     threads: int | None = None
     workers: int | None = None
@@ -47,7 +47,7 @@ def _chosen(plan: Plan, store: Store, where: Where) -> Executor:
 
 
 def check_where(where: Where, *, has_folder: bool) -> None:
-    """Raises ValueError for arguments of `Study.run` that exclude each other."""
+    """Raises ValueError for arguments of `Sweep.run` that exclude each other."""
     executor, shared_folder = where.executor, where.shared_folder
     names = [name for name in ("threads", "workers", "executor") if getattr(where, name) is not None]
     if len(names) > 1:
@@ -57,5 +57,5 @@ def check_where(where: Where, *, has_folder: bool) -> None:
         missing = "a folder" if executor is not None else "executor"
         raise ValueError(
             f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
-            "the workers of a cluster write into the folder of the study."
+            "the workers of a cluster write into the folder of the sweep."
         )

@@ -1,4 +1,4 @@
-"""What a study simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
+"""What a sweep simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping
@@ -46,7 +46,7 @@ class Task(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """The checked arguments of a `Study`, which every worker needs."""
+    """The checked arguments of a `Sweep`, which every worker needs."""
 
     setting: Setting
     points: Points
@@ -72,7 +72,7 @@ class Plan:
         return self._with_values(self.points.values(point))
 
     def key_at(self, point: int) -> Any:
-        """The key of a point: the study's, or one that depends on the values of the parameters there too."""
+        """The key of a point: the sweep's, or one that depends on the values of the parameters there too."""
         if self.key_data is None:
             return None
         key = jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
@@ -189,7 +189,7 @@ def checked_keep(keep: Any) -> Keep:
     if not _is_word(keep, allowed):
         raise ValueError(
             f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
-            "stick of a point comes from study.ensemble_at(mu=...)."
+            "stick of a point comes from sweep.ensemble_at(mu=...)."
         )
     return keep
 

@@ -1,4 +1,4 @@
-"""The points of a parametric study: values of some parameters, on a grid, zipped, or from a design."""
+"""The points of a parameter sweep: values of some parameters, on a grid, zipped, or from a design."""
 
 import hashlib
 import math
@@ -13,7 +13,7 @@ from .._design.design import Design, given_twice
 POINT = "point"
 """The dimension of the points of a design."""
 MOST_POINTS = 10_000_000
-"""Of a study, at most: each has a file of its own."""
+"""Of a sweep, at most: each has a file of its own."""
 
 
 class Axis(NamedTuple):
@@ -98,7 +98,7 @@ def identity_of(values: Mapping[str, float]) -> str:
 
 
 def points_of(over: Any) -> Points:
-    """The points that `over` describes; see `Study`. Raises ValueError for anything else."""
+    """The points that `over` describes; see `Sweep`. Raises ValueError for anything else."""
     if isinstance(over, Design):
         return Points((_axis_of_design(over),))
     if not isinstance(over, Mapping) or not over:

@@ -6,7 +6,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future
 from contextlib import contextmanager
 from typing import Any
 
-from .errors import StudyError
+from .errors import SweepError
 from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
 from .workers import Failed, NoMemory, UnfitWorkerError, perform_in_process, prepare_process, start_of_process
@@ -54,7 +54,7 @@ class Processes(Executor):
             reason = str(error).partition("\n")[0]
             raise WorkerDiedError(reason, others=True) from error  # the whole pool breaks
         except UnfitWorkerError as error:
-            raise StudyError(str(error)) from error
+            raise SweepError(str(error)) from error
 
     def restart(self) -> None:
         self._pool.shutdown(wait=True, kill_workers=True)

@@ -1,4 +1,4 @@
-"""Running a study in a folder: what is left to do is done and stored, then all is put together."""
+"""Running a sweep in a folder: what is left to do is done and stored, then all is put together."""
 
 import warnings
 from pathlib import Path
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from .._ensemble.progress import progress_bar
 from .dataset import dataset_of, write_dataset
-from .errors import StudyError
+from .errors import SweepError
 from .places import Where, executor_for
 from .plan import Plan
 from .runner import described, run_tasks
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 _ROUNDS = 3  # after which pieces that keep coming back damaged are an error of the disk
 
 
-def run_study(plan: Plan, folder: Path | None, where: Where, progress: bool | None) -> "xarray.Dataset":
-    """Do what is left of a study, and return its result; see `Study.run`."""
+def run_sweep(plan: Plan, folder: Path | None, where: Where, progress: bool | None) -> "xarray.Dataset":
+    """Do what is left of a sweep, and return its result; see `Sweep.run`."""
     _check_dtype(plan)
     if folder is None:
-        with TemporaryDirectory(prefix="stickslip-study-") as temporary:
+        with TemporaryDirectory(prefix="stickslip-sweep-") as temporary:
             return _run_in(Path(temporary), False, plan, where, progress)
     return _run_in(folder, True, plan, where, progress)
 
 
 def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool | None) -> "xarray.Dataset":
-    """`run_study` in a folder; `kept`: whether it is the user's."""
+    """`run_sweep` in a folder; `kept`: whether it is the user's."""
     with opened(folder, plan) as (store, cut), stoppable() as stopping, collecting():
         store.log(f"begun: {cut.points.number} points, {cut.samples} samples each")
         for _ in range(_ROUNDS):
@@ -58,7 +58,7 @@ def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool |
                 _raise_failed(work, path, kept)
             store.log("finished")
             return dataset
-        raise StudyError(f"{folder} gives back other bytes than were written; check the disk, and run again.")
+        raise SweepError(f"{folder} gives back other bytes than were written; check the disk, and run again.")
 
 
 def _stop(work: Work, kept: bool) -> None:
@@ -75,10 +75,10 @@ def _raise_starved(work: Work, kept: bool) -> None:
     points = len({one.point for one in work.starved})
     what = f"There was no memory for pieces of {points} of {work.plan.points.number} points, even one at a time"
     work.store.log(f"stopped: {what}")
-    raise StudyError(
+    raise SweepError(
         f"{what}, first {described(work.plan, task)} ({work.starved[task]}); "
         + (
-            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the study in "
+            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the sweep in "
             "smaller pieces (piece) into another folder."
             if kept
             else "run it in smaller pieces (piece), or where there is more memory, and give a folder, which keeps what "
@@ -91,7 +91,7 @@ def _raise_failed(work: Work, path: Path, kept: bool) -> None:
     point = min(work.failed)
     failed = f"{len(work.failed)} of {work.plan.points.number} points failed"
     work.store.log(f"finished, but {failed}")
-    raise StudyError(
+    raise SweepError(
         f"{failed}, first {work.plan.points.described(point)}: {work.failed[point].rstrip('.')}; "
         + (
             f"{path} has the results of the others, and {work.store.folder / LOG} all reasons."
@@ -103,9 +103,9 @@ def _raise_failed(work: Work, path: Path, kept: bool) -> None:
 
 def _check_dtype(plan: Plan) -> None:
     if str(jnp.result_type(float)) != plan.dtype:
-        raise StudyError(
-            f"This study is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "
+        raise SweepError(
+            f"This sweep is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "
             f"jax.config.update('jax_enable_x64', {plan.dtype == 'float64'}) before anything else."
         )
     if plan.dtype == "float32":
-        warnings.warn("This study runs in float32.", stacklevel=5)
+        warnings.warn("This sweep runs in float32.", stacklevel=5)

@@ -1,4 +1,4 @@
-"""The loop that does the tasks of a study."""
+"""The loop that does the tasks of a sweep."""
 
 import queue
 import time
@@ -6,21 +6,21 @@ from collections import deque
 from typing import Any
 
 from .._ensemble.progress import Progress
-from .errors import StudyError
+from .errors import SweepError
 from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
 from .stopping import Stopping
 from .work import Work
 from .workers import Failed, NoMemory, outcome_of
 
-_DEATHS = 3  # of workers while a task was under way, after which the study ends
+_DEATHS = 3  # of workers while a task was under way, after which the sweep ends
 
 
 def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
     """Do all tasks of `work`, a few at a time, and store each result when it comes.
 
     Where there was no memory for a task it is done again, with fewer at a time: its size decides the last digits, and
-    so cannot change. Stops after the tasks under way when `stopping` asks for it. Raises StudyError if the folder
+    so cannot change. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder
     cannot be written, or the workers keep dying.
     """
     waiting, under_way = deque(work.tasks()), _UnderWay(executor)
@@ -44,7 +44,7 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
                 executor.restart()
             waiting.extendleft(reversed(again))
             continue
-        except StudyError:
+        except SweepError:
             raise
         except Exception as error:
             found = outcome_of(error)
@@ -135,13 +135,13 @@ class _UnderWay:
 
 
 def _note_lost(work: Work, again: list[Task], lost: dict[Task, int], error: WorkerDiedError) -> int:
-    """Log that tasks are done again; how often one of them has been lost. Raises StudyError if that is too often."""
+    """Log that tasks are done again; how often one of them has been lost. Raises SweepError if that is too often."""
     for task in again:
         lost[task] = lost.get(task, 0) + 1
     worst = max(again, key=lambda task: lost[task])
     work.store.log(f"a worker died ({error}); {len(again)} pieces are done again")
     if lost[worst] > _DEATHS:
-        raise StudyError(
+        raise SweepError(
             f"A worker died {lost[worst]} times while it simulated {described(work.plan, worst)} ({error}); what is "
             "done is kept. Perhaps memory ran out: take fewer workers, and run again."
         ) from error

@@ -1,4 +1,4 @@
-"""What stands around the bytes of a piece in its file: a mark of the study, a check sum, and which piece it is."""
+"""What stands around the bytes of a piece in its file: a mark of the sweep, a check sum, and which piece it is."""
 
 import hashlib
 
@@ -14,7 +14,7 @@ BEGINNING = MARK + _SUM + _LENGTH + 255
 
 
 class ForeignPieceError(Exception):
-    """A piece that is whole, and of another study."""
+    """A piece that is whole, and of another sweep."""
 
 
 def sealed(mark: bytes, name: str, data: bytes) -> bytes:
@@ -31,7 +31,7 @@ def unsealed(mark: bytes, name: str, whole: bytes) -> bytes:
     """The bytes that were sealed with this mark and name.
 
     Raises DamagedPieceError for bytes that are not as they were written, or were written under another name, and
-    ForeignPieceError for those of another study.
+    ForeignPieceError for those of another sweep.
     """
     found, stated, rest = whole[:MARK], whole[MARK : MARK + _SUM], whole[MARK + _SUM :]
     if stated != _sum(found, rest):

@@ -1,4 +1,4 @@
-"""What a study simulates at a point: the setting with the values of its parameters."""
+"""What a sweep simulates at a point: the setting with the values of its parameters."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -66,7 +66,7 @@ class Setter(NamedTuple):
                 check_numbers(part)
         except ValueError as error:
             point = ", ".join(f"{name} = {value:.6g}" for name, value in by_name.items())
-            raise ValueError(f"The point {point} of the study cannot be simulated: {error}") from error
+            raise ValueError(f"The point {point} of the sweep cannot be simulated: {error}") from error
         return changed
 
     def columns(self, values: np.ndarray) -> tuple[dict[Path, np.ndarray], Setting]:

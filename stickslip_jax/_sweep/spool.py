@@ -1,10 +1,10 @@
-"""What has been read of a study while a run works on it, kept for a second reading."""
+"""What has been read of a sweep while a run works on it, kept for a second reading."""
 
 import weakref
 from tempfile import SpooledTemporaryFile, gettempdir
 from typing import NamedTuple
 
-from .errors import StudyError
+from .errors import SweepError
 from .store import Piece
 
 _IN_MEMORY = 2**26  # bytes; what is more goes to a temporary file
@@ -25,7 +25,7 @@ class Spool:
         self._parts: dict[int, list[_Part]] = {}
 
     def keep(self, point: int, pieces: list[tuple[Piece, bytes]]) -> None:
-        """Keep what was read of a point. Raises StudyError where there is no room for it."""
+        """Keep what was read of a point. Raises SweepError where there is no room for it."""
         parts = []
         try:
             at = self._file.seek(0, 2)
@@ -33,8 +33,8 @@ class Spool:
                 parts.append(_Part(piece, at, self._file.write(data)))
                 at += len(data)
         except OSError as error:
-            raise StudyError(
-                f"{gettempdir()} cannot be written ({error.strerror}), where a look at a large study keeps what it has "
+            raise SweepError(
+                f"{gettempdir()} cannot be written ({error.strerror}), where a look at a large sweep keeps what it has "
                 "read; make room there, or name another folder in the environment variable TMPDIR."
             ) from error
         self._parts[point] = parts

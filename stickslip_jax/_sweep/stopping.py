@@ -1,4 +1,4 @@
-"""Ctrl-C during a study: the first stops it after the pieces under way, the second at once."""
+"""Ctrl-C during a sweep: the first stops it after the pieces under way, the second at once."""
 
 import signal
 import sys
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Stopping:
-    """Whether the study is to stop. `requested`: after the pieces under way."""
+    """Whether the sweep is to stop. `requested`: after the pieces under way."""
 
     def __init__(self) -> None:
         self.requested = False

@@ -1,4 +1,4 @@
-"""The folder of a study: its manifest, the pieces that are done, the data set, and a log."""
+"""The folder of a sweep: its manifest, the pieces that are done, the data set, and a log."""
 
 import contextlib
 import hashlib
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._files import finished_name, remove_unfinished, sync_folder, write_whole
-from .errors import DamagedPieceError, StudyError
+from .errors import DamagedPieceError, SweepError
 from .locking import cannot_write, is_locked, locked
 from .manifest import body_of, differences, extended, manifest_text, with_piece
 from .manifest_files import COPY, MANIFEST, body_in, has_manifest, mark_of
@@ -20,7 +20,7 @@ from .regular import NotAFileError, append_regular, read_regular
 from .sealing import BEGINNING, MARK, ForeignPieceError, claims_of, sealed, unsealed
 from .stored_plan import plan_in
 
-PIECES, DATA, LOG, LOCK = "pieces", "study.nc", "log.txt", ".lock"
+PIECES, DATA, LOG, LOCK = "pieces", "sweep.nc", "log.txt", ".lock"
 _LONGEST_NAME = 100  # of a derivative in the name of a file
 
 
@@ -39,11 +39,11 @@ class Piece(NamedTuple):
 
 
 class Store:
-    """The folder of a study, opened for reading; `opened` is for writing.
+    """The folder of a sweep, opened for reading; `opened` is for writing.
 
     A piece is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
     values of the parameters only, so that a point keeps its pieces when others come. It is sealed with a mark of its
-    study and this name. `held`: whether this program holds the lock, and may change the folder.
+    sweep and this name. `held`: whether this program holds the lock, and may change the folder.
     """
 
     def __init__(self, folder: Path, body: dict[str, Any], *, held: bool = False):
@@ -53,15 +53,15 @@ class Store:
 
     @classmethod
     def reading(cls, folder: Path) -> "Store":
-        """The store in a folder. Raises StudyError if there is none, or none that this version can read."""
+        """The store in a folder. Raises SweepError if there is none, or none that this version can read."""
         return cls(folder, body_in(folder, lambda: _marks_in(folder)))
 
     def plan(self, *, to_run: bool = True, every_point: bool = False) -> Plan:
-        """The study that is stored; see `plan_in`. Raises StudyError with the name of the folder."""
+        """The sweep that is stored; see `plan_in`. Raises SweepError with the name of the folder."""
         try:
             return plan_in(self.body, to_run=to_run, every_point=every_point)
-        except StudyError as error:
-            raise StudyError(f"{self.folder}: {error}") from error.__cause__
+        except SweepError as error:
+            raise SweepError(f"{self.folder}: {error}") from error.__cause__
 
     @property
     def is_in_use(self) -> bool:
@@ -69,7 +69,7 @@ class Store:
         return is_locked(self.folder / LOCK)
 
     def check_kept(self) -> None:
-        """Raises StudyError if the folder that this run holds was removed, or another one is in its place."""
+        """Raises SweepError if the folder that this run holds was removed, or another one is in its place."""
         missing = []
         if not any(_file_number(self.folder / name) for name in (MANIFEST, COPY)):
             missing.append(MANIFEST)
@@ -80,9 +80,9 @@ class Store:
         if missing:
             raise self._taken_away(missing[0])
 
-    def _taken_away(self, name: str) -> StudyError:
-        return StudyError(
-            f"{self.folder} was removed, or changed, while the study ran in it ({name} is gone); run it again, in a "
+    def _taken_away(self, name: str) -> SweepError:
+        return SweepError(
+            f"{self.folder} was removed, or changed, while the sweep ran in it ({name} is gone); run it again, in a "
             "folder that is left alone until it ends."
         )
 
@@ -113,25 +113,25 @@ class Store:
         """The bytes of a piece.
 
         Raises DamagedPieceError unless they are as they were written under this name, FileNotFoundError for a piece
-        that is gone, and StudyError for one of another study and one that cannot be read.
+        that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
             return unsealed(self.mark, piece.path.name, read_regular(piece.path))
         except FileNotFoundError:
             raise
         except ForeignPieceError:
-            raise StudyError(f"{piece.path} is a piece of another study; move it elsewhere, and run again.") from None
+            raise SweepError(f"{piece.path} is a piece of another sweep; move it elsewhere, and run again.") from None
         except NotAFileError as error:
-            raise StudyError(f"{piece.path} cannot be read ({error.strerror}); remove it, and run again.") from error
+            raise SweepError(f"{piece.path} cannot be read ({error.strerror}); remove it, and run again.") from error
         except OSError as error:
-            raise StudyError(
+            raise SweepError(
                 f"{piece.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
             ) from error
 
     def check_pieces(self) -> None:
         """Remove pieces that have another name than when they were written: what is to be done depends on names.
 
-        Raises StudyError for whole pieces of another study, and for what is no file: nobody may write over them.
+        Raises SweepError for whole pieces of another sweep, and for what is no file: nobody may write over them.
         """
         foreign, ours = None, 0
         for piece in (one for pieces in self._all().values() for one in pieces):
@@ -150,11 +150,11 @@ class Store:
                 self.read(piece)
             except (DamagedPieceError, FileNotFoundError):
                 continue
-            except StudyError as error:
+            except SweepError as error:
                 foreign = foreign or error
         if foreign is not None and not ours:
-            raise StudyError(
-                f"{self.folder} has pieces of another study than its {MANIFEST}; put the manifest of the pieces back, "
+            raise SweepError(
+                f"{self.folder} has pieces of another sweep than its {MANIFEST}; put the manifest of the pieces back, "
                 "or choose another folder."
             )
         if foreign is not None:
@@ -182,7 +182,7 @@ class Store:
         return self.folder / PIECES / f"{name}-{derivative_name(plan, task.derivative)}.json"
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write the bytes of a piece. Raises StudyError if that fails."""
+        """Write the bytes of a piece. Raises SweepError if that fails."""
         self.check_kept()
         try:
             write_whole(path, sealed(self.mark, path.name, data))
@@ -200,18 +200,18 @@ class Store:
 
 
 def _names_in(folder: Path) -> set[str]:
-    """The names of what lies where the pieces are. Raises StudyError if they cannot be listed."""
+    """The names of what lies where the pieces are. Raises SweepError if they cannot be listed."""
     try:
         return set(os.listdir(folder / PIECES))
     except FileNotFoundError:
         return set()
     except NotADirectoryError:
-        raise StudyError(
-            f"{folder / PIECES} must be a folder, for the pieces of the study, but is a file; move it elsewhere, and "
+        raise SweepError(
+            f"{folder / PIECES} must be a folder, for the pieces of the sweep, but is a file; move it elsewhere, and "
             "run again."
         ) from None
     except OSError as error:
-        raise StudyError(f"{folder / PIECES} cannot be read ({error.strerror}); make it readable.") from error
+        raise SweepError(f"{folder / PIECES} cannot be read ({error.strerror}); make it readable.") from error
 
 
 def _marks_in(folder: Path) -> set[bytes]:
@@ -245,8 +245,8 @@ def derivative_name(plan: Plan, number: int) -> str:
 def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
     """The store for `plan` in `folder`, held for writing, and the plan cut into pieces as the store is.
 
-    A folder without a study must be empty or missing. A manifest that differs in what decides the numbers is refused;
-    what may differ replaces it. Raises StudyError otherwise.
+    A folder without a sweep must be empty or missing. A manifest that differs in what decides the numbers is refused;
+    what may differ replaces it. Raises SweepError otherwise.
     """
     _make(folder)
     with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
@@ -273,15 +273,15 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
 
 
 def _check_extends(folder: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
-    """Raises StudyError unless the study of the manifest `here` adds to that `there`, which the folder holds."""
+    """Raises SweepError unless the sweep of the manifest `here` adds to that `there`, which the folder holds."""
     found = differences(there, here)
     if found:
-        raise StudyError(
-            f"{folder} holds a study with other numbers ({'; '.join(found[:5])}); choose another folder, or "
-            "change the study back."
+        raise SweepError(
+            f"{folder} holds a sweep with other numbers ({'; '.join(found[:5])}); choose another folder, or "
+            "change the sweep back."
         )
     if there["asked"]["samples"] > here["asked"]["samples"]:
-        raise StudyError(
+        raise SweepError(
             f"{folder} holds {there['asked']['samples']} samples of each point; ask for at least as many, or "
             "choose another folder."
         )
@@ -294,20 +294,20 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def _make(folder: Path) -> None:
-    """Make the folder. Raises StudyError for one that holds something else, or cannot be made."""
+    """Make the folder. Raises SweepError for one that holds something else, or cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         others = sorted(entry.name for entry in os.scandir(folder) if not _is_begun(Path(entry.path)))
-        has_study = has_manifest(folder)
+        has_sweep = has_manifest(folder)
     except FileExistsError:
-        raise StudyError(f"{folder} cannot hold a study, because it is a file; choose another folder.") from None
+        raise SweepError(f"{folder} cannot hold a sweep, because it is a file; choose another folder.") from None
     except NotADirectoryError:
-        raise StudyError(f"{folder} cannot hold a study, because it lies below a file; choose another.") from None
+        raise SweepError(f"{folder} cannot hold a sweep, because it lies below a file; choose another.") from None
     except OSError as error:
         raise cannot_write(folder, error) from error
-    if others and not has_study:
-        raise StudyError(
-            f"{folder} is not empty and holds no study (it has {others[0]}); choose an empty or a new folder."
+    if others and not has_sweep:
+        raise SweepError(
+            f"{folder} is not empty and holds no sweep (it has {others[0]}); choose an empty or a new folder."
         )
 
 

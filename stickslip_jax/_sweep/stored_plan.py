@@ -1,4 +1,4 @@
-"""The study that a manifest describes: checked as a `Study` checks its arguments, for a file may have been edited."""
+"""The sweep that a manifest describes: checked as a `Sweep` checks its arguments, for a file may have been edited."""
 
 import warnings
 from typing import Any
@@ -10,7 +10,7 @@ from .._dynamics.validation import check_method
 from .._ensemble.encoding import Decoder
 from .._ensemble.unknown import Unknown
 from .._statistics.accumulator import MOST_ORDERS, Numbering
-from .errors import StudyError
+from .errors import SweepError
 from .manifest import OBJECTS
 from .plan import Plan, checked_derivatives, checked_errors, checked_keep, checked_samples, checked_statistics
 from .points import Axis, Points
@@ -20,9 +20,9 @@ _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeErro
 
 
 def plan_in(body: dict[str, Any], *, to_run: bool = True, every_point: bool = False) -> Plan:
-    """The study that a manifest describes; `every_point`: whether each is checked, as by `Study`, or the first.
+    """The sweep that a manifest describes; `every_point`: whether each is checked, as by `Sweep`, or the first.
 
-    Raises StudyError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these are
+    Raises SweepError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these are
     left as they are stored), and for what does not fit together. Statistics and derivatives that this version does not
     know are left out, with a warning.
     """
@@ -33,11 +33,11 @@ def plan_in(body: dict[str, Any], *, to_run: bool = True, every_point: bool = Fa
         elif to_run:
             plan.setting_at(0)
         return plan
-    except StudyError:
+    except SweepError:
         raise
     except _UNFIT as error:
         reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise StudyError(f"its manifest cannot be used ({reason}); run the study into another folder.") from error
+        raise SweepError(f"its manifest cannot be used ({reason}); run the sweep into another folder.") from error
 
 
 def _plan(body: dict[str, Any], to_run: bool) -> Plan:
@@ -69,7 +69,7 @@ def _setting(body: dict[str, Any], to_run: bool) -> Setting:
     for name, value in objects.items():
         for one in value if isinstance(value, tuple) else (value,):
             if to_run and isinstance(one, Unknown):
-                raise StudyError(
+                raise SweepError(
                     f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again "
                     "with the same folder, which goes on from here."
                 )
@@ -112,7 +112,7 @@ def _known(names: Any, check: Any) -> tuple[Any, ...]:
         except ValueError:
             shown = name if isinstance(name, str) else name[0]
             warnings.warn(
-                f"The study asks for {_checks.show(shown)}, which this version of stickslip_jax does not know; it is "
+                f"The sweep asks for {_checks.show(shown)}, which this version of stickslip_jax does not know; it is "
                 "left out.",
                 stacklevel=2,
             )

@@ -60,7 +60,7 @@ _collecting = _Collecting()
 def _shown_by_thread() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
-        warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the study says so once
+        warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the sweep says so once
         show = warnings.showwarning
 
         def collect(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:

@@ -1,4 +1,4 @@
-"""The work of a study that is left, and how far it has come."""
+"""The work of a sweep that is left, and how far it has come."""
 
 import contextlib
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ _LISTINGS = 5  # of the folder at most, where a run that is under way has joined
 
 @dataclass
 class Work:
-    """The tasks of a study that are left, in order of the points.
+    """The tasks of a sweep that are left, in order of the points.
 
     `done`: the samples of each point that are there. `failed`: what went wrong, by point. `starved`: tasks for which
     there was no memory, and the error. `complete`: points with nothing left to do. `damaged`: pieces that could not be

@@ -25,7 +25,7 @@ from .warned import collecting
 
 
 class UnfitWorkerError(RuntimeError):
-    """A worker that cannot do its share of a study; the message is a sentence that says what to do."""
+    """A worker that cannot do its share of a sweep; the message is a sentence that says what to do."""
 
 
 class Failed(NamedTuple):
@@ -137,21 +137,21 @@ def _pickler() -> Callable[[Any], bytes]:
     return importlib.import_module("cloudpickle").dumps  # comes with loky and dask; sends the classes of notebooks too
 
 
-def perform_sent(study: Sent, task: Task) -> bytes | Failed | NoMemory:
+def perform_sent(plan: Sent, task: Task) -> bytes | Failed | NoMemory:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
-    with _precision.of(study.double), collecting():
-        return attempted(_performer(study).perform, task)
+    with _precision.of(plan.double), collecting():
+        return attempted(_performer(plan).perform, task)
 
 
 _reading = threading.Lock()
 
 
-def _performer(study: Sent) -> Performer:
+def _performer(sent: Sent) -> Performer:
     with _reading:  # one for all threads, whose compilations they share
-        return _new_performer(study.plan, tuple(sorted(study.versions.items())), study.caches)
+        return _new_performer(sent.plan, tuple(sorted(sent.versions.items())), sent.caches)
 
 
-@functools.lru_cache(maxsize=4)  # studies that run at once on one worker do not throw out each other
+@functools.lru_cache(maxsize=4)  # sweeps that run at once on one worker do not throw out each other
 def _new_performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: bool) -> Performer:
     if caches:
         _compilation_cache.use()
@@ -165,7 +165,7 @@ def _new_performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: boo
         return Performer(pickle.loads(plan))
     except Exception as error:  # unpickling a user's object may raise anything
         raise UnfitWorkerError(
-            f"A worker cannot read the study ({error}); the modules that define its system and law must be installed "
+            f"A worker cannot read the sweep ({error}); the modules that define its system and law must be installed "
             "where the workers run."
         ) from error
 
@@ -204,7 +204,7 @@ _SETTINGS = (
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
 )
-_study_of_process: list[Sent] = []
+_plan_of_process: list[Sent] = []
 
 
 def start_of_process(plan: Plan) -> tuple[Sent, dict[str, Any], int]:
@@ -212,13 +212,13 @@ def start_of_process(plan: Plan) -> tuple[Sent, dict[str, Any], int]:
     return sent(plan), {name: getattr(jax.config, name) for name in _SETTINGS}, os.getpid()
 
 
-def prepare_process(study: Sent, settings: dict[str, Any], parent: int) -> None:
+def prepare_process(plan: Sent, settings: dict[str, Any], parent: int) -> None:
     """Set JAX as in the main process; once in every worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the main one decides
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     for name, value in settings.items():
         jax.config.update(name, value)
-    _study_of_process[:] = [study]
+    _plan_of_process[:] = [plan]
 
 
 def _end_with(parent: int) -> None:
@@ -229,5 +229,5 @@ def _end_with(parent: int) -> None:
 
 
 def perform_in_process(task: Task) -> bytes | Failed | NoMemory:
-    """Do a task of the study that the process was started for."""
-    return perform_sent(_study_of_process[0], task)
+    """Do a task of the sweep that the process was started for."""
+    return perform_sent(_plan_of_process[0], task)

@@ -1,4 +1,4 @@
-"""Examples of studies to start from, by name: what differs from the default study."""
+"""Studies and sweeps to start from, by name: what differs from the defaults."""
 
 import math
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, sw
     return {
         "base": law,
         "run": {"samples": samples},
-        "study": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
+        "sweep": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
     }
 
 
@@ -49,7 +49,7 @@ def _range_of(kind: str, limits: tuple[float, float, int]) -> dict[str, list[flo
 
 PAPERS: dict[str, Mapping[str, Any]] = {
     "parametric-analysis": {
-        "study": {
+        "sweep": {
             "over": {
                 "mu": _range_of("linspace", papers.ANALYSIS_FRICTIONS),
                 "rate": _range_of("logspace", papers.ANALYSIS_RATES),
@@ -63,4 +63,4 @@ PAPERS: dict[str, Mapping[str, Any]] = {
         {"law": "RandomSteps", "speed": 1.0, "interval": math.pi}, papers.SHARE_SAMPLES, "statistics"
     ),
 }
-"""The studies of `papers.parametric_analysis` and `papers.stick_share_map` as files."""
+"""The sweeps of `papers.parametric_analysis` and `papers.stick_share_map` as files."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .._sweep.errors import StudyError
+from ._errors import StudyError
 
 DATA = "study.nc"
 CONFIG = "study.toml"

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from .. import __version__
-from .._sweep.errors import StudyError
+from ._errors import StudyError
 
 
 def _whole_number(kind: type, tokens: Sequence[Any]) -> int:
@@ -80,7 +80,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Executors:
-    """Where a parametric study is simulated; the numbers are the same everywhere.
+    """Where a sweep is simulated; the numbers are the same everywhere.
 
     Parameters
     ----------
@@ -119,11 +119,11 @@ class SweepOptions:
     Parameters
     ----------
     out
-        Folder of the study; needed to run it.
+        Folder of the sweep; needed to run it.
     samples
         Number of samples at each point.
     paper
-        A study of a paper in place of a file: statistics over friction and switching rate (parametric-analysis), or the
+        A sweep of a paper in place of a file: statistics over friction and switching rate (parametric-analysis), or the
         share of time spent sticking over friction and frequency of the belt (stick-share-...).
     print_config
         Print the complete configuration, a file to start from, and run nothing.
@@ -232,43 +232,43 @@ def _sweep(
     options: Annotated[SweepOptions, Parameter(name="*")] = SweepOptions(),
     executors: Annotated[Executors, Parameter(name="*")] = Executors(),
 ) -> SweepCommand:
-    """Run a parametric study: the same ensemble at many values of its parameters.
+    """Run a parameter sweep: the same ensemble at many values of its parameters.
 
     Every finished piece is stored in the folder. Ctrl-C stops after the pieces under way, a second one at once; the
-    same command goes on from there. It also adds points, samples or statistics to a study.
+    same command goes on from there. It also adds points, samples or statistics to a sweep.
 
     Parameters
     ----------
     config
-        TOML file that describes the study, with a section [study.over]; without it, --paper parametric-analysis.
+        TOML file that describes the sweep, with a section [sweep.over]; without it, --paper parametric-analysis.
     """
     if config is not None and options.paper is not None:
         raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
     if options.out is None and not options.print_config:
-        raise StudyError("Option --out must name the folder of the study, but was left out.")
+        raise StudyError("Option --out must name the folder of the sweep, but was left out.")
     return SweepCommand(config, options, executors)
 
 
 def _resume(
     folder: Path, /, *, executors: Annotated[Executors, Parameter(name="*")] = Executors()
 ) -> ResumeCommand:  # fmt: skip
-    """Go on with a parametric study that was stopped.
+    """Go on with a parameter sweep that was stopped.
 
     Parameters
     ----------
     folder
-        Folder of the study.
+        Folder of the sweep.
     """
     return ResumeCommand(folder, executors)
 
 
 def _status(folder: Path, /) -> StatusCommand:
-    """Say how far a parametric study has come, also while it runs.
+    """Say how far a parameter sweep has come, also while it runs.
 
     Parameters
     ----------
     folder
-        Folder of the study.
+        Folder of the sweep.
     """
     return StatusCommand(folder)
 
@@ -276,12 +276,12 @@ def _status(folder: Path, /) -> StatusCommand:
 def _show(
     folder: Path, /, *, out: Path | None = None, statistics: str | None = None, force: _Switch = False
 ) -> ShowCommand:
-    """Print the statistics of a parametric study with their standard errors, and draw them, also while it runs.
+    """Print the statistics of a parameter sweep with their standard errors, and draw them, also while it runs.
 
     Parameters
     ----------
     folder
-        Folder of the study.
+        Folder of the sweep.
     out
         File for the figure (PNG, PDF or SVG): curves along one parameter, curves or maps over two.
     statistics

@@ -1,4 +1,4 @@
-"""Reads studies from TOML files and the command's options; every mistake becomes one sentence."""
+"""Reads studies and sweeps from TOML files and the command's options; every mistake becomes one sentence."""
 
 import sys
 import tomllib
@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from .._sweep.errors import StudyError
 from ._config import FileConfig, StudyConfig
+from ._errors import StudyError
 from ._examples import EXAMPLES, PAPERS
 from ._mistakes import Options, sentence_for
 from ._sweep_config import SweepConfig
@@ -46,7 +46,7 @@ def read_config(
 def read_sweep_config(
     path: Path | None = None, options: Mapping[str, Any] | None = None, *, paper: str | None = None
 ) -> SweepConfig:
-    """Read the parametric study described by a TOML file; the rest is as in `read_config`.
+    """Read the parameter sweep described by a TOML file; the rest is as in `read_config`.
 
     `paper`: without `path`, the name of one of `PAPERS` to read instead; by default the parametric analysis.
     """

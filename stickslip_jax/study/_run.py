@@ -16,8 +16,8 @@ from .._files import writing
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks, first_stick
 from .._statistics.registry import STATISTICS
-from .._sweep.errors import StudyError
 from ._config import RunConfig, StudyConfig
+from ._errors import StudyError
 from ._figures import draw_figures
 from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
 from ._store import write_netcdf

@@ -1,4 +1,4 @@
-"""The commands of parametric studies: ``sweep``, ``resume``, ``status`` and ``show``."""
+"""The commands of parameter sweeps: ``sweep``, ``resume``, ``status`` and ``show``."""
 
 import sys
 import warnings
@@ -11,7 +11,7 @@ from ._options import Executors, ResumeCommand, ShowCommand, StatusCommand, Swee
 if TYPE_CHECKING:
     import xarray
 
-    from .._sweep.study import Study
+    from .._sweep.sweep import Sweep
 
 _Prepare = Callable[[str], None]
 """Sets the precision of JAX, "float64" or "float32", before it starts."""
@@ -20,7 +20,7 @@ _Prepare = Callable[[str], None]
 def run_command(command: SweepCommand | ResumeCommand | StatusCommand | ShowCommand, prepare: _Prepare) -> None:
     """Run a command, and print what it has to say. Raises StudyError for what the user can correct."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("always", "The study asks for")
+        warnings.filterwarnings("always", "The sweep asks for")
         warnings.showwarning = _tell
         if isinstance(command, SweepCommand):
             _sweep(command, prepare)
@@ -46,27 +46,27 @@ def _sweep(command: SweepCommand, prepare: _Prepare) -> None:
         print(config.to_toml(), end="")
         return
     prepare(config.run.dtype)
-    from ._sweep_run import study_of  # noqa: PLC0415
+    from ._sweep_run import sweep_of  # noqa: PLC0415
 
     assert options.out is not None  # as the options are checked
-    study = study_of(config, "" if command.config is None else f"{command.config}: ")
-    _run(study, options.out.expanduser(), command.executors)
+    sweep = sweep_of(config, "" if command.config is None else f"{command.config}: ")
+    _run(sweep, options.out.expanduser(), command.executors)
 
 
 def _resume(command: ResumeCommand, prepare: _Prepare) -> None:
     from .._sweep.store import Store  # noqa: PLC0415
-    from .._sweep.study import Study  # noqa: PLC0415
+    from .._sweep.sweep import Sweep  # noqa: PLC0415
 
     prepare(Store.reading(command.folder).body["deciding"]["dtype"])
-    _run(Study.load(command.folder), command.folder, command.executors)
+    _run(Sweep.load(command.folder), command.folder, command.executors)
 
 
-def _run(study: "Study", folder: Path, executors: Executors) -> None:
+def _run(sweep: "Sweep", folder: Path, executors: Executors) -> None:
     from .._sweep.store import DATA  # noqa: PLC0415
     from ._sweep_run import run_stored  # noqa: PLC0415
 
     dataset = run_stored(
-        study, folder, threads=executors.threads, workers=executors.workers, dask=executors.dask,
+        sweep, folder, threads=executors.threads, workers=executors.workers, dask=executors.dask,
         progress=False if executors.quiet else executors.progress,
     )  # fmt: skip
     if not executors.quiet:
@@ -105,20 +105,20 @@ def _print_table(dataset: "xarray.Dataset", wanted: tuple[str, ...] = ()) -> lis
 
 def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
     from .. import plot  # noqa: PLC0415 - slow to load
-    from .._sweep.errors import StudyError  # noqa: PLC0415
+    from ._errors import StudyError  # noqa: PLC0415
 
     if len(dataset["samples"].dims) > 2:
         raise StudyError(
-            f"option --out draws studies of one or two parameters, but this one has {len(dataset['samples'].dims)} "
-            "dimensions; in Python, plot.parameter_study(results.isel(...), names) draws a part of it."
+            f"option --out draws sweeps of one or two parameters, but this one has {len(dataset['samples'].dims)} "
+            "dimensions; in Python, plot.parameter_sweep(results.isel(...), names) draws a part of it."
         )
-    plot.save(plot.parameter_study(dataset, names), path, overwrite=force)
+    plot.save(plot.parameter_sweep(dataset, names), path, overwrite=force)
 
 
 def _check_figure(path: Path, force: bool) -> None:
     """Raise StudyError where no figure can be written."""
     from .._files import file_to_write  # noqa: PLC0415
-    from .._sweep.errors import StudyError  # noqa: PLC0415
+    from ._errors import StudyError  # noqa: PLC0415
 
     try:
         file_to_write(path, overwrite=force)

@@ -1,4 +1,4 @@
-"""A parametric study: the sections of its TOML file."""
+"""A parameter sweep: the sections of its TOML file."""
 
 import math
 import re
@@ -19,9 +19,9 @@ _RANGES = {"linspace": np.linspace, "logspace": np.geomspace}
 
 
 class OverConfig(Section):
-    """Section ``[study.over]``: the swept parameters by name, with their values.
+    """Section ``[sweep.over]``: the swept parameters by name, with their values.
 
-    A name is one as in `stickslip_jax.Study`, or that of an initial value in ``[run]``; several with commas between
+    A name is one as in `stickslip_jax.Sweep`, or that of an initial value in ``[run]``; several with commas between
     them change together.
     """
 
@@ -114,8 +114,8 @@ def _is_number(value: Any) -> bool:
     )
 
 
-class ParametricStudyConfig(Section):
-    """Section ``[study]``: what is estimated at each point; the points are in ``[study.over]``."""
+class SweepSection(Section):
+    """Section ``[sweep]``: what is estimated at each point; the points are in ``[sweep.over]``."""
 
     keep: Literal["statistics", "totals"] = Field(
         default="statistics", description="statistics; totals: fewer of them, about three times as fast"
@@ -140,7 +140,7 @@ class ParametricStudyConfig(Section):
 
 
 class SweepConfig(FileConfig):
-    """A whole parametric study."""
+    """A whole parameter sweep."""
 
     runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
         MassSpringConfig: MassSpringPointConfig,
@@ -148,4 +148,4 @@ class SweepConfig(FileConfig):
     }
 
     run: MassSpringPointConfig | MotorCartPointConfig = Field(default_factory=dict, validate_default=True)
-    study: ParametricStudyConfig = Field(default_factory=dict, validate_default=True)
+    sweep: SweepSection = Field(default_factory=dict, validate_default=True)

@@ -1,4 +1,4 @@
-"""Parametric studies as text: how far one has come, and tables of its statistics."""
+"""Parameter sweeps as text: how far one has come, and tables of its statistics."""
 
 import json
 import math
@@ -13,8 +13,8 @@ import numpy as np
 from .._statistics.estimate import format_with_error
 from .._statistics.registry import STATISTICS
 from .._status import Status
-from .._sweep.errors import StudyError
-from .._sweep.looking import StudyStatus
+from .._sweep.looking import SweepStatus
+from ._errors import StudyError
 
 if TYPE_CHECKING:
     import xarray
@@ -23,7 +23,7 @@ _HEAD_WIDTH = 16
 _UNFINISHED = tuple(status for status in Status if status is not Status.FINISHED)
 
 
-def status_text(folder: Path, status: StudyStatus) -> str:
+def status_text(folder: Path, status: SweepStatus) -> str:
     """What ``stickslip status`` prints."""
     wanted = f"{'at most ' if status.is_adaptive else ''}{status.most_samples:,}"
     running = "running now" if status.is_running else "finished" if status.is_finished else "not running"

@@ -80,10 +80,10 @@ PRINTED = {
         r"mu = 0\.5: 1\.0000 \+- 0\.0000 of the samples have a first stick, 0 of these are longer",
     ),
     "parametric_analysis": (
-        r"Study of 64 points \(8 mu x 8 rate\), 100 samples each",
+        r"Sweep of 64 points \(8 mu x 8 rate\), 100 samples each",
         r"90 % confidence intervals: at most \d+\.\d\d %",
-        r"along rate: the study's mean number of sticks again at 8 of 8 points",
-        r"along mu: the study's mean number of sticks again at 8 of 8 points",
+        r"along rate: the sweep's mean number of sticks again at 8 of 8 points",
+        r"along mu: the sweep's mean number of sticks again at 8 of 8 points",
         r"stick_count, \d+ bins: entropy from",
         r"d log / d log mu of mean stick duration \(pooled\): 0\.[89]",
     ),
@@ -132,7 +132,7 @@ PRINTED = {
         r"naive, 0\.268 s by differences",
     ),
     "scaling": (
-        r"numbers that are those of a study never stopped: (\d+) of \1\b",
+        r"numbers that are those of a sweep never stopped: (\d+) of \1\b",
         r"pieces done by a third run: 0",
         r"mu = 1\.6: samples for rates 0\.3, 0\.6, 1\.2, 2\.4 \(foretold\): 2100 .*1500 .*1300 .*1000 ",
         r"numbers of two processes that are those of one thread: 36 of 36",

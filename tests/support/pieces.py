@@ -1,4 +1,4 @@
-"""Folders of studies whose pieces are not joined yet, and what is in them."""
+"""Folders of sweeps whose pieces are not joined yet, and what is in them."""
 
 import shutil
 from pathlib import Path
@@ -10,8 +10,8 @@ import stickslip_jax as ss
 from support.faults import failing, run
 
 
-def unjoined(study: ss.Study, folder: Path) -> Any:
-    """Run a study in a folder, and put the pieces back that were joined; returns the data set.
+def unjoined(sweep: ss.Sweep, folder: Path) -> Any:
+    """Run a sweep in a folder, and put the pieces back that were joined; returns the data set.
 
     The data set is not in the folder any more, so that looks read the pieces.
     """
@@ -22,14 +22,14 @@ def unjoined(study: ss.Study, folder: Path) -> Any:
             parts[of] = of.read_bytes()
 
     with failing(folder, keep):
-        dataset = run(study, folder)
+        dataset = run(sweep, folder)
     shutil.copytree(folder / "pieces", folder.with_name("joined"))
     for path in (folder / "pieces").glob("*.zip"):
         if path not in parts:
             path.unlink()
     for path, data in parts.items():
         path.write_bytes(data)
-    (folder / "study.nc").unlink()
+    (folder / "sweep.nc").unlink()
     return dataset
 
 

@@ -1,4 +1,4 @@
-"""A small study that tests run in different places, and the comparison of its results."""
+"""A small sweep that tests run in different places, and the comparison of its results."""
 
 import jax
 import numpy as np
@@ -9,10 +9,10 @@ SAMPLES, PIECE = 3000, 1024
 PLACES = {"mu": [0.5, 1.0], "rate": [0.5, 1.0]}
 
 
-def small_study(**changed) -> ss.Study:
+def small_sweep(**changed) -> ss.Sweep:
     """Four points of a random belt, three pieces each."""
     arguments = {"over": PLACES, "t1": 20.0, "samples": SAMPLES, "piece": PIECE, "key": jax.random.key(1), **changed}
-    return ss.Study(
+    return ss.Sweep(
         ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching(2.0, 0.5), **arguments
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Parametric studies by the command: their files, running, stopping, looking at them."""
+"""Parameter sweeps by the command: their files, running, stopping, looking at them."""
 
 import json
 import os
@@ -26,7 +26,7 @@ from stickslip_jax._sweep.manifest import manifest_text
 from stickslip_jax.study._examples import PAPERS
 from stickslip_jax.study._options import Paper
 from stickslip_jax.study._reading import read_sweep_config
-from stickslip_jax.study._sweep_run import study_of
+from stickslip_jax.study._sweep_run import sweep_of
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 SMALL = """
@@ -34,11 +34,11 @@ SMALL = """
 t1 = 20.0
 samples = 3000
 
-[study]
+[sweep]
 keep = "totals"
 piece = 1024
 
-[study.over]
+[sweep.over]
 mu = [0.5, 1.0]
 rate = { logspace = [0.5, 2.0, 3] }
 """
@@ -47,11 +47,11 @@ LONG = """
 t1 = 2000.0
 samples = 100_000
 
-[study]
+[sweep]
 keep = "totals"
 piece = 4096
 
-[study.over]
+[sweep.over]
 mu = { linspace = [0.5, 2.0, 4] }
 """
 
@@ -65,9 +65,9 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The folder of a small study that is done."""
-    folder = tmp_path_factory.mktemp("study")
-    study_of(read_sweep_config(config_file(folder, SMALL))).run(folder / "done", progress=False)
+    """The folder of a small sweep that is done."""
+    folder = tmp_path_factory.mktemp("sweep")
+    sweep_of(read_sweep_config(config_file(folder, SMALL))).run(folder / "done", progress=False)
     return folder / "done"
 
 
@@ -85,7 +85,7 @@ def _refused(capsys, *arguments, code=2):
 
 
 # Sensitivities need exact friction, so no one file holds every key: each of the two adds to the rest what the other
-# cannot have: lines of [run], of [study] and of [study.over], and what they are in Python.
+# cannot have: lines of [run], of [sweep] and of [sweep.over], and what they are in Python.
 FORMS = {
     "exact friction, sensitivities": (
         "",
@@ -104,8 +104,8 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize(("run", "study", "swept", "options", "over"), FORMS.values(), ids=FORMS.keys())
-def test_file_is_the_study_that_python_makes(tmp_path, run, study, swept, options, over):
+@pytest.mark.parametrize(("run", "sweep", "swept", "options", "over"), FORMS.values(), ids=FORMS.keys())
+def test_file_is_the_sweep_that_python_makes(tmp_path, run, sweep, swept, options, over):
     text = f"""
 [system]
 mu = 0.7
@@ -121,14 +121,14 @@ initial_position = 0.1
 orders = 4
 count_initial_rest = true
 {run}
-[study]
+[sweep]
 statistics = ["stick_fraction", "mean_stick_duration"]
 independent = true
 standard_error = {{ stick_fraction = 0.01 }}
 realizations = 2
 piece = 50
-{study}
-[study.over]
+{sweep}
+[sweep.over]
 initial_velocity = {{ linspace = [0, 1, 3] }}
 "mu, period" = [[0.5, 1.0], [1.0, 2.0]]
 speed = {{ logspace = [1, 4, 3] }}
@@ -136,7 +136,7 @@ speed = {{ logspace = [1, 4, 3] }}
 """
     config = read_sweep_config(config_file(tmp_path, text))
     assert read_sweep_config(config_file(tmp_path, config.to_toml())) == config
-    expected = ss.Study(
+    expected = ss.Sweep(
         ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7), damping=0.0),
         ss.SquareWave(2.0, 3.0),
         over={
@@ -158,7 +158,7 @@ speed = {{ logspace = [1, 4, 3] }}
         piece=50,
         **options,
     )
-    assert manifest_text(study_of(config).plan) == manifest_text(expected.plan)
+    assert manifest_text(sweep_of(config).plan) == manifest_text(expected.plan)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ speed = {{ logspace = [1, 4, 3] }}
 def test_papers_by_name_are_those_of_the_module(name):
     belt = name.removeprefix("stick-share-")
     expected = papers.parametric_analysis() if belt == name else papers.stick_share_map(belt)
-    assert manifest_text(study_of(read_sweep_config(paper=name)).plan) == manifest_text(expected.plan)
+    assert manifest_text(sweep_of(read_sweep_config(paper=name)).plan) == manifest_text(expected.plan)
     assert list(get_args(Paper)) == list(PAPERS)
 
 
@@ -200,11 +200,11 @@ def test_mistakes_name_file_and_key(capsys, tmp_path, case):
         ),
         (["sweep", "--out", "x", "--workers", "0"], "option --workers must be at least 1, but 0 was given."),
         (["sweep", "--out", "x", "--samples", "0"], "option --samples must be greater than or equal to 1"),
-        (["sweep", "--out", "/dev/null"], "/dev/null cannot hold a study, because it is a file"),
+        (["sweep", "--out", "/dev/null"], "/dev/null cannot hold a sweep, because it is a file"),
         (["resume"], "requires an argument"),
-        (["resume", "none"], "none holds no study"),
-        (["status", "none"], "none holds no study"),
-        (["show", "none"], "none holds no study"),
+        (["resume", "none"], "none holds no sweep"),
+        (["status", "none"], "none holds no sweep"),
+        (["show", "none"], "none holds no sweep"),
         (["show", "none", "--out", "figure.txt"], "option --out must be a file that ends in .png, .pdf, .svg"),
         (["status", "a", "b"], "b was given as well"),
     ],
@@ -219,30 +219,30 @@ def test_bad_arguments_are_refused(capsys, arguments, said):
 
 def test_sweep_prints_what_the_ensembles_of_the_points_say(capsys, tmp_path):
     path = config_file(tmp_path, SMALL)
-    assert cli.main(["sweep", str(path), "--out", "study", "--threads", "2"]) == 0
+    assert cli.main(["sweep", str(path), "--out", "sweep", "--threads", "2"]) == 0
     out = capsys.readouterr().out
-    study = study_of(read_sweep_config(path))
+    sweep = sweep_of(read_sweep_config(path))
     rows = [line.split() for line in out.splitlines() if line.count("+-") == 5]
     assert len(rows) == 6
     for row in rows:
-        many = study.ensemble_at(mu=float(row[0]), rate=float(row[1]), keep="totals", progress=False)
+        many = sweep.ensemble_at(mu=float(row[0]), rate=float(row[1]), keep="totals", progress=False)
         assert " ".join(row[2:5]) == str(ss.stick_fraction(many)).split(": ")[1]
     assert "MassSpring, PoissonSwitching, on [0, 20] s (float64): 6 points, 3,000 samples each" in out
-    assert "study/study.nc" in out
+    assert "sweep/sweep.nc" in out
 
 
 def test_the_same_sweep_adds_samples_and_another_is_refused(capsys, tmp_path):
     path = config_file(tmp_path, SMALL.replace("3000", "1024"))
-    assert cli.main(["sweep", str(path), "--out", "study", "--quiet"]) == 0
-    assert cli.main(["sweep", str(path), "--out", "study", "--quiet", "--samples", "2048"]) == 0
+    assert cli.main(["sweep", str(path), "--out", "sweep", "--quiet"]) == 0
+    assert cli.main(["sweep", str(path), "--out", "sweep", "--quiet", "--samples", "2048"]) == 0
     assert capsys.readouterr() == ("", "")
-    assert np.all(read_dataset(Path("study"))["samples"] == 2048)
+    assert np.all(read_dataset(Path("sweep"))["samples"] == 2048)
     other = config_file(tmp_path, SMALL.replace("20.0", "25.0"))
-    said = _refused(capsys, "sweep", other, "--out", "study")
+    said = _refused(capsys, "sweep", other, "--out", "sweep")
     assert "t1: 20.0 there, 25.0 here" in said
 
 
-def test_status_and_table_of_a_finished_study(capsys, finished):
+def test_status_and_table_of_a_finished_sweep(capsys, finished):
     assert cli.main(["status", str(finished)]) == 0
     first, spent, how = capsys.readouterr().out.splitlines()
     assert first == f"{finished}: 6 of 6 points done, 18,000 of 18,000 samples; finished."
@@ -287,7 +287,7 @@ def test_looking_changes_nothing_and_leaves_damaged_pieces_out(capsys, finished,
 
 
 def _started(*arguments):
-    """A run in ``study``, begun, and with a piece that is done."""
+    """A run in ``sweep``, begun, and with a piece that is done."""
     begun = _log().count("begun")
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -300,7 +300,7 @@ def _started(*arguments):
 
 
 def _log():
-    path = Path("study/log.txt")
+    path = Path("sweep/log.txt")
     return path.read_text() if path.exists() else ""
 
 
@@ -309,17 +309,17 @@ def _numbers(folder):
     return {name: np.asarray(one) for name, one in dataset.data_vars.items() if name != "run_seconds"}
 
 
-def test_stopped_study_goes_on(capsys, tmp_path):
+def test_stopped_sweep_goes_on(capsys, tmp_path):
     """Ctrl-C waits for the pieces under way; SIGTERM and a second Ctrl-C do not. Nothing that is stored is lost."""
     path = config_file(tmp_path, LONG)
-    process = _started("sweep", path, "--out", "study", "--threads", "1")
+    process = _started("sweep", path, "--out", "sweep", "--threads", "1")
     try:
-        assert cli.main(["status", "study"]) == 0
+        assert cli.main(["status", "sweep"]) == 0
         assert "0 of 4 points done" in (said := capsys.readouterr().out)
         assert "running now." in said
-        assert cli.main(["show", "study", "--out", "figure.png"]) == 0
+        assert cli.main(["show", "sweep", "--out", "figure.png"]) == 0
         assert capsys.readouterr().out.count("+-") >= 5
-        assert "in use by another run" in _refused(capsys, "resume", "study")
+        assert "in use by another run" in _refused(capsys, "resume", "sweep")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=120)
     finally:
@@ -328,17 +328,17 @@ def test_stopped_study_goes_on(capsys, tmp_path):
     asked, stopped = err.strip().splitlines()
     assert asked.startswith("Stopping after the pieces under way")
     done = re.fullmatch(  # the pieces under way may be the last of a point
-        "stickslip: Stopped with ([01]) of 4 points done; `stickslip resume study`, or the same call again, goes on "
+        "stickslip: Stopped with ([01]) of 4 points done; `stickslip resume sweep`, or the same call again, goes on "
         r"from here\.",
         stopped,
     )
     assert done
-    assert cli.main(["status", "study"]) == 0
+    assert cli.main(["status", "sweep"]) == 0
     assert f"{done[1]} of 4 points done" in capsys.readouterr().out
-    stored = set(Path("study/pieces").iterdir())
+    stored = set(Path("sweep/pieces").iterdir())
     kept = "what is done is kept, and the same command goes on from there.\n"
     for code, said in ((143, f"stickslip: Terminated; {kept}"), (130, f"stickslip: Interrupted; {kept}")):
-        process = _started("resume", "study", "--threads", "1")
+        process = _started("resume", "sweep", "--threads", "1")
         try:
             process.send_signal(signal.SIGTERM if code == 143 else signal.SIGINT)
             if code == 130:  # the first Ctrl-C says what it does; the second one ends it at once
@@ -348,21 +348,21 @@ def test_stopped_study_goes_on(capsys, tmp_path):
         finally:
             process.kill()
         assert (process.returncode, out, err) == (code, "", said)
-        assert stored <= set(Path("study/pieces").iterdir())
-    assert cli.main(["status", "study"]) == 0
-    assert "`stickslip resume study` goes on from here." in capsys.readouterr().out
+        assert stored <= set(Path("sweep/pieces").iterdir())
+    assert cli.main(["status", "sweep"]) == 0
+    assert "`stickslip resume sweep` goes on from here." in capsys.readouterr().out
 
 
-def test_resumed_study_has_the_numbers_of_one_that_was_not_stopped(tmp_path, finished):
+def test_resumed_sweep_has_the_numbers_of_one_that_was_not_stopped(tmp_path, finished):
     path = config_file(tmp_path, SMALL)
-    study = study_of(read_sweep_config(path))
-    study.run("study", progress=False)
-    pieces = sorted(Path("study/pieces").iterdir())
+    sweep = sweep_of(read_sweep_config(path))
+    sweep.run("sweep", progress=False)
+    pieces = sorted(Path("sweep/pieces").iterdir())
     for one in pieces[::2]:
         one.unlink()
-    Path("study/study.nc").unlink()
-    assert cli.main(["resume", "study", "--workers", "1", "--quiet"]) == 0
-    numbers, expected = _numbers("study"), _numbers(finished)
+    Path("sweep/sweep.nc").unlink()
+    assert cli.main(["resume", "sweep", "--workers", "1", "--quiet"]) == 0
+    numbers, expected = _numbers("sweep"), _numbers(finished)
     assert numbers.keys() == expected.keys()
     for name, values in numbers.items():
         assert np.array_equal(values, expected[name], equal_nan=True), name

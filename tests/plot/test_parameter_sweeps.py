@@ -1,4 +1,4 @@
-"""Figures of parametric studies: which kind is drawn, with which axes."""
+"""Figures of parameter sweeps: which kind is drawn, with which axes."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def _results(shape, *, errors=0.1, spaced=np.geomspace):
 
 
 def test_one_parameter_is_a_curve_with_bars():
-    share, time = plot.parameter_study(_results((5,)), ["share", "time"])
+    share, time = plot.parameter_sweep(_results((5,)), ["share", "time"])
     assert (share.get_xscale(), share.get_xlabel(), share.get_ylabel()) == ("log", "mu", "stick share")
     assert share.lines[0].get_ydata() == pytest.approx(np.arange(5))
     assert len(share.containers) == 1  # the bars
@@ -31,7 +31,7 @@ def test_one_parameter_is_a_curve_with_bars():
 
 
 def test_few_values_of_a_parameter_are_curves_with_bands():
-    (ax,) = plot.parameter_study(_results((3, 6), spaced=np.linspace), ["share"])
+    (ax,) = plot.parameter_sweep(_results((3, 6), spaced=np.linspace), ["share"])
     assert (ax.get_xscale(), ax.get_xlabel()) == ("linear", "rate")
     curves = [line for line in ax.lines if len(line.get_xdata())]
     assert [tuple(line.get_ydata()) for line in curves] == [tuple(np.arange(6.0) + start) for start in (0, 6, 12)]
@@ -41,7 +41,7 @@ def test_few_values_of_a_parameter_are_curves_with_bands():
 def test_two_parameters_are_a_map():
     """Uncertain cells are marked; where no sample has an error, none is."""
     for errors, marks in ((0.1, 1), (np.nan, 0)):
-        (ax,) = plot.parameter_study(_results((5, 6), errors=errors), ["share"])
+        (ax,) = plot.parameter_sweep(_results((5, 6), errors=errors), ["share"])
         assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_xscale()) == ("mu", "rate", "log")
         labels = ax.get_legend_handles_labels()[1]
         assert len([label for label in labels if label.startswith("standard error above")]) == marks
@@ -49,11 +49,11 @@ def test_two_parameters_are_a_map():
 
 def test_bad_arguments(annotations_unchecked):
     wrong = [
-        (({"share": 1}, ["share"]), "results must be a Dataset of a Study"),
+        (({"share": 1}, ["share"]), "results must be a Dataset of a Sweep"),
         ((_results((5,)), ["shares"]), "names must be a list of variables of the results, some of share,"),
         ((_results((5,)), []), "names must be a list"),
         ((_results((5, 6)).expand_dims("y0"), ["share"]), r"results must have one or two .* has 3 \(y0, mu, rate\)"),
     ]
     for arguments, message in wrong:
         with pytest.raises(ValueError, match=f"Argument {message}"):
-            plot.parameter_study(*arguments)
+            plot.parameter_sweep(*arguments)

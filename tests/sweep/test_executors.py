@@ -1,4 +1,4 @@
-"""The same numbers wherever a study runs on this machine, and what happens when its processes die."""
+"""The same numbers wherever a sweep runs on this machine, and what happens when its processes die."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from support.faults import log_of, wait_for
-from support.sweep import PLACES, assert_same, small_study
+from support.sweep import PLACES, assert_same, small_sweep
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.manifest import versions
@@ -30,7 +30,7 @@ SUPPORT = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    return small_study().run(threads=1)
+    return small_sweep().run(threads=1)
 
 
 def script(text: str) -> str:
@@ -45,12 +45,12 @@ def environment() -> dict[str, str]:
 
 
 def test_two_threads_give_the_same_bits(undisturbed):
-    assert_same(small_study().run(threads=2), undisturbed)
+    assert_same(small_sweep().run(threads=2), undisturbed)
 
 
 def test_order_of_the_points_changes_nothing(undisturbed):
     over = {name: values[::-1] for name, values in PLACES.items()}
-    found = small_study(over=over).run(threads=2)
+    found = small_sweep(over=over).run(threads=2)
     assert_same(found.sortby(["mu", "rate"]), undisturbed)
 
 
@@ -59,7 +59,7 @@ def test_size_of_the_pieces_changes_means_by_round_off_and_counts_not_at_all(und
     """Two orders of adding n numbers x differ by at most 2 n u sum|x| (Higham, Accuracy and Stability, eq. 4.4), where
     sum|x| is at most n times the root of their mean square.
     """
-    found = small_study(piece=700).run(threads=2)
+    found = small_sweep(piece=700).run(threads=2)
     whole = [name for name in undisturbed.data_vars if undisturbed[name].dtype.kind in "iu"]
     histograms = [name for name in undisturbed.data_vars if name.endswith(("_density", "_entropy", "_quantile"))]
     assert "duration_count_in_bin" in whole
@@ -79,17 +79,17 @@ def test_two_processes_give_the_same_bits(undisturbed, tmp_path):
     """Started by a program from standard input, without ``if __name__ == "__main__"``, which they do not run again."""
     program = script(f"""
         print("begun")
-        from support.sweep import small_study
+        from support.sweep import small_sweep
         from stickslip_jax import _compilation_cache
         _compilation_cache.use()
-        small_study().run({str(tmp_path)!r}, workers=2)
+        small_sweep().run({str(tmp_path)!r}, workers=2)
         """)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-"], input=program, env=environment(), capture_output=True, text=True,
         timeout=300, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout, done.stderr) == (0, "begun\n", "")
-    found = ss.Study.load(tmp_path).run(tmp_path, threads=1)
+    found = ss.Sweep.load(tmp_path).run(tmp_path, threads=1)
     assert log_of(tmp_path).count("done ") == 12
     assert_same(found, undisturbed)
 
@@ -97,7 +97,7 @@ def test_two_processes_give_the_same_bits(undisturbed, tmp_path):
 TWO_DEVICES = """
     import json, sys
     import numpy as np
-    from support.sweep import small_study
+    from support.sweep import small_sweep
     from stickslip_jax._sweep import workers
     from stickslip_jax import _compilation_cache
     _compilation_cache.use()
@@ -109,7 +109,7 @@ TWO_DEVICES = """
         return perform(plan, task)
 
     workers.perform = noted
-    small_study(sensitivities=[("mean_stick_duration", "mu")] if SENSITIVITIES else ()).run(sys.argv[1], threads=2)
+    small_sweep(sensitivities=[("mean_stick_duration", "mu")] if SENSITIVITIES else ()).run(sys.argv[1], threads=2)
     print(sorted(used))
     """
 
@@ -125,10 +125,10 @@ def test_two_devices_share_the_pieces_and_give_the_same_bits(undisturbed, tmp_pa
     assert done.returncode == 0, done.stderr
     each = 8 if sensitivities else 6
     assert done.stdout == f"{[0] * each + [1] * each}\n"
-    found = ss.Study.load(tmp_path).run(tmp_path, threads=1)
+    found = ss.Sweep.load(tmp_path).run(tmp_path, threads=1)
     wanted = undisturbed
     if sensitivities:
-        wanted = small_study(sensitivities=[("mean_stick_duration", "mu")]).run(threads=1)
+        wanted = small_sweep(sensitivities=[("mean_stick_duration", "mu")]).run(threads=1)
     assert_same(found, wanted)
 
 
@@ -149,22 +149,22 @@ def test_two_devices_share_the_pieces_and_give_the_same_bits(undisturbed, tmp_pa
 )
 def test_what_does_not_fit_is_refused_in_a_sentence(annotations_unchecked, arguments, said):
     with pytest.raises(ValueError, match=said):
-        small_study().run(**arguments)
+        small_sweep().run(**arguments)
 
 
 def test_worker_with_other_versions_is_refused():
     """Another version of JAX may give other numbers."""
-    study = sent(small_study().plan)
-    assert study.versions == versions()
-    other = study._replace(versions={**study.versions, "jax": "0.0.1"})
+    sweep = sent(small_sweep().plan)
+    assert sweep.versions == versions()
+    other = sweep._replace(versions={**sweep.versions, "jax": "0.0.1"})
     with pytest.raises(UnfitWorkerError, match=r"has jax .* instead of 0\.0\.1.*install the same versions"):
         perform_sent(other, Task(0, 0, 10))
 
 
 def test_worker_without_the_users_module_is_refused():
-    study = sent(small_study().plan)
-    unknown = study._replace(plan=b"cnobody_has_this_module\nLaw\n.")
-    with pytest.raises(UnfitWorkerError, match=r"cannot read the study .*must be installed"):
+    sweep = sent(small_sweep().plan)
+    unknown = sweep._replace(plan=b"cnobody_has_this_module\nLaw\n.")
+    with pytest.raises(UnfitWorkerError, match=r"cannot read the sweep .*must be installed"):
         perform_sent(unknown, Task(0, 0, 10))
 
 
@@ -173,11 +173,11 @@ def test_points_that_fail_come_back_as_their_reason(monkeypatch):
         raise ValueError("No such point.")
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", failing)
-    assert perform_sent(sent(small_study().plan), Task(0, 0, 10)) == Failed("No such point.")
+    assert perform_sent(sent(small_sweep().plan), Task(0, 0, 10)) == Failed("No such point.")
 
 
 def test_two_precisions_in_one_process_do_not_mix(monkeypatch):
-    """As of two studies on one worker of a cluster: precision is of the whole process, and its threads are several."""
+    """As of two sweeps on one worker of a cluster: precision is of the whole process, and its threads are several."""
 
     def precision(plan, task):
         before = jnp.result_type(float)
@@ -185,10 +185,10 @@ def test_two_precisions_in_one_process_do_not_mix(monkeypatch):
         return f"{before} {jnp.result_type(float)}".encode()
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", precision)
-    study = sent(small_study().plan)
+    sweep = sent(small_sweep().plan)
     try:
         with ThreadPoolExecutor(4) as pool:
-            found = list(pool.map(lambda n: perform_sent(study._replace(double=n % 3 > 0), Task(n, 0, 10)), range(30)))
+            found = list(pool.map(lambda n: perform_sent(sweep._replace(double=n % 3 > 0), Task(n, 0, 10)), range(30)))
     finally:
         jax.config.update("jax_enable_x64", True)
     assert found == [b"float64 float64" if n % 3 else b"float32 float32" for n in range(30)]
@@ -218,18 +218,18 @@ def test_threads_that_collect_warnings_give_back_the_filters():
 
 RUN = """
     import sys
-    from support.sweep import small_study
+    from support.sweep import small_sweep
     from stickslip_jax import _compilation_cache
     _compilation_cache.use()
     try:
-        small_study(samples=40_000).run(sys.argv[1], workers=2)
+        small_sweep(samples=40_000).run(sys.argv[1], workers=2)
     except KeyboardInterrupt as stopped:
         print(str(stopped) or "at once")
     """
 
 
 def start(folder) -> subprocess.Popen:
-    """A longer study on two processes, as a program with a terminal of its own."""
+    """A longer sweep on two processes, as a program with a terminal of its own."""
     return subprocess.Popen(
         [sys.executable, "-c", script(RUN), str(folder)], env=environment(), stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -254,8 +254,8 @@ def test_killed_worker_of_a_pool_changes_nothing(tmp_path):
     out, err = program.communicate(timeout=500)
     assert (program.returncode, out) == (0, ""), err
     assert "a worker died" in log_of(tmp_path)
-    found = ss.Study.load(tmp_path).run(tmp_path, threads=1)
-    assert_same(found, small_study(samples=40_000).run(threads=2))
+    found = ss.Sweep.load(tmp_path).run(tmp_path, threads=1)
+    assert_same(found, small_sweep(samples=40_000).run(threads=2))
 
 
 @pytest.mark.slow

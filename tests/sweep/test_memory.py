@@ -1,4 +1,4 @@
-"""Studies whose workers run out of memory: that is said, what is stored is kept, and a run with more memory goes on."""
+"""Sweeps whose workers run out of memory: that is said, what is stored is kept, and a run with more memory goes on."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from support.faults import TESTS, assert_same, log_of, one_sentence, run, study_of
+from support.faults import TESTS, assert_same, log_of, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
@@ -65,11 +65,11 @@ def starving(monkeypatch, may_begin):
 
 def test_piece_without_memory_is_done_again_with_fewer_at_a_time(tmp_path, monkeypatch):
     """The numbers are the same: the size of a piece, which decides the last digits, stays as it is."""
-    wanted = run(study_of(), tmp_path / "wanted")
+    wanted = run(sweep_of(), tmp_path / "wanted")
     tried = starving(monkeypatch, lambda task, tried: tried.count(task) > 1 or task.first == 0)
-    assert_same(run(study_of(), tmp_path / "study"), wanted)
+    assert_same(run(sweep_of(), tmp_path / "sweep"), wanted)
     assert len(tried) == 6
-    log = log_of(tmp_path / "study")
+    log = log_of(tmp_path / "sweep")
     assert log.count("no memory for mu = ") == 2
     assert "MemoryError: Unable to allocate" in log
     assert "it is done again, with at most 1 at a time" in log
@@ -77,12 +77,12 @@ def test_piece_without_memory_is_done_again_with_fewer_at_a_time(tmp_path, monke
 
 
 def test_no_memory_even_alone(tmp_path, monkeypatch):
-    """No point has failed: the study is not finished, the others are done, and a run with more memory does the rest."""
-    wanted, folder = run(study_of(), tmp_path / "wanted"), tmp_path / "study"
+    """No point has failed: the sweep is not finished, the others are done, and a run with more memory does the rest."""
+    wanted, folder = run(sweep_of(), tmp_path / "wanted"), tmp_path / "sweep"
     with monkeypatch.context() as patch:
         starving(patch, lambda task, tried: task.point == 0)
-        with pytest.raises(ss.StudyError) as error:
-            run(study_of(), folder)
+        with pytest.raises(ss.SweepError) as error:
+            run(sweep_of(), folder)
         one_sentence(
             error, "There was no memory for pieces of 1 of 2 points, even one at a time, first mu = 1: samples 0 to",
             "MemoryError: Unable to allocate 4.00 EiB", f"what is done is kept in {folder}", "more memory",
@@ -90,10 +90,10 @@ def test_no_memory_even_alone(tmp_path, monkeypatch):
         status = status_of(folder)
         assert (status.complete, status.samples, status.is_finished) == (1, 500, False)
         assert "FAILED" not in log_of(folder)
-        with pytest.raises(ss.StudyError) as error:
-            study_of().run(threads=2, progress=False)
+        with pytest.raises(ss.SweepError) as error:
+            sweep_of().run(threads=2, progress=False)
         one_sentence(error, "There was no memory", "give a folder")
-    assert_same(run(study_of(), folder), wanted)
+    assert_same(run(sweep_of(), folder), wanted)
 
 
 def test_fewer_and_fewer_at_a_time(tmp_path, monkeypatch):
@@ -115,8 +115,8 @@ def test_fewer_and_fewer_at_a_time(tmp_path, monkeypatch):
 
     monkeypatch.setattr(workers, "perform", counted)
     starving(monkeypatch, may_begin)
-    study = study_of(samples=30 * 256)
-    dataset = study.run(tmp_path / "study", threads=8, progress=False)
+    sweep = sweep_of(samples=30 * 256)
+    dataset = sweep.run(tmp_path / "sweep", threads=8, progress=False)
     assert (dataset["samples"] == 30 * 256).all()
     assert max(most[-30:]) <= 3
 
@@ -127,7 +127,7 @@ def test_worker_without_memory_sends_that_back(monkeypatch):
 
     monkeypatch.setattr(workers, "perform", hungry)
     with ThreadPoolExecutor(1) as pool:
-        found = pool.submit(perform_sent, sent(study_of().plan), Task(0, 0, 10)).result()
+        found = pool.submit(perform_sent, sent(sweep_of().plan), Task(0, 0, 10)).result()
     assert found == NoMemory("MemoryError: std::bad_alloc")
 
 
@@ -146,15 +146,15 @@ PROCESSES = """
 import sys
 import jax
 jax.config.update("jax_enable_x64", True)
-from stickslip_jax import StudyError, _compilation_cache
+from stickslip_jax import SweepError, _compilation_cache
 from stickslip_jax._sweep import processes
-from study.test_memory import hungry_process
-from support.faults import study_of
+from sweep.test_memory import hungry_process
+from support.faults import sweep_of
 _compilation_cache.use()
 processes.perform_in_process = hungry_process
 try:
-    study_of().run(sys.argv[1], workers=2, progress=False)
-except StudyError as error:
+    sweep_of().run(sys.argv[1], workers=2, progress=False)
+except SweepError as error:
     print(error)
 """
 
@@ -169,7 +169,7 @@ def test_processes_without_memory(tmp_path):
     """The error comes over from processes of their own, and is not empty."""
     paths = os.pathsep.join([str(TESTS), str(TESTS.parent)])
     done = subprocess.run(
-        [sys.executable, "-c", PROCESSES, str(tmp_path / "study")], env=os.environ | {"PYTHONPATH": paths},
+        [sys.executable, "-c", PROCESSES, str(tmp_path / "sweep")], env=os.environ | {"PYTHONPATH": paths},
         capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""A parametric study beside the loop that one would write by hand, and its cost against points and samples.
+"""A parameter sweep beside the loop that one would write by hand, and its cost against points and samples.
 
 Every run is a process of its own, so that the compilation counts.
 """
@@ -20,7 +20,7 @@ GROWTH = ((16, 2_500), (64, 2_500), (256, 2_500), (1_024, 2_500), (16, 10_000), 
 
 
 def _run(program: str, keep: str, points: int, samples: int) -> dict[str, float]:
-    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.study_program", program, keep]
+    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.sweep_program", program, keep]
     done = subprocess.run([*command, str(points), str(samples)], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)} failed: {done.stderr}")
@@ -28,12 +28,12 @@ def _run(program: str, keep: str, points: int, samples: int) -> dict[str, float]
 
 
 def measure(bench: Bench) -> list[dict[str, Any]]:
-    """Rows for loop and study by what is kept, interleaved; then rows for the growth, once each round."""
+    """Rows for loop and sweep by what is kept, interleaved; then rows for the growth, once each round."""
     rounds, share = min(bench.rounds, MOST), 25 if bench.tiny else 1
     cases = [
-        (program, keep, 64 if share == 1 else 4, 10_000 // share) for keep in KEEP for program in ("loop", "study")
+        (program, keep, 64 if share == 1 else 4, 10_000 // share) for keep in KEEP for program in ("loop", "sweep")
     ]
-    cases += [("study", "totals", points if share == 1 else 4, samples // share) for points, samples in GROWTH]
+    cases += [("sweep", "totals", points if share == 1 else 4, samples // share) for points, samples in GROWTH]
     cases = list(dict.fromkeys(cases))
     runs: dict[tuple[Any, ...], list[dict[str, float]]] = {case: [] for case in cases}
     for _ in range(rounds):

@@ -1,4 +1,4 @@
-"""`Study`: a parametric study, on a grid of parameters or a design."""
+"""`Sweep`: a parameter sweep, on a grid of parameters or a design."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ from .._forks import require_threads_of_jax
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
 from .._types import Array
-from .errors import StudyError
+from .errors import SweepError
 from .plan import (
     Plan,
     checked_derivatives,
@@ -44,14 +44,14 @@ Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str |
 Folder = str | os.PathLike[str]
 
 
-class Study:
-    """A parametric study: the same ensemble at many values of its parameters::
+class Sweep:
+    """A parameter sweep: the same ensemble at many values of its parameters::
 
-        study = ss.Study(
+        sweep = ss.Sweep(
             system, law, over={"mu": np.linspace(0.5, 2, 8), "rate": np.geomspace(0.2, 5, 8)},
             t1=200.0, samples=10_000, key=jax.random.key(0),
         )
-        dataset = study.run("results/mu_and_rate")
+        dataset = sweep.run("results/mu_and_rate")
 
     - `system`, `law`, `t1` (s), `key`, `y0`, `method`, `orders`, `count_initial_rest`: as in `simulate_ensemble`.
       Numbers may be distributions.
@@ -70,14 +70,14 @@ class Study:
     - `standard_error`: a dict from statistics of totals to the standard error wanted, such as
       ``{"mean_stick_duration": 0.01}``: each point ends when it has all of them, piece by piece.
     - `realizations`: of how many samples the sticks are in the result, for figures.
-    - `piece`: samples that are done, and stored, together; by default chosen from the size of the study.
+    - `piece`: samples that are done, and stored, together; by default chosen from the size of the sweep.
 
     Nothing is simulated before `run`. Raises ValueError for arguments that do not fit, at any point.
 
     >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
     >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
-    >>> study = ss.Study(system, law, over={"mu": [0.5, 1.0]}, t1=20.0, samples=200, key=jax.random.key(0))
-    >>> study.run(progress=False).stick_fraction.round(3).values
+    >>> sweep = ss.Sweep(system, law, over={"mu": [0.5, 1.0]}, t1=20.0, samples=200, key=jax.random.key(0))
+    >>> sweep.run(progress=False).stick_fraction.round(3).values
     array([0.013, 0.069])
     """
 
@@ -132,32 +132,32 @@ class Study:
         self._folder: Path | None = None
 
     @classmethod
-    def load(cls, folder: Folder) -> "Study":
-        """The study that is stored in `folder`, to go on with: ``Study.load(folder).run(folder)``.
+    def load(cls, folder: Folder) -> "Sweep":
+        """The sweep that is stored in `folder`, to go on with: ``Sweep.load(folder).run(folder)``.
 
-        Raises StudyError for a folder that holds none, one of a newer version, and one of systems or laws of your own
+        Raises SweepError for a folder that holds none, one of a newer version, and one of systems or laws of your own
         classes: those run again from the program that made them.
         """
         from .store import Store  # noqa: PLC0415
 
-        study = object.__new__(cls)
-        study._folder = _checks.path("folder", folder)
-        study._plan = Store.reading(study._folder).plan(every_point=True)
-        return study
+        sweep = object.__new__(cls)
+        sweep._folder = _checks.path("folder", folder)
+        sweep._plan = Store.reading(sweep._folder).plan(every_point=True)
+        return sweep
 
     @property
     def results(self) -> "xarray.Dataset":
-        """What is in the folder that the study was loaded from, ``Study.load(folder).results``, as `run` returns it.
+        """What is in the folder that the sweep was loaded from, ``Sweep.load(folder).results``, as `run` returns it.
 
-        Also while a run works there; NaN, and 0 samples, where nothing is yet. Raises StudyError for a study that was
+        Also while a run works there; NaN, and 0 samples, where nothing is yet. Raises SweepError for a sweep that was
         not loaded from a folder.
         """
         from .looking import stored_dataset  # noqa: PLC0415 - needs an extra
 
         if self._folder is None:
-            raise StudyError(
-                "Only a study that was loaded from a folder has results; call study.run(), or "
-                "ss.Study.load(folder).results."
+            raise SweepError(
+                "Only a sweep that was loaded from a folder has results; call sweep.run(), or "
+                "ss.Sweep.load(folder).results."
             )
         return stored_dataset(self._folder)
 
@@ -181,20 +181,20 @@ class Study:
           they send what they have done.
         - `progress`: as in `simulate_ensemble`.
 
-        Returns an ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/studies.md describes it.
+        Returns an ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/sweeps.md describes it.
         The first Ctrl-C stops after the pieces under way and raises KeyboardInterrupt, a second one at once.
 
-        Raises StudyError for a folder that holds something else or cannot be written, and if points failed; ImportError
+        Raises SweepError for a folder that holds something else or cannot be written, and if points failed; ImportError
         without the extra ``study``.
         """
-        from .places import Where, check_where  # noqa: PLC0415 - with what runs studies only
-        from .run import run_study  # noqa: PLC0415 - needs an extra
+        from .places import Where, check_where  # noqa: PLC0415 - with what runs sweeps only
+        from .run import run_sweep  # noqa: PLC0415 - needs an extra
 
         require_threads_of_jax()
         path = None if folder is None else _checks.path("folder", folder)
         where = Where(threads, workers, executor, shared_folder)
         check_where(where, has_folder=folder is not None)
-        return run_study(self._plan, path, where, progress)
+        return run_sweep(self._plan, path, where, progress)
 
     @property
     def points(self) -> int:
@@ -210,9 +210,9 @@ class Study:
         self, *, samples: int | None = None, keep: Keep = "sticks", threads: int | None = None,
         progress: bool | None = None, **values: float,
     ) -> Ensemble:  # fmt: skip
-        """The ensemble at one point, simulated now, with every stick: ``study.ensemble_at(mu=0.5, rate=1.0)``.
+        """The ensemble at one point, simulated now, with every stick: ``sweep.ensemble_at(mu=0.5, rate=1.0)``.
 
-        `samples`: by default those of the study. Raises ValueError for values that are no point of the study.
+        `samples`: by default those of the sweep. Raises ValueError for values that are no point of the sweep.
         """
         plan = self._plan
         samples = plan.samples if samples is None else samples
@@ -232,13 +232,13 @@ class Study:
             _checks.numeric(name, value)
         number = points.number_of(values)
         if number is None:
-            raise ValueError(f"Arguments must be the values at a point of the study, but {given} is none.")
+            raise ValueError(f"Arguments must be the values at a point of the sweep, but {given} is none.")
         return number
 
     def __repr__(self) -> str:
         plan = self._plan
         axes = " x ".join(f"{len(axis.values)} {', '.join(axis.parameters)}" for axis in plan.points.axes)
         return (
-            f"Study of {plan.points.number:,} points ({axes}), {plan.samples:,} samples each on [0, {plan.t1:g}] s, "
+            f"Sweep of {plan.points.number:,} points ({axes}), {plan.samples:,} samples each on [0, {plan.t1:g}] s, "
             f"keep={plan.keep!r}"
         )

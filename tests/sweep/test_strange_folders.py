@@ -1,4 +1,4 @@
-"""Folders in which something is that no study writes, or from which something is taken while one runs."""
+"""Folders in which something is that no sweep writes, or from which something is taken while one runs."""
 
 import os
 import shutil
@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from support.faults import assert_same, one_sentence, run, study_of
+from support.faults import assert_same, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
@@ -71,32 +71,32 @@ TAKEN = {
 
 @pytest.mark.parametrize("what", TAKEN)
 def test_folder_that_is_taken_away_while_it_runs(tmp_path, monkeypatch, what):
-    folder = tmp_path / "study"
+    folder = tmp_path / "sweep"
     taking(monkeypatch, lambda: TAKEN[what](folder))
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), folder)
     said = one_sentence(
-        error, f"{folder} was removed, or changed, while the study ran in it (", "is gone", "run it again"
+        error, f"{folder} was removed, or changed, while the sweep ran in it (", "is gone", "run it again"
     )
     if what in ("the lock", "both manifests"):
         assert f"({'.lock' if what == 'the lock' else 'manifest.json'} is gone)" in said
-    assert not (folder / "study.nc").exists()
+    assert not (folder / "sweep.nc").exists()
 
 
 def test_command_in_a_folder_that_is_taken_away_fails(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
-    folder, config = tmp_path / "study", tmp_path / "study.toml"
+    folder, config = tmp_path / "sweep", tmp_path / "sweep.toml"
     config.write_text(
-        '[run]\nt1 = 20.0\nsamples = 500\n[study]\nkeep = "totals"\npiece = 256\n[study.over]\nmu = [0.5, 1.0]'
+        '[run]\nt1 = 20.0\nsamples = 500\n[sweep]\nkeep = "totals"\npiece = 256\n[sweep.over]\nmu = [0.5, 1.0]'
     )
     taking(monkeypatch, lambda: shutil.rmtree(folder, ignore_errors=True))
     assert cli.main(["sweep", str(config), "--out", str(folder), "--threads", "2"]) == 2
-    assert "was removed, or changed, while the study ran" in capsys.readouterr().err
+    assert "was removed, or changed, while the sweep ran" in capsys.readouterr().err
 
 
 def test_pieces_taken_away_while_one_is_written(tmp_path, monkeypatch):
     """What removes a folder may have come no further than to the piece that is being written."""
-    folder = tmp_path / "study"
+    folder = tmp_path / "sweep"
 
     def taken(path, data):
         raise FileNotFoundError(2, "No such file or directory", str(path))
@@ -105,13 +105,13 @@ def test_pieces_taken_away_while_one_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(
         store_module, "write_whole", lambda path, data: (taken if path.parent.name == "pieces" else write)(path, data)
     )
-    with pytest.raises(ss.StudyError, match=r"was removed, or changed, while the study ran in it \(.*\.zip is gone\)"):
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError, match=r"was removed, or changed, while the sweep ran in it \(.*\.zip is gone\)"):
+        run(sweep_of(), folder)
 
 
 def test_folder_taken_away_at_the_end(tmp_path, monkeypatch):
     """After the last piece, while the data set is made."""
-    folder = tmp_path / "study"
+    folder = tmp_path / "sweep"
     dataset_of = run_module.dataset_of
 
     def taken(work):
@@ -121,8 +121,8 @@ def test_folder_taken_away_at_the_end(tmp_path, monkeypatch):
         return found
 
     monkeypatch.setattr(run_module, "dataset_of", taken)
-    with pytest.raises(ss.StudyError, match="was removed, or changed, while the study ran"):
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError, match="was removed, or changed, while the sweep ran"):
+        run(sweep_of(), folder)
 
 
 # --- what is no file, and files in the place of folders
@@ -139,17 +139,17 @@ def put_folder(path: Path) -> None:
 
 
 @pytest.mark.parametrize(("put", "kind"), [(put_pipe, "a named pipe"), (put_folder, "a folder")])
-@pytest.mark.parametrize("call", [lambda folder: run(study_of(), folder), lambda folder: ss.Study.load(folder).results])
+@pytest.mark.parametrize("call", [lambda folder: run(sweep_of(), folder), lambda folder: ss.Sweep.load(folder).results])
 def test_piece_that_is_no_file(copied, put, kind, call):
     folder, dataset = copied
-    (folder / "study.nc").unlink()
+    (folder / "sweep.nc").unlink()
     path = min((folder / "pieces").iterdir())
     put(path)
-    with pytest.raises(ss.StudyError) as error:
+    with pytest.raises(ss.SweepError) as error:
         in_time(lambda: call(folder))
     one_sentence(error, f"{path} cannot be read (it is {kind}, not a file)", "remove it, and run again")
     path.unlink() if kind == "a named pipe" else path.rmdir()
-    assert_same(run(study_of(), folder), dataset)
+    assert_same(run(sweep_of(), folder), dataset)
 
 
 @pytest.mark.parametrize("name", MANIFESTS)
@@ -157,8 +157,8 @@ def test_piece_that_is_no_file(copied, put, kind, call):
 def test_manifest_that_is_no_file(copied, name, put, kind):
     folder, _ = copied
     put(folder / name)
-    for call in (lambda: run(study_of(), folder), lambda: ss.Study.load(folder), lambda: status_of(folder)):
-        with pytest.raises(ss.StudyError) as error:
+    for call in (lambda: run(sweep_of(), folder), lambda: ss.Sweep.load(folder), lambda: status_of(folder)):
+        with pytest.raises(ss.SweepError) as error:
             in_time(call)
         one_sentence(error, f"{folder / name} cannot be read (it is {kind}, not a file)", "move it elsewhere")
 
@@ -168,14 +168,14 @@ def test_log_and_data_set_that_are_no_files(copied, put):
     """The log is left out; looks do without the data set."""
     folder, dataset = copied
     put(folder / "log.txt")
-    put(folder / "study.nc")
+    put(folder / "sweep.nc")
     assert_same(in_time(lambda: stored_dataset(folder)), dataset)
     if put is put_pipe:
-        assert_same(in_time(lambda: run(study_of(), folder)), dataset)
-        assert (folder / "study.nc").is_file()
+        assert_same(in_time(lambda: run(sweep_of(), folder)), dataset)
+        assert (folder / "sweep.nc").is_file()
         return
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), folder)
     one_sentence(error, str(folder), "cannot be written (Is a directory)")
 
 
@@ -184,9 +184,9 @@ def test_pieces_that_is_no_folder(copied, put):
     folder, _ = copied
     shutil.rmtree(folder / "pieces")
     put(folder / "pieces")
-    (folder / "study.nc").unlink()
-    for call in (lambda: run(study_of(), folder), lambda: ss.Study.load(folder).results, lambda: status_of(folder)):
-        with pytest.raises(ss.StudyError) as error:
+    (folder / "sweep.nc").unlink()
+    for call in (lambda: run(sweep_of(), folder), lambda: ss.Sweep.load(folder).results, lambda: status_of(folder)):
+        with pytest.raises(ss.SweepError) as error:
             in_time(call)
         one_sentence(error, f"{folder / 'pieces'} must be a folder", "but is a file", "move it elsewhere")
     assert not (folder / "pieces").is_dir()

@@ -13,23 +13,24 @@ import pytest
 from distributed import Client, LocalCluster
 from support.faults import log_of, wait_for
 from support.study import config_file
-from support.sweep import assert_same, small_study
+from support.sweep import assert_same, small_sweep
 
+from stickslip_jax import SweepError
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep.dataset import read_dataset
-from stickslip_jax.study import StudyError, _sweep_run
+from stickslip_jax.study import _sweep_run
 
-STUDY = """
+SWEEP = """
 [run]
 t1 = 20.0
 samples = 3000
 seed = 1
 
-[study]
+[sweep]
 keep = "totals"
 piece = 1024
 
-[study.over]
+[sweep.over]
 mu = [0.5, 1.0]
 """
 
@@ -42,13 +43,13 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
 
 def refused(capsys, address: str) -> str:
     """What the command says about an address; nothing is begun."""
-    path = config_file(Path(), STUDY)
-    assert cli.main(["sweep", str(path), "--out", "study", "--dask", address]) == 2
+    path = config_file(Path(), SWEEP)
+    assert cli.main(["sweep", str(path), "--out", "sweep", "--dask", address]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("stickslip: Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:")
     assert err.count("\n") == 1
-    assert not Path("study").exists()
+    assert not Path("sweep").exists()
     return err
 
 
@@ -116,19 +117,19 @@ def test_address_of_a_worker(capsys):
 @pytest.mark.slow
 def test_whole_run_at_an_address(capsys):
     """The numbers are those of threads; sweep, more samples, and resume."""
-    path = config_file(Path(), STUDY)
+    path = config_file(Path(), SWEEP)
     assert cli.main(["sweep", str(path), "--out", "threads", "--samples", "4000", "--threads", "2", "--quiet"]) == 0
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
         at = ["--dask", cluster.scheduler_address]
-        assert cli.main(["sweep", str(path), "--out", "study", *at]) == 0
+        assert cli.main(["sweep", str(path), "--out", "sweep", *at]) == 0
         out, err = capsys.readouterr()
         assert out.count("+-") == 10
         assert err == ""
-        assert cli.main(["sweep", str(path), "--out", "study", "--samples", "4000", "--quiet", *at]) == 0
-        Path("study/study.nc").unlink()
-        assert cli.main(["resume", "study", "--quiet", *at]) == 0
+        assert cli.main(["sweep", str(path), "--out", "sweep", "--samples", "4000", "--quiet", *at]) == 0
+        Path("sweep/sweep.nc").unlink()
+        assert cli.main(["resume", "sweep", "--quiet", *at]) == 0
     assert capsys.readouterr() == ("", "")
-    found, wanted = read_dataset(Path("study")), read_dataset(Path("threads"))
+    found, wanted = read_dataset(Path("sweep")), read_dataset(Path("threads"))
     assert set(found.variables) == set(wanted.variables)
     for name in set(wanted.data_vars) - {"run_seconds"}:
         if found[name].dtype.kind in "iu":  # 3000 samples end within a piece, so that sums differ by round-off
@@ -139,34 +140,34 @@ def test_whole_run_at_an_address(capsys):
 
 @pytest.mark.slow
 def test_whole_run_at_an_address_gives_the_same_bits(capsys):
-    path = config_file(Path(), STUDY)
+    path = config_file(Path(), SWEEP)
     assert cli.main(["sweep", str(path), "--out", "threads", "--threads", "2", "--quiet"]) == 0
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
-        assert cli.main(["sweep", str(path), "--out", "study", "--quiet", "--dask", cluster.scheduler_address]) == 0
-    assert_same(read_dataset(Path("study")), read_dataset(Path("threads")))
-    assert log_of("study").count("done ") == 6
+        assert cli.main(["sweep", str(path), "--out", "sweep", "--quiet", "--dask", cluster.scheduler_address]) == 0
+    assert_same(read_dataset(Path("sweep")), read_dataset(Path("threads")))
+    assert log_of("sweep").count("done ") == 6
     assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.slow
 def test_scheduler_without_workers_is_told_also_when_quiet(capsys):
-    """And the study goes on when one comes."""
-    path = config_file(Path(), STUDY)
+    """And the sweep goes on when one comes."""
+    path = config_file(Path(), SWEEP)
     with LocalCluster(n_workers=0, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
 
         def add_worker():
-            wait_for(lambda: "waiting" in log_of("study") or "waits" in log_of("study"), 60)
+            wait_for(lambda: "waiting" in log_of("sweep") or "waits" in log_of("sweep"), 60)
             cluster.scale(1)
 
         adding = threading.Thread(target=add_worker)
         adding.start()
-        assert cli.main(["sweep", str(path), "--out", "study", "--quiet", "--dask", cluster.scheduler_address]) == 0
+        assert cli.main(["sweep", str(path), "--out", "sweep", "--quiet", "--dask", cluster.scheduler_address]) == 0
         adding.join()
         address = cluster.scheduler_address
     out, err = capsys.readouterr()
     assert out == ""
     assert err == (
-        "The cluster has no workers, and the study waits for them; start one with "
+        "The cluster has no workers, and the sweep waits for them; start one with "
         f"`dask worker {address}`, or stop with Ctrl-C.\n"
     )
 
@@ -197,32 +198,32 @@ workers.perform = hungry
 def test_worker_that_is_killed_by_its_memory_limit_is_told(tmp_path):
     """Its nanny kills it again and again: the piece is named, and what the others did is kept."""
     (tmp_path / "hungry.py").write_text(HUNGRY)
-    study = small_study(keep="totals")
+    sweep = small_sweep(keep="totals")
     with (
         LocalCluster(
             n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit="1.5GB",
             preload=[str(tmp_path / "hungry.py")],
         ) as cluster,
         Client(cluster) as client,
-        pytest.raises(StudyError, match=r"Workers of the cluster died \d+ times with the same piece.*Perhaps memory"),
+        pytest.raises(SweepError, match=r"Workers of the cluster died \d+ times with the same piece.*Perhaps memory"),
     ):  # fmt: skip
-        study.run(tmp_path / "study", executor=client)
-    before = log_of(tmp_path / "study").count("done ")
+        sweep.run(tmp_path / "sweep", executor=client)
+    before = log_of(tmp_path / "sweep").count("done ")
     assert 0 < before < 12
-    assert_same(study.run(tmp_path / "study", threads=2), study.run(threads=2))
+    assert_same(sweep.run(tmp_path / "sweep", threads=2), sweep.run(threads=2))
 
 
 @pytest.mark.slow
 def test_workers_that_are_paused_are_told(tmp_path, capsys):
     """Python and JAX alone take more than dask lets a worker hold: it never takes a task."""
     program = subprocess.Popen(
-        [sys.executable, "-c", PAUSED, str(tmp_path / "study")],
+        [sys.executable, "-c", PAUSED, str(tmp_path / "sweep")],
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
     try:
-        wait_for(lambda: "paused" in log_of(tmp_path / "study"), 120)
+        wait_for(lambda: "paused" in log_of(tmp_path / "sweep"), 120)
     finally:
         program.terminate()
         time.sleep(0.1)
@@ -250,9 +251,9 @@ if __name__ == "__main__":
         LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster,
         Client(cluster) as client,
     ):
-        study = ss.Study(
+        sweep = ss.Sweep(
             ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching(1.0, 1.0), over={"mu": [0.5, 1.0]},
             t1=20.0, samples=500, key=jax.random.key(0), keep="totals",
         )
-        study.run(sys.argv[1], executor=client)
+        sweep.run(sys.argv[1], executor=client)
 """

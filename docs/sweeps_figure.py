@@ -1,6 +1,6 @@
-"""Draw docs/studies_cost.png: time and memory of a parametric study against its points and its samples.
+"""Draw docs/sweeps_cost.png: time and memory of a parameter sweep against its points and its samples.
 
-``make bench ONLY=studies`` first, then ``python docs/studies_figure.py``.
+``make bench ONLY=sweeps`` first, then ``python docs/sweeps_figure.py``.
 """
 
 import json
@@ -23,12 +23,12 @@ def draw(rows: list[dict[str, Any]]) -> plt.Figure:
     """Time and memory against points and samples; dashed: proportional to the last."""
     figure, axes = plt.subplots(2, 2, figsize=(8, 5), sharex="col", sharey="row", layout="constrained")
     for (varied, (held, value)), column in zip(FIXED.items(), axes.T, strict=True):
-        chosen = [row for row in rows if row["program"] == "study" and row["keep"] == "totals" and row[held] == value]
+        chosen = [row for row in rows if row["program"] == "sweep" and row["keep"] == "totals" and row[held] == value]
         chosen.sort(key=lambda row: row[varied])
         x = np.array([row[varied] for row in chosen]) / (1 if varied == "points" else 1000)
         seconds, memory = (np.array([row[name] for row in chosen]) for name in ("seconds", "memory"))
         slope = (seconds[-1] - seconds[0]) / (x[-1] - x[0])
-        column[0].plot(x, seconds, "o-", label="study, with compilation")
+        column[0].plot(x, seconds, "o-", label="sweep, with compilation")
         column[0].plot(x, seconds[0] + slope * (x - x[0]), "k--", linewidth=0.8, label="straight line through the ends")
         column[1].plot(x, memory / 1e9, "o-")
         column[0].set_title(f"{value:,} {held}" + (" at each point" if held == "samples" else ""))
@@ -42,4 +42,4 @@ def draw(rows: list[dict[str, Any]]) -> plt.Figure:
 
 
 if __name__ == "__main__":
-    draw(json.loads(RESULTS.read_text())["parts"]["studies"]).savefig(HERE / "studies_cost.png", dpi=120)
+    draw(json.loads(RESULTS.read_text())["parts"]["sweeps"]).savefig(HERE / "sweeps_cost.png", dpi=120)

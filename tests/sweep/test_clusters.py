@@ -1,4 +1,4 @@
-"""Studies on clusters of dask.distributed: the same numbers, whatever becomes of workers, scheduler and client."""
+"""Sweeps on clusters of dask.distributed: the same numbers, whatever becomes of workers, scheduler and client."""
 
 import os
 import re
@@ -14,24 +14,23 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 from support.faults import log_of, wait_for
-from support.sweep import assert_same, small_study
+from support.sweep import assert_same, small_sweep
 
 import stickslip_jax as ss
 from stickslip_jax._sweep import dask_executor
 from stickslip_jax._sweep.pieces import perform
-from stickslip_jax.study import StudyError
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "clusters.md"
 
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    return small_study().run(threads=2)
+    return small_sweep().run(threads=2)
 
 
 @contextmanager
 def one_process():
-    """A client of a cluster of one worker process with one thread, and a thread to run a study in."""
+    """A client of a cluster of one worker process with one thread, and a thread to run a sweep in."""
     with (
         local_cluster(threads_per_worker=1, processes=True) as cluster,
         Client(cluster) as client,
@@ -64,7 +63,7 @@ def tasks_of(client) -> dict:
 
 @pytest.mark.parametrize("shared", [False, True])
 def test_cluster_gives_the_same_bits_and_keeps_nothing(client, undisturbed, tmp_path, shared):
-    found = small_study().run(tmp_path, executor=client, shared_folder=shared)
+    found = small_sweep().run(tmp_path, executor=client, shared_folder=shared)
     assert_same(found, undisturbed)
     assert log_of(tmp_path).count("done ") == 12
     wait_for(lambda: not tasks_of(client))  # results and plan are released
@@ -83,7 +82,7 @@ def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tm
         return found
 
     monkeypatch.setattr(dask_executor.DaskCluster, "result", noted)
-    small_study().run(tmp_path, executor=client, shared_folder=shared)
+    small_sweep().run(tmp_path, executor=client, shared_folder=shared)
     assert len(sizes) == 12
     assert max(most) == 4
     assert max(sizes) < (100 if shared else 500_000)
@@ -97,12 +96,12 @@ def test_large_plan_is_sent_once_in_small_parts(client, monkeypatch):
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", _perform_little)
     times = np.linspace(0.0, 20.0, 1_000_001)
     motion = ss.Recorded(times, np.sin(times))
-    study = ss.Study(
+    sweep = ss.Sweep(
         ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), motion, over={"mu": [0.5, 1.0, 1.5]}, t1=1.0, samples=1,
         keep="totals",
     )  # fmt: skip
-    with pytest.raises(StudyError, match=r"3 of 3 points failed, first mu = 0\.5: 1000001 instants"):
-        study.run(executor=client)
+    with pytest.raises(ss.SweepError, match=r"3 of 3 points failed, first mu = 0\.5: 1000001 instants"):
+        sweep.run(executor=client)
     assert sent_at == [1]
 
 
@@ -111,11 +110,11 @@ def _perform_little(plan, task):
 
 
 @pytest.mark.slow
-def test_two_studies_at_once_on_one_worker_do_not_mix(client, undisturbed):
-    other = small_study(over={"mu": [0.6, 0.9], "rate": [0.4, 0.8]})
+def test_two_sweeps_at_once_on_one_worker_do_not_mix(client, undisturbed):
+    other = small_sweep(over={"mu": [0.6, 0.9], "rate": [0.4, 0.8]})
     wanted = other.run(threads=1)
     with ThreadPoolExecutor(2) as pool:
-        both = [pool.submit(study.run, executor=client) for study in (small_study(), other)]
+        both = [pool.submit(sweep.run, executor=client) for sweep in (small_sweep(), other)]
         assert_same(both[0].result(), undisturbed)
         assert_same(both[1].result(), wanted)
 
@@ -130,8 +129,8 @@ def test_point_that_cannot_be_simulated_is_a_failed_point(client, monkeypatch, t
         return perform(plan, task)
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", failing)
-    with pytest.raises(StudyError, match=r"1 of 4 points failed, first mu = 0\.5, rate = 1: Nothing moves here;"):
-        small_study().run(tmp_path, executor=client)
+    with pytest.raises(ss.SweepError, match=r"1 of 4 points failed, first mu = 0\.5, rate = 1: Nothing moves here;"):
+        small_sweep().run(tmp_path, executor=client)
     assert log_of(tmp_path).count("FAILED") == 3  # once each, without retries
     assert log_of(tmp_path).count("done ") == 9
 
@@ -146,26 +145,26 @@ def test_errors_that_may_pass_are_tried_again(client, undisturbed, monkeypatch):
         return perform(plan, task)
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", failing_first)
-    assert_same(small_study().run(executor=client), undisturbed)
+    assert_same(small_sweep().run(executor=client), undisturbed)
     assert len(tried) == 4 * 12
 
 
 def test_folder_that_workers_do_not_share_is_refused(client, monkeypatch, tmp_path):
     def not_there(folder):
-        raise StudyError(f"{folder} holds no study")
+        raise ss.SweepError(f"{folder} holds no sweep")
 
     monkeypatch.setattr("stickslip_jax._sweep.store.Store.reading", not_there)
     with pytest.raises(
-        StudyError, match=r"holds no study\) there; leave shared_folder out unless the folder is the same"
+        ss.SweepError, match=r"holds no sweep\) there; leave shared_folder out unless the folder is the same"
     ):
-        small_study().run(tmp_path, executor=client, shared_folder=True)
+        small_sweep().run(tmp_path, executor=client, shared_folder=True)
 
 
 def test_file_of_a_worker_that_is_not_seen_here_is_told(client, monkeypatch, tmp_path):
     monkeypatch.setattr(dask_executor, "_VISIBLE", 0.0)
     monkeypatch.setattr(dask_executor, "write_whole", lambda path, data: None)
-    with pytest.raises(StudyError, match=r"which a worker has written, is not in .* leave shared_folder out"):
-        small_study().run(tmp_path, executor=client, shared_folder=True)
+    with pytest.raises(ss.SweepError, match=r"which a worker has written, is not in .* leave shared_folder out"):
+        small_sweep().run(tmp_path, executor=client, shared_folder=True)
 
 
 def test_client_of_coroutines_is_refused(annotations_unchecked):
@@ -174,22 +173,22 @@ def test_client_of_coroutines_is_refused(annotations_unchecked):
         submit = nthreads = print
 
     with pytest.raises(ValueError, match="asynchronous=True was given; make it without"):
-        small_study().run(executor=Asynchronous())
+        small_sweep().run(executor=Asynchronous())
 
 
 def test_client_closed_in_the_middle_is_told_and_another_goes_on(undisturbed, tmp_path):
     with local_cluster(processes=False) as cluster:
         first = Client(cluster)
         with ThreadPoolExecutor(1) as pool:
-            running = pool.submit(small_study().run, tmp_path, executor=first)
+            running = pool.submit(small_sweep().run, tmp_path, executor=first)
             wait_for(lambda: "done " in log_of(tmp_path))
             first.close()
             said = f"The connection to the cluster was lost; .* kept in {re.escape(str(tmp_path))}. Connect a new"
-            with pytest.raises(StudyError, match=said):
+            with pytest.raises(ss.SweepError, match=said):
                 running.result()
         before = log_of(tmp_path).count("done ")
         with Client(cluster) as second:
-            assert_same(small_study().run(tmp_path, executor=second), undisturbed)
+            assert_same(small_sweep().run(tmp_path, executor=second), undisturbed)
     assert log_of(tmp_path).count("done ") == 12
     assert 0 < before < 12
 
@@ -202,21 +201,21 @@ def pids_of_workers(client) -> list[int]:
 @pytest.mark.parametrize("shared", [False, True])
 def test_killed_worker_of_a_cluster_changes_nothing(tmp_path, shared):
     """Its nanny starts another; the only worker here, so that the plan is lost with it and made again."""
-    study = small_study(samples=40_000)
+    sweep = small_sweep(samples=40_000)
     with one_process() as (client, pool):
-        running = pool.submit(study.run, tmp_path, executor=client, shared_folder=shared)
+        running = pool.submit(sweep.run, tmp_path, executor=client, shared_folder=shared)
         for pieces in (3, 20):
             wait_for(lambda pieces=pieces: log_of(tmp_path).count("done ") >= pieces)
             (pid,) = pids_of_workers(client)
             os.kill(pid, signal.SIGKILL)
         found = running.result()
-    assert_same(found, study.run(threads=2))
+    assert_same(found, sweep.run(threads=2))
 
 
 @pytest.mark.slow
 def test_restart_of_the_cluster_changes_nothing(tmp_path, undisturbed):
     with one_process() as (client, pool):
-        running = pool.submit(small_study().run, tmp_path, executor=client)
+        running = pool.submit(small_sweep().run, tmp_path, executor=client)
         wait_for(lambda: "done " in log_of(tmp_path))
         client.restart()
         found = running.result()
@@ -228,11 +227,11 @@ def test_restart_of_the_cluster_changes_nothing(tmp_path, undisturbed):
 def test_piece_that_kills_its_workers_is_told(tmp_path):
     """The scheduler gives up after some deaths; here after the first."""
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), one_process() as (client, pool):
-        running = pool.submit(small_study(samples=40_000).run, tmp_path, executor=client)
+        running = pool.submit(small_sweep(samples=40_000).run, tmp_path, executor=client)
         wait_for(lambda: "done " in log_of(tmp_path))
         (pid,) = pids_of_workers(client)
         os.kill(pid, signal.SIGKILL)
-        with pytest.raises(StudyError, match="Workers of the cluster died 1 times with the same piece, the last"):
+        with pytest.raises(ss.SweepError, match="Workers of the cluster died 1 times with the same piece, the last"):
             running.result()
     assert "done " in log_of(tmp_path)
 
@@ -266,12 +265,12 @@ def test_killed_scheduler_is_told_and_what_came_is_kept(tmp_path):
         Client(scheduler.stdout.readline().strip()) as client,
         ThreadPoolExecutor(1) as pool,
     ):
-        running = pool.submit(small_study(samples=40_000).run, tmp_path, executor=client)
+        running = pool.submit(small_sweep(samples=40_000).run, tmp_path, executor=client)
         wait_for(lambda: "done " in log_of(tmp_path))
         scheduler.kill()
-        with pytest.raises(StudyError, match=r"The connection to the cluster was lost; .* goes on from there"):
+        with pytest.raises(ss.SweepError, match=r"The connection to the cluster was lost; .* goes on from there"):
             running.result()
-    assert_same(small_study(samples=40_000).run(tmp_path, threads=2), small_study(samples=40_000).run(threads=2))
+    assert_same(small_sweep(samples=40_000).run(tmp_path, threads=2), small_sweep(samples=40_000).run(threads=2))
 
 
 # --- the document
@@ -279,9 +278,9 @@ def test_killed_scheduler_is_told_and_what_came_is_kept(tmp_path):
 
 def test_example_for_slurm_runs_on_another_cluster(tmp_path):
     """The script of docs/clusters.md, with a cluster on this machine in place of that of SLURM."""
-    (code,) = re.findall(r"```python\n(# study_on_slurm\.py\n.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
-    names: dict = {"__name__": "study_on_slurm"}
+    (code,) = re.findall(r"```python\n(# sweep_on_slurm\.py\n.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    names: dict = {"__name__": "sweep_on_slurm"}
     exec(code, names)
     with local_cluster(processes=False) as cluster:
         dataset = names["run_on"](cluster, tmp_path, shared_folder=True, samples=500)
-    assert_same(dataset, names["study"](500).run(threads=2))
+    assert_same(dataset, names["sweep"](500).run(threads=2))

@@ -1,11 +1,11 @@
-"""Folders of studies with damage: it is found, and mended or said in one sentence; nothing is lost."""
+"""Folders of sweeps with damage: it is found, and mended or said in one sentence; nothing is lost."""
 
 import shutil
 from pathlib import Path
 
 import jax
 import pytest
-from support.faults import assert_same, failing, files_in, one_sentence, run, study_of
+from support.faults import assert_same, failing, files_in, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.dataset import read_dataset
@@ -18,15 +18,15 @@ SENSITIVITIES = [("stick_fraction", "mu")]
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A folder with a finished study, which has derivatives, and its data set."""
-    folder = tmp_path_factory.mktemp("whole") / "study"
-    return folder, run(study_of(sensitivities=SENSITIVITIES), folder)
+    """A folder with a finished sweep, which has derivatives, and its data set."""
+    folder = tmp_path_factory.mktemp("whole") / "sweep"
+    return folder, run(sweep_of(sensitivities=SENSITIVITIES), folder)
 
 
 @pytest.fixture
 def copied(whole, tmp_path):
     """A copy of it, to be spoilt."""
-    return Path(shutil.copytree(whole[0], tmp_path / "study")), whole[1]
+    return Path(shutil.copytree(whole[0], tmp_path / "sweep")), whole[1]
 
 
 def piece_in(folder, kind) -> Path:
@@ -70,7 +70,7 @@ def test_damaged_piece_is_found_and_done_again(copied, how, kind):
     folder, dataset = copied
     path = piece_in(folder, kind)
     path.write_bytes(SPOILT[how](path.read_bytes()))
-    assert_same(run(study_of(sensitivities=SENSITIVITIES), folder), dataset)
+    assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
     assert f"damaged, to be done again: {path.name}" in log_of(folder)
 
 
@@ -78,7 +78,7 @@ def test_piece_that_is_gone_is_done_again(copied):
     folder, dataset = copied
     for kind in (".zip", ".json"):
         piece_in(folder, kind).unlink()
-    assert_same(run(study_of(sensitivities=SENSITIVITIES), folder), dataset)
+    assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
 
 
 def test_reading_changes_nothing(copied):
@@ -88,7 +88,7 @@ def test_reading_changes_nothing(copied):
         path = piece_in(folder, kind)
         path.write_bytes(spoilt_half(path.read_bytes()))
     before = files_in(folder)
-    plan = study_of(sensitivities=SENSITIVITIES).plan
+    plan = sweep_of(sensitivities=SENSITIVITIES).plan
     work = Work(plan, Store.reading(folder))
     list(work.tasks())
     found = [work.ensemble(point) for point in range(2)]
@@ -106,10 +106,10 @@ def test_one_manifest_is_enough(copied, spoilt, how):
         (folder / spoilt).unlink()
     else:
         (folder / spoilt).write_bytes(SPOILT[how](before[spoilt]))
-    assert_same(run(ss.Study.load(folder), folder), dataset)
+    assert_same(run(ss.Sweep.load(folder), folder), dataset)
     after = files_in(folder)
     assert {name: data for name, data in after.items() if name in before and before[name] != data}.keys() <= {
-        "log.txt", "study.nc",
+        "log.txt", "sweep.nc",
     }  # fmt: skip
 
 
@@ -118,28 +118,28 @@ def test_both_manifests_damaged(copied):
     for name in ("manifest.json", "manifest-copy.json"):
         (folder / name).write_bytes(spoilt_half((folder / name).read_bytes()))
     before = files_in(folder)
-    for call in (lambda: run(study_of(), folder), lambda: ss.Study.load(folder)):
-        with pytest.raises(ss.StudyError) as error:
+    for call in (lambda: run(sweep_of(), folder), lambda: ss.Sweep.load(folder)):
+        with pytest.raises(ss.SweepError) as error:
             call()
         one_sentence(error, str(folder), "is damaged", "into another folder")
     assert files_in(folder) == before
 
 
 @pytest.mark.parametrize("kind", [".zip", ".json"])
-def test_piece_of_another_study(copied, tmp_path, kind):
+def test_piece_of_another_sweep(copied, tmp_path, kind):
     """It is whole: nobody removes it or writes over it."""
     folder, dataset = copied
     other = tmp_path / "other"
-    run(study_of(key=jax.random.key(1), sensitivities=SENSITIVITIES), other)
+    run(sweep_of(key=jax.random.key(1), sensitivities=SENSITIVITIES), other)
     path = piece_in(folder, kind)
     shutil.copy(other / "pieces" / path.name, path)
     before = files_in(folder)
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(sensitivities=SENSITIVITIES), folder)
-    one_sentence(error, str(path), "another study", "move it")
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(sensitivities=SENSITIVITIES), folder)
+    one_sentence(error, str(path), "another sweep", "move it")
     assert files_in(folder) == before
     path.unlink()
-    assert_same(run(study_of(sensitivities=SENSITIVITIES), folder), dataset)
+    assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
 
 
 def test_leftovers_are_passed_over(copied, tmp_path):
@@ -153,20 +153,20 @@ def test_leftovers_are_passed_over(copied, tmp_path):
         (folder / name).write_bytes(b"half")
     for name in ("notes.txt", "pieces/notes.txt", "pieces/a-b-c.zip", "my.unfinished"):
         (folder / name).write_bytes(b"mine")
-    assert_same(run(study_of(sensitivities=SENSITIVITIES), folder), dataset)
+    assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
     assert set(files_in(folder)) == names | {"notes.txt", "pieces/notes.txt", "pieces/a-b-c.zip", "my.unfinished"}
 
 
 def test_damaged_join_is_made_of_its_pieces(tmp_path):
     """Where the join was interrupted, so that both are there."""
-    folder, kept = tmp_path / "study", {}
+    folder, kept = tmp_path / "sweep", {}
 
     def keep(number, name, path):
         if name == "unlink" and path.suffix == ".zip":
             kept[path] = path.read_bytes()
 
     with failing(folder, keep):
-        dataset = run(study_of(), folder)
+        dataset = run(sweep_of(), folder)
     assert len(kept) == 4
     for path, data in kept.items():
         path.write_bytes(data)
@@ -174,7 +174,7 @@ def test_damaged_join_is_made_of_its_pieces(tmp_path):
     for path in joined:
         path.write_bytes(spoilt_half(path.read_bytes()))
     begun = log_of(folder).count(" done mu")
-    assert_same(run(study_of(), folder), dataset)
+    assert_same(run(sweep_of(), folder), dataset)
     assert log_of(folder).count(" done mu") == begun  # no piece is simulated
     assert sorted((folder / "pieces").iterdir()) == joined
 
@@ -184,16 +184,16 @@ def test_disk_that_gives_back_other_bytes(tmp_path, monkeypatch):
         raise DamagedPieceError
 
     monkeypatch.setattr(Store, "read", damaged)
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(), tmp_path / "study")
-    one_sentence(error, str(tmp_path / "study"), "check the disk")
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), tmp_path / "sweep")
+    one_sentence(error, str(tmp_path / "sweep"), "check the disk")
 
 
 def test_damaged_data_set(copied):
     folder, dataset = copied
-    (folder / "study.nc").write_bytes(spoilt_half((folder / "study.nc").read_bytes()))
-    with pytest.raises(ss.StudyError) as error:
+    (folder / "sweep.nc").write_bytes(spoilt_half((folder / "sweep.nc").read_bytes()))
+    with pytest.raises(ss.SweepError) as error:
         read_dataset(folder)
-    one_sentence(error, str(folder), "run the study again")
-    run(study_of(sensitivities=SENSITIVITIES), folder)
+    one_sentence(error, str(folder), "run the sweep again")
+    run(sweep_of(sensitivities=SENSITIVITIES), folder)
     assert_same(read_dataset(folder), dataset)

@@ -1,4 +1,4 @@
-"""The statistics of a parametric study: curves, or maps."""
+"""The statistics of a parameter sweep: curves, or maps."""
 
 import math
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ _MOST_CURVES = 4  # of several values of a parameter; more make a map
 _PANEL, _LABEL_WIDTH = (5.6, 4.2), 40
 
 
-def parameter_study(
+def parameter_sweep(
     results: "xarray.Dataset", names: Sequence[str], *, level: float | None = 0.9, axes: SeveralAxes | None = None
 ) -> tuple[Axes, ...]:
-    """Draw statistics of a parametric study, each in axes of its own.
+    """Draw statistics of a parameter sweep, each in axes of its own.
 
     Along one parameter a curve with error bars; along two, of which one has at most four values, curves with bands;
     else a map. Parameters that are spaced geometrically have logarithmic axes. Points that are not there yet are gaps.
 
-    - `results`: as `Study.run` returns it, with one or two dimensions of points; ``results.isel(...)`` chooses of more.
+    - `results`: as `Sweep.run` returns it, with one or two dimensions of points; ``results.isel(...)`` chooses of more.
     - `names`: of the variables to draw, such as ``["mean_stick_duration"]``.
     - `level`: of the confidence intervals, as in `curve`.
     - `axes`: where to draw, one for each name; by default those of a new figure.
@@ -39,7 +39,7 @@ def parameter_study(
     Returns the axes. Raises ValueError for results of other dimensions, and for names that are not in them.
     """
     if not is_labeled(results) or not hasattr(results, "data_vars"):
-        raise ValueError(f"Argument results must be a Dataset of a Study, but {_checks.show(results)} was given.")
+        raise ValueError(f"Argument results must be a Dataset of a Sweep, but {_checks.show(results)} was given.")
     if not isinstance(names, (list, tuple)) or not names or not all(name in results for name in names):
         known = ", ".join(map(str, results.data_vars))
         raise ValueError(

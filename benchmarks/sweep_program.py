@@ -1,6 +1,6 @@
-"""One run of a parametric study, or of the loop that one would write by hand, in a fresh process.
+"""One run of a parameter sweep, or of the loop that one would write by hand, in a fresh process.
 
-``python -m benchmarks.study_program loop totals 64 10000``: the points are those of a square grid of (mu, rate). Prints
+``python -m benchmarks.sweep_program loop totals 64 10000``: the points are those of a square grid of (mu, rate). Prints
 seconds (from after the imports, so with all compilations) and the largest memory, as JSON.
 """
 
@@ -47,11 +47,11 @@ def loop(keep: Any, points: int, samples: int) -> None:
         assert len({float(point[name]) for point in found}) == len(mus)
 
 
-def study(keep: Any, points: int, samples: int) -> None:
-    """The same as a study, stored piece by piece."""
+def sweep(keep: Any, points: int, samples: int) -> None:
+    """The same as a sweep, stored piece by piece."""
     mus, rates = grid(points)
     with tempfile.TemporaryDirectory() as folder:
-        ss.Study(
+        ss.Sweep(
             papers.belt_oscillator(), ss.PoissonSwitching(papers.BELT_SPEED, 1.0), over={"mu": mus, "rate": rates},
             t1=T1, samples=samples, key=jax.random.key(0), keep=keep,
         ).run(folder, progress=False)  # fmt: skip
@@ -63,7 +63,7 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     jax.numpy.zeros(1).block_until_ready()  # starts JAX
     started = time.perf_counter()
-    {"loop": loop, "study": study}[program](keep, int(points), int(samples))
+    {"loop": loop, "sweep": sweep}[program](keep, int(points), int(samples))
     seconds = time.perf_counter() - started
     print(json.dumps({"seconds": seconds, "memory": largest_memory()}))
 

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from support.faults import assert_same, log_of, run, study_of
+from support.faults import assert_same, log_of, run, sweep_of
 from support.pieces import assert_same_or_missing, unjoined
 
 import stickslip_jax as ss
@@ -21,7 +21,7 @@ SENSITIVITIES = [("stick_fraction", "mu"), ("mean_stick_count", "mu")]
 SEAL, DATA = b"0123456789abcdef", b"the bytes of a piece"
 
 
-def test_seal_is_of_study_name_and_bytes():
+def test_seal_is_of_sweep_name_and_bytes():
     whole = sealed(SEAL, "a-0-256.zip", DATA)
     assert unsealed(SEAL, "a-0-256.zip", whole) == DATA
     for at in range(len(whole)):
@@ -41,15 +41,15 @@ def test_seal_is_of_study_name_and_bytes():
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """A folder with all pieces of a study, not joined, with two derivatives at both points; and its data set."""
-    folder = tmp_path_factory.mktemp("parts") / "study"
-    return folder, unjoined(study_of(sensitivities=SENSITIVITIES), folder)
+    """A folder with all pieces of a sweep, not joined, with two derivatives at both points; and its data set."""
+    folder = tmp_path_factory.mktemp("parts") / "sweep"
+    return folder, unjoined(sweep_of(sensitivities=SENSITIVITIES), folder)
 
 
 @pytest.fixture
 def copied(parts, tmp_path):
     """A copy of it, to be spoilt."""
-    return Path(shutil.copytree(parts[0], tmp_path / "study")), parts[1]
+    return Path(shutil.copytree(parts[0], tmp_path / "sweep")), parts[1]
 
 
 def swap(one: Path, other: Path) -> None:
@@ -98,7 +98,7 @@ def test_piece_under_another_name_is_found_and_done_again(copied, move):
     folder, wanted = copied
     MOVES[move](folder)
     assert_same_or_missing(stored_dataset(folder), wanted)
-    assert_same(run(study_of(sensitivities=SENSITIVITIES), folder), wanted)
+    assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), wanted)
     assert "under another name" in log_of(folder)
 
 
@@ -112,11 +112,11 @@ def test_status_does_not_count_what_is_under_another_name(copied):
 def test_piece_whose_head_differs_from_its_name(copied):
     """As of a worker that gives back the result of another task: the seal is right, and what is in it is not."""
     folder, wanted = copied
-    study = study_of(sensitivities=SENSITIVITIES)
+    sweep = sweep_of(sensitivities=SENSITIVITIES)
     store = Store.reading(folder)
     first, second = pieces(folder, f"{_identity(folder)}-*.zip")
     data = unsealed(store.mark, second.name, second.read_bytes())
-    fields = study.plan.fields_at(0)
+    fields = sweep.plan.fields_at(0)
     assert unpacked(data, fields, 256, 500).samples == head_of(data, 256, 500)["samples"] == 244
     for of in ((0, 256), (0, 244), (256, 512), (255, 500)):
         for read in (lambda of: unpacked(data, fields, *of), lambda of: head_of(data, *of)):
@@ -124,7 +124,7 @@ def test_piece_whose_head_differs_from_its_name(copied):
                 read(of)
     first.write_bytes(sealed(store.mark, first.name, data))
     assert_same_or_missing(stored_dataset(folder), wanted)
-    assert_same(run(study, folder), wanted)
+    assert_same(run(sweep, folder), wanted)
     assert "it holds 244 samples from 256 on" in log_of(folder)
 
 
@@ -149,10 +149,10 @@ def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, parts):
         return perform(plan, task)
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", mixed_up)
-    study = study_of(sensitivities=SENSITIVITIES)
-    assert_same(run(study, tmp_path / "study"), parts[1])
+    sweep = sweep_of(sensitivities=SENSITIVITIES)
+    assert_same(run(sweep, tmp_path / "sweep"), parts[1])
     assert len(wrong) == 1
-    assert "it holds 244 samples from 256 on" in log_of(tmp_path / "study")
+    assert "it holds 244 samples from 256 on" in log_of(tmp_path / "sweep")
 
 
 # --- many of them, at random
@@ -181,7 +181,7 @@ def moves_told(parts, tmp_path, number: int) -> None:
         spoilt = Path(shutil.copytree(folder, tmp_path / str(at)))
         move_at_random(spoilt, chance)
         assert_same_or_missing(stored_dataset(spoilt), wanted)
-        assert_same(run(study_of(sensitivities=SENSITIVITIES), spoilt), wanted)
+        assert_same(run(sweep_of(sensitivities=SENSITIVITIES), spoilt), wanted)
         shutil.rmtree(spoilt)
 
 
@@ -197,15 +197,15 @@ def test_two_hundred_pieces_moved_at_random(parts, tmp_path):
 def flips_told(copied, number: int) -> None:
     """Turn single bits in pieces, manifest and its copy: numbers are as before, or missing, never others."""
     folder, wanted = copied
-    text = manifest_text(ss.Study.load(folder).plan)
+    text = manifest_text(ss.Sweep.load(folder).plan)
     files = [folder / "manifest.json", folder / "manifest-copy.json", *pieces(folder, "*")]
-    plan, chance = study_of(sensitivities=SENSITIVITIES).plan, random.Random(7)
+    plan, chance = sweep_of(sensitivities=SENSITIVITIES).plan, random.Random(7)
     for at in range(number):
         path = files[at % len(files)]
         whole = path.read_bytes()
         place = chance.randrange(len(whole))
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << chance.randrange(8)]) + whole[place + 1 :])
-        assert manifest_text(ss.Study.load(folder).plan) == text
+        assert manifest_text(ss.Sweep.load(folder).plan) == text
         assert_same_or_missing(stored_dataset(folder), wanted)
         if path.parent.name == "pieces":
             work = Work(plan, Store.reading(folder))

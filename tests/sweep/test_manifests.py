@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jax
 import pytest
-from support.faults import assert_same, files_in, one_sentence, run, study_of
+from support.faults import assert_same, files_in, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
@@ -26,9 +26,9 @@ def rewrite(folder: Path, change) -> None:
 
 def calls_refused(folder: Path, *parts: str) -> None:
     """Looking, loading and running say what is wrong with a folder."""
-    (folder / "study.nc").unlink(missing_ok=True)
-    for call in (lambda: ss.Study.load(folder), lambda: stored_dataset(folder), lambda: status_of(folder)):
-        with pytest.raises(ss.StudyError) as error:
+    (folder / "sweep.nc").unlink(missing_ok=True)
+    for call in (lambda: ss.Sweep.load(folder), lambda: stored_dataset(folder), lambda: status_of(folder)):
+        with pytest.raises(ss.SweepError) as error:
             call()
         one_sentence(error, str(folder), *parts)
 
@@ -106,7 +106,7 @@ EDITED = {
 
 @pytest.mark.parametrize("name", EDITED)
 def test_edited_manifest(copied, name):
-    """What is loaded passes the checks that `Study` makes."""
+    """What is loaded passes the checks that `Sweep` makes."""
     folder, _ = copied
     part, value, said = EDITED[name]
     rewrite(folder, lambda body: body[part].update({name: value}))
@@ -129,9 +129,9 @@ def test_edited_manifest(copied, name):
 def test_manifest_with_other_points(copied, axes):
     folder, _ = copied
     rewrite(folder, lambda body: body.update(axes=axes))
-    (folder / "study.nc").unlink()
-    with pytest.raises(ss.StudyError) as error:
-        ss.Study.load(folder)
+    (folder / "sweep.nc").unlink()
+    with pytest.raises(ss.SweepError) as error:
+        ss.Sweep.load(folder)
     one_sentence(error, f"{folder}: its manifest cannot be used (")
 
 
@@ -139,8 +139,8 @@ def test_manifest_with_other_points(copied, axes):
 def test_manifest_with_another_object(annotations_unchecked, copied, name):
     folder, _ = copied
     rewrite(folder, lambda body: body["objects"].update({name: 5}))
-    with pytest.raises(ss.StudyError) as error:
-        ss.Study.load(folder)
+    with pytest.raises(ss.SweepError) as error:
+        ss.Sweep.load(folder)
     one_sentence(error, f"{folder}: its manifest cannot be used (")
 
 
@@ -155,46 +155,46 @@ def test_statistic_that_is_not_known_is_left_out_alone(copied, capsys, monkeypat
     monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
     assert cli.main(["show", str(folder)]) == 0
     out, err = capsys.readouterr()
-    said = "stickslip: The study asks for 'junk', which this version of stickslip_jax does not know; it is left out.\n"
+    said = "stickslip: The sweep asks for 'junk', which this version of stickslip_jax does not know; it is left out.\n"
     assert err == 2 * said
     assert out.count("+-") == 10
     with pytest.warns(UserWarning, match="'junk'"):
-        study = ss.Study.load(folder)
-    assert_same(run(study, folder), dataset)
-    assert_same(ss.Study.load(folder).results, dataset)  # the manifest does not ask for it any more
+        sweep = ss.Sweep.load(folder)
+    assert_same(run(sweep, folder), dataset)
+    assert_same(ss.Sweep.load(folder).results, dataset)  # the manifest does not ask for it any more
 
 
 # --- two manifests
 
 
 @pytest.mark.parametrize("wrong", MANIFESTS)
-def test_manifest_of_another_study_beside_a_good_one(copied, tmp_path, wrong):
+def test_manifest_of_another_sweep_beside_a_good_one(copied, tmp_path, wrong):
     """The pieces tell which is right; these stay where they are."""
     folder, dataset = copied
-    run(study_of(key=jax.random.key(1)), tmp_path / "other")
+    run(sweep_of(key=jax.random.key(1)), tmp_path / "other")
     shutil.copy(tmp_path / "other" / "manifest.json", folder / wrong)
     before = files_in(folder)
     right = next(name for name in MANIFESTS if name != wrong)
-    for call in (lambda: run(study_of(), folder), lambda: ss.Study.load(folder), lambda: stored_dataset(folder)):
-        with pytest.raises(ss.StudyError) as error:
+    for call in (lambda: run(sweep_of(), folder), lambda: ss.Sweep.load(folder), lambda: stored_dataset(folder)):
+        with pytest.raises(ss.SweepError) as error:
             call()
         one_sentence(
-            error, f"{folder / wrong} is of another study than {right} and the pieces", f"move {wrong} elsewhere"
+            error, f"{folder / wrong} is of another sweep than {right} and the pieces", f"move {wrong} elsewhere"
         )
     assert files_in(folder) == before
     (folder / wrong).unlink()
-    assert_same(run(ss.Study.load(folder), folder), dataset)
+    assert_same(run(ss.Sweep.load(folder), folder), dataset)
 
 
 def test_two_manifests_and_no_pieces(copied, tmp_path):
     folder, _ = copied
-    run(study_of(key=jax.random.key(1)), tmp_path / "other")
+    run(sweep_of(key=jax.random.key(1)), tmp_path / "other")
     shutil.copy(tmp_path / "other" / "manifest.json", folder)
     shutil.rmtree(folder / "pieces")
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), folder)
     one_sentence(
-        error, f"{folder / 'manifest.json'} and manifest-copy.json beside it are of two studies", "move the one"
+        error, f"{folder / 'manifest.json'} and manifest-copy.json beside it are of two sweeps", "move the one"
     )
 
 
@@ -203,31 +203,31 @@ def test_file_of_another_program_beside_a_good_manifest(copied, name):
     """Looks do without it, and nobody writes over it."""
     folder, dataset = copied
     (folder / name).write_text('{"name": "app", "icons": []}')
-    (folder / "study.nc").unlink()
+    (folder / "sweep.nc").unlink()
     before = files_in(folder)
     assert_same(stored_dataset(folder), dataset)
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(), folder)
-    one_sentence(error, f"{folder / name} is a file of another program beside the study's own", "move it elsewhere")
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), folder)
+    one_sentence(error, f"{folder / name} is a file of another program beside the sweep's own", "move it elsewhere")
     assert files_in(folder) == before
     (folder / name).unlink()
-    assert_same(run(study_of(), folder), dataset)
+    assert_same(run(sweep_of(), folder), dataset)
 
 
-def test_manifest_of_another_study_alone(copied, tmp_path):
-    """All pieces are of another study than it says: not these are to be moved away."""
+def test_manifest_of_another_sweep_alone(copied, tmp_path):
+    """All pieces are of another sweep than it says: not these are to be moved away."""
     folder, _ = copied
-    run(study_of(key=jax.random.key(1)), tmp_path / "other")
+    run(sweep_of(key=jax.random.key(1)), tmp_path / "other")
     for name in MANIFESTS:
         shutil.copy(tmp_path / "other" / name, folder / name)
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(key=jax.random.key(1)), folder)
-    one_sentence(error, f"{folder} has pieces of another study than its manifest.json", "put the manifest", "back")
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(key=jax.random.key(1)), folder)
+    one_sentence(error, f"{folder} has pieces of another sweep than its manifest.json", "put the manifest", "back")
 
 
 def test_format_before_the_pieces_were_sealed_with_their_names(copied):
     folder, _ = copied
     rewrite(folder, lambda body: body.update(format_version=1))
     calls_refused(folder, f"it has format 1, written by stickslip_jax {ss.__version__}", "into another folder")
-    with pytest.raises(ss.StudyError, match="it has format 1"):
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError, match="it has format 1"):
+        run(sweep_of(), folder)

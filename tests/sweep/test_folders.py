@@ -1,4 +1,4 @@
-"""Folders in which a study cannot run, or not yet: one sentence says what to do; nothing is lost or written over."""
+"""Folders in which a sweep cannot run, or not yet: one sentence says what to do; nothing is lost or written over."""
 
 import contextlib
 import errno
@@ -15,25 +15,25 @@ from pathlib import Path
 
 import jax
 import pytest
-from support.faults import assert_same, failing, files_in, one_sentence, run, started, study_of
+from support.faults import assert_same, failing, files_in, one_sentence, run, started, sweep_of
 
 import stickslip_jax as ss
-from stickslip_jax._sweep import dataset as study_dataset
+from stickslip_jax._sweep import dataset as sweep_dataset
 from stickslip_jax._sweep import manifest
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A folder with a finished study, and its data set."""
-    folder = tmp_path_factory.mktemp("whole") / "study"
-    return folder, run(study_of(), folder)
+    """A folder with a finished sweep, and its data set."""
+    folder = tmp_path_factory.mktemp("whole") / "sweep"
+    return folder, run(sweep_of(), folder)
 
 
-def refused(study: ss.Study, folder: Path, *parts: str) -> str:
-    """What is said about a folder in which `study` cannot run, and which is as before."""
+def refused(sweep: ss.Sweep, folder: Path, *parts: str) -> str:
+    """What is said about a folder in which `sweep` cannot run, and which is as before."""
     before = files_in(folder.parent)
-    with pytest.raises(ss.StudyError) as error:
-        run(study, folder)
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep, folder)
     assert files_in(folder.parent) == before
     return one_sentence(error, str(folder), *parts)
 
@@ -41,34 +41,34 @@ def refused(study: ss.Study, folder: Path, *parts: str) -> str:
 # --- foreign folders
 
 
-@pytest.mark.parametrize("name", ["thesis.tex", "log.txt", "study.nc", "pieces/mine.txt", "data/manifest.json"])
+@pytest.mark.parametrize("name", ["thesis.tex", "log.txt", "sweep.nc", "pieces/mine.txt", "data/manifest.json"])
 def test_foreign_folder(tmp_path, name):
     """Also one with files that have the names of ours."""
-    path = tmp_path / "study" / name
+    path = tmp_path / "sweep" / name
     path.parent.mkdir(parents=True)
     path.write_text("mine")
-    refused(study_of(), tmp_path / "study", "holds no study", "choose an empty or a new folder")
+    refused(sweep_of(), tmp_path / "sweep", "holds no sweep", "choose an empty or a new folder")
 
 
 def test_manifest_of_another_program(tmp_path):
-    folder = tmp_path / "study"
+    folder = tmp_path / "sweep"
     folder.mkdir()
     (folder / "manifest.json").write_text('{"name": "app", "icons": []}')
     before = files_in(folder)
-    with pytest.raises(ss.StudyError) as error:
-        run(study_of(), folder)
+    with pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), folder)
     one_sentence(error, str(folder), "another folder")
     assert {name: data for name, data in files_in(folder).items() if name != ".lock"} == before
 
 
 def test_file_for_a_folder(tmp_path):
-    (tmp_path / "study").write_text("mine")
-    refused(study_of(), tmp_path / "study", "it is a file", "choose another folder")
-    refused(study_of(), tmp_path / "study" / "below", "below a file", "choose another")
-    with pytest.raises(ss.StudyError, match=r"holds no study .*; name the folder"):
-        ss.Study.load(tmp_path / "study")
-    with pytest.raises(ss.StudyError, match=r"holds no study .*; name the folder"):
-        ss.Study.load(tmp_path / "missing")
+    (tmp_path / "sweep").write_text("mine")
+    refused(sweep_of(), tmp_path / "sweep", "it is a file", "choose another folder")
+    refused(sweep_of(), tmp_path / "sweep" / "below", "below a file", "choose another")
+    with pytest.raises(ss.SweepError, match=r"holds no sweep .*; name the folder"):
+        ss.Sweep.load(tmp_path / "sweep")
+    with pytest.raises(ss.SweepError, match=r"holds no sweep .*; name the folder"):
+        ss.Sweep.load(tmp_path / "missing")
 
 
 # --- folders that cannot be written
@@ -100,41 +100,41 @@ def public_folder():
 
 
 def test_no_permission(whole, public_folder):
-    """For a new folder, for one with a study, and for one that cannot even be read."""
-    study, there = study_of(), Path(shutil.copytree(whole[0], public_folder / "study"))
+    """For a new folder, for one with a sweep, and for one that cannot even be read."""
+    sweep, there = sweep_of(), Path(shutil.copytree(whole[0], public_folder / "sweep"))
     (there / ".lock").unlink()
     before = files_in(public_folder)
     for path in (public_folder, there, there / "pieces"):
         path.chmod(0o555)
     with without_rights():
         for folder in (there, public_folder / "new"):
-            with pytest.raises(ss.StudyError) as error:
-                run(study, folder)
+            with pytest.raises(ss.SweepError) as error:
+                run(sweep, folder)
             one_sentence(error, str(folder), "Permission denied", "choose another folder, or make it writable")
-        assert ss.Study.load(there).points == 2
+        assert ss.Sweep.load(there).points == 2
     there.chmod(0o000)
     with without_rights():
-        with pytest.raises(ss.StudyError) as error:
-            run(study, there)
+        with pytest.raises(ss.SweepError) as error:
+            run(sweep, there)
         one_sentence(error, str(there), "Permission denied")
-        with pytest.raises(ss.StudyError, match=r"cannot be read \(Permission denied\); make it readable\."):
-            ss.Study.load(there)
+        with pytest.raises(ss.SweepError, match=r"cannot be read \(Permission denied\); make it readable\."):
+            ss.Sweep.load(there)
     there.chmod(0o755)
     assert files_in(public_folder) == before
 
 
 def test_piece_that_cannot_be_read(whole, public_folder):
-    folder = Path(shutil.copytree(whole[0], public_folder / "study"))
+    folder = Path(shutil.copytree(whole[0], public_folder / "sweep"))
     path = min((folder / "pieces").iterdir())
     for entry in (folder, folder / "pieces", *folder.iterdir()):
         entry.chmod(0o777)
     path.chmod(0o000)
     with without_rights():
-        with pytest.raises(ss.StudyError) as error:
-            run(study_of(), folder)
+        with pytest.raises(ss.SweepError) as error:
+            run(sweep_of(), folder)
         one_sentence(error, str(path), "Permission denied", "make it readable")
     path.chmod(0o644)
-    assert_same(run(study_of(), folder), whole[1])
+    assert_same(run(sweep_of(), folder), whole[1])
 
 
 # --- full disks
@@ -162,21 +162,21 @@ def small_disk(folder: Path):
 
 def test_full_disk(tmp_path, whole):
     with small_disk(tmp_path / "disk") as make_room:
-        folder = tmp_path / "disk" / "study"
+        folder = tmp_path / "disk" / "sweep"
         for _ in range(2):  # still full the second time
-            with pytest.raises(ss.StudyError) as error:
-                run(study_of(), folder)
+            with pytest.raises(ss.SweepError) as error:
+                run(sweep_of(), folder)
             one_sentence(error, str(folder), "cannot be written", "make room", "what is done is kept")
             assert not list(folder.rglob("*.unfinished"))
         make_room()
-        assert_same(run(study_of(), folder), whole[1])
+        assert_same(run(sweep_of(), folder), whole[1])
         assert set(files_in(folder)) == set(files_in(whole[0]))
 
 
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
 def test_disk_that_is_full_at_any_operation(tmp_path, whole, monkeypatch, every):
     """Whatever is being written: nothing is half-written, and the same call ends as if nothing had been."""
-    monkeypatch.setattr(study_dataset, "as_netcdf", lambda dataset, packing: bytes(10_000))  # takes most time
+    monkeypatch.setattr(sweep_dataset, "as_netcdf", lambda dataset, packing: bytes(10_000))  # takes most time
     said, operations, at = [], 1, 1 - every
     while at + every <= operations:
         at, operations, folder = at + every, 0, tmp_path / str(at)
@@ -189,12 +189,12 @@ def test_disk_that_is_full_at_any_operation(tmp_path, whole, monkeypatch, every)
 
         with failing(folder, fail):
             try:
-                run(study_of(), folder)
-            except ss.StudyError as error:
+                run(sweep_of(), folder)
+            except ss.SweepError as error:
                 said.append(str(error))
                 operations = at + every
                 assert not list(folder.rglob("*.unfinished"))
-        assert_same(run(study_of(), folder), whole[1])
+        assert_same(run(sweep_of(), folder), whole[1])
         assert set(files_in(folder)) == set(files_in(whole[0]))
     assert at + every > 9 + 4 + 19
     assert len(said) >= (9 + 9) // every
@@ -207,12 +207,12 @@ def test_other_errors_of_full_disks(tmp_path, code):
         if name == "fsync":
             raise OSError(code, os.strerror(code))
 
-    with failing(tmp_path / "study", fail), pytest.raises(ss.StudyError) as error:
-        run(study_of(), tmp_path / "study")
+    with failing(tmp_path / "sweep", fail), pytest.raises(ss.SweepError) as error:
+        run(sweep_of(), tmp_path / "sweep")
     one_sentence(error, os.strerror(code), "make room, and run again")
 
 
-# --- other studies, versions and runs
+# --- other sweeps, versions and runs
 
 
 OTHER = {
@@ -234,22 +234,22 @@ OTHER = {
 
 
 @pytest.mark.parametrize("case", OTHER)
-def test_other_study(whole, case):
+def test_other_sweep(whole, case):
     changes, said = OTHER[case]
-    refused(study_of(**changes), whole[0], said, "choose another folder")
+    refused(sweep_of(**changes), whole[0], said, "choose another folder")
 
 
 def test_other_precision(whole):
     try:
         jax.config.update("jax_enable_x64", False)
         with pytest.warns(UserWarning, match="float32"):
-            study = study_of()
+            sweep = sweep_of()
         with pytest.warns(UserWarning, match="float32"):
-            refused(study, whole[0], 'dtype: "float64" there, "float32" here', "choose another folder")
+            refused(sweep, whole[0], 'dtype: "float64" there, "float32" here', "choose another folder")
     finally:
         jax.config.update("jax_enable_x64", True)
-    with pytest.raises(ss.StudyError, match="in float32, and JAX is set to float64; call"):
-        run(study, whole[0])
+    with pytest.raises(ss.SweepError, match="in float32, and JAX is set to float64; call"):
+        run(sweep, whole[0])
 
 
 @pytest.mark.parametrize("program", ["stickslip_jax", "jax", "jaxlib"])
@@ -257,34 +257,34 @@ def test_other_version_of_a_program(whole, program, monkeypatch):
     versions = manifest.versions()
     changed = versions | {program: "99.0"}
     monkeypatch.setattr(manifest, "versions", lambda: changed)
-    refused(study_of(), whole[0], f'{program}: "{versions[program]}" there, "99.0" here', "choose another folder")
+    refused(sweep_of(), whole[0], f'{program}: "{versions[program]}" there, "99.0" here', "choose another folder")
 
 
 def test_store_of_a_newer_version(whole, tmp_path):
-    folder = Path(shutil.copytree(whole[0], tmp_path / "study"))
+    folder = Path(shutil.copytree(whole[0], tmp_path / "sweep"))
     newer = json.loads((folder / "manifest.json").read_text())["body"]
     newer |= {"format_version": 99, "versions": newer["versions"] | {"stickslip_jax": "7.1"}}
     for name in ("manifest.json", "manifest-copy.json"):
         (folder / name).write_text(manifest._text(newer))
-    refused(study_of(), folder, "format 99, written by stickslip_jax 7.1", "install that version or a newer one")
-    with pytest.raises(ss.StudyError, match=r"install that version or a newer one\."):
-        ss.Study.load(folder)
+    refused(sweep_of(), folder, "format 99, written by stickslip_jax 7.1", "install that version or a newer one")
+    with pytest.raises(ss.SweepError, match=r"install that version or a newer one\."):
+        ss.Sweep.load(folder)
 
 
-def test_numbers_written_otherwise_are_the_same_study(whole, tmp_path):
-    """1 and 1.0: nothing is simulated again, and no piece is taken for one of another study."""
-    folder = Path(shutil.copytree(whole[0], tmp_path / "study"))
+def test_numbers_written_otherwise_are_the_same_sweep(whole, tmp_path):
+    """1 and 1.0: nothing is simulated again, and no piece is taken for one of another sweep."""
+    folder = Path(shutil.copytree(whole[0], tmp_path / "sweep"))
     before = files_in(folder)
-    study = study_of(ss.MassSpring(1, 4, 1, ss.Coulomb(1.0)), y0=(0, 1))
-    dataset = run(study, folder)
+    sweep = sweep_of(ss.MassSpring(1, 4, 1, ss.Coulomb(1.0)), y0=(0, 1))
+    dataset = run(sweep, folder)
     assert all((dataset[name].values == whole[1][name].values).all() for name in ("stick_fraction", "samples"))
     after = files_in(folder)
-    assert {name for name in before if before[name] != after[name]} <= {"log.txt", "study.nc"}
+    assert {name for name in before if before[name] != after[name]} <= {"log.txt", "sweep.nc"}
 
 
 def test_two_runs_at_once(tmp_path):
     """Of two processes: the second one says so, and the first goes on."""
-    folder = tmp_path / "study"
+    folder = tmp_path / "sweep"
     process = started("long", folder)
     try:
         while not (folder / "log.txt").exists():
@@ -292,8 +292,8 @@ def test_two_runs_at_once(tmp_path):
             time.sleep(0.002)
         process.send_signal(signal.SIGSTOP)  # stopped, so that it cannot be done before the second one asks
         before = files_in(folder)
-        with pytest.raises(ss.StudyError) as error:
-            run(study_of(), folder)
+        with pytest.raises(ss.SweepError) as error:
+            run(sweep_of(), folder)
         one_sentence(error, str(folder), "in use by another run", "wait for it to end, or choose another folder")
         assert files_in(folder) == before
         process.send_signal(signal.SIGCONT)

@@ -1,4 +1,4 @@
-"""Studies that are killed, at random moments and at every operation on the disk, and go on as if nothing had been."""
+"""Sweeps that are killed, at random moments and at every operation on the disk, and go on as if nothing had been."""
 
 import contextlib
 import random
@@ -7,16 +7,16 @@ import time
 
 import pytest
 import xarray as xr
-from support.faults import assert_same, cut, failing, files_in, long_study, run, started, study_of
+from support.faults import assert_same, cut, failing, files_in, long_sweep, run, started, sweep_of
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """The small study: its data set, and the names of its files."""
+    """The small sweep: its data set, and the names of its files."""
     folder = tmp_path_factory.mktemp("small") / "undisturbed"
     names = []
     with failing(folder, lambda number, name, of: names.append(name)):
-        dataset = run(study_of(), folder)
+        dataset = run(sweep_of(), folder)
     # 2 manifests, 4 pieces, 2 joins of 2 pieces each, the data set; and once the folder above.
     assert (names.count("replace"), names.count("unlink"), names.count("fsync")) == (9, 4, 19)
     return dataset, set(files_in(folder))
@@ -24,7 +24,7 @@ def undisturbed(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def undisturbed_long(tmp_path_factory):
-    return run(long_study(), tmp_path_factory.mktemp("long") / "undisturbed")
+    return run(long_sweep(), tmp_path_factory.mktemp("long") / "undisturbed")
 
 
 class DeadError(BaseException):
@@ -49,9 +49,9 @@ def test_dead_at_an_operation_on_the_disk(tmp_path, undisturbed, monkeypatch, ev
                 raise DeadError
 
         with contextlib.suppress(DeadError), failing(folder, fail):
-            run(study_of(), folder)
+            run(sweep_of(), folder)
             finished = True
-        assert_same(run(study_of(), folder), dataset)
+        assert_same(run(sweep_of(), folder), dataset)
         assert set(files_in(folder)) == names
     assert number > 9 + 4 + 19
 
@@ -68,7 +68,7 @@ def test_killed_at_every_operation_on_the_disk(tmp_path, undisturbed):
         said = process.communicate(timeout=300)[1]
         ended = process.returncode
         assert ended in (-signal.SIGKILL, 0), said
-        assert_same(run(study_of(), folder), dataset)
+        assert_same(run(sweep_of(), folder), dataset)
         assert set(files_in(folder)) == names
     assert number > 9 + 4 + 19
 
@@ -100,17 +100,17 @@ def kill_while_simulating(folder, moments) -> None:
 
 
 def test_two_kills_at_random_moments(tmp_path, undisturbed_long):
-    folder, moments = tmp_path / "study", random.Random(2)
+    folder, moments = tmp_path / "sweep", random.Random(2)
     kill_while_starting(folder, moments)
     kill_while_simulating(folder, moments)
     assert 0 < pieces_done(folder) < 4 * 30
-    assert_same(run(long_study(), folder), undisturbed_long)
+    assert_same(run(long_sweep(), folder), undisturbed_long)
 
 
 @pytest.mark.slow
 def test_ten_kills_in_a_row_at_random_moments(tmp_path, undisturbed_long):
-    folder, moments = tmp_path / "study", random.Random(10)
+    folder, moments = tmp_path / "sweep", random.Random(10)
     for number in range(10):
         (kill_while_starting if number in (0, 6) else kill_while_simulating)(folder, moments)
     assert 0 < pieces_done(folder) < 4 * 30
-    assert_same(run(long_study(), folder), undisturbed_long)
+    assert_same(run(long_sweep(), folder), undisturbed_long)

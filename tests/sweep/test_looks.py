@@ -1,4 +1,4 @@
-"""Looks at a study while a run works on it: each is of one set of pieces, and none fails."""
+"""Looks at a sweep while a run works on it: each is of one set of pieces, and none fails."""
 
 import gc
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from support.faults import TESTS, log_of, run, study_of
+from support.faults import TESTS, log_of, run, sweep_of
 from support.pieces import join, unjoined
 
 import stickslip_jax as ss
@@ -23,12 +23,12 @@ from stickslip_jax._sweep.spool import Spool
 
 @pytest.fixture
 def begun(tmp_path):
-    """The folder of a study that has the first of two pieces at each point, and the function that adds the others.
+    """The folder of a sweep that has the first of two pieces at each point, and the function that adds the others.
 
     These are joined at once, as by a run.
     """
-    study, folder = study_of(keep="statistics"), tmp_path / "study"
-    unjoined(study, folder)
+    sweep, folder = sweep_of(keep="statistics"), tmp_path / "sweep"
+    unjoined(sweep, folder)
     for path in (folder / "pieces").glob("*-256-500.zip"):
         path.unlink()
     return folder, lambda: join(folder)
@@ -37,7 +37,7 @@ def begun(tmp_path):
 def looked_at(folder) -> list[int]:
     """The samples of each point, as each of the ways to look tells them."""
     found = stored_dataset(folder)["samples"].values
-    assert np.array_equal(ss.Study.load(folder).results["samples"].values, found)
+    assert np.array_equal(ss.Sweep.load(folder).results["samples"].values, found)
     assert status_of(folder).samples == found.sum()
     return found.tolist()
 
@@ -114,20 +114,20 @@ def test_no_room_for_what_was_read(monkeypatch, begun):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("stickslip_jax._sweep.spool.SpooledTemporaryFile.write", full)
-    with pytest.raises(ss.StudyError, match=r"cannot be written \(No space left on device\).*TMPDIR\."):
+    with pytest.raises(ss.SweepError, match=r"cannot be written \(No space left on device\).*TMPDIR\."):
         stored_dataset(begun[0])
 
 
-def test_only_a_loaded_study_has_results():
-    with pytest.raises(ss.StudyError, match=r"loaded from a folder has results; call study\.run\(\)"):
-        _ = study_of().results
+def test_only_a_loaded_sweep_has_results():
+    with pytest.raises(ss.SweepError, match=r"loaded from a folder has results; call sweep\.run\(\)"):
+        _ = sweep_of().results
 
 
-def test_finished_study_is_told_so_also_where_its_numbers_are_written_otherwise(tmp_path):
+def test_finished_sweep_is_told_so_also_where_its_numbers_are_written_otherwise(tmp_path):
     """1 and 1.0: the result bears the sum of the manifest that is there."""
-    run(study_of(), tmp_path / "study")
-    run(study_of(ss.MassSpring(1, 4, 1, ss.Coulomb(1.0)), y0=(0, 1)), tmp_path / "study")
-    assert status_of(tmp_path / "study").is_finished
+    run(sweep_of(), tmp_path / "sweep")
+    run(sweep_of(ss.MassSpring(1, 4, 1, ss.Coulomb(1.0)), y0=(0, 1)), tmp_path / "sweep")
+    assert status_of(tmp_path / "sweep").is_finished
 
 
 # --- beside a run in a process of its own
@@ -138,15 +138,15 @@ import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 from stickslip_jax import _compilation_cache
-from study.test_looks import busy_study
+from sweep.test_looks import busy_sweep
 _compilation_cache.use()
-busy_study().run(sys.argv[1], threads=2, progress=False)
+busy_sweep().run(sys.argv[1], threads=2, progress=False)
 """
 
 
-def busy_study() -> ss.Study:
+def busy_sweep() -> ss.Sweep:
     """One whose points are done, and joined, in quick succession."""
-    return study_of(over={"mu": np.linspace(0.5, 1.2, POINTS)}, samples=SAMPLES, keep="statistics")
+    return sweep_of(over={"mu": np.linspace(0.5, 1.2, POINTS)}, samples=SAMPLES, keep="statistics")
 
 
 @contextmanager
@@ -175,7 +175,7 @@ def assert_consistent(found) -> None:
 
 
 @pytest.mark.slow
-def test_two_hundred_looks_while_a_study_runs(tmp_path, capsys, monkeypatch):
+def test_two_hundred_looks_while_a_sweep_runs(tmp_path, capsys, monkeypatch):
     """As many as run beside it; a run that ends is followed by another one in another folder."""
     monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
     looks = beside = 0
@@ -193,7 +193,7 @@ def test_two_hundred_looks_while_a_study_runs(tmp_path, capsys, monkeypatch):
                 elif way == 1:
                     assert status_of(folder).points == POINTS
                 elif way == 2:
-                    assert_consistent(ss.Study.load(folder).results)
+                    assert_consistent(ss.Sweep.load(folder).results)
                 else:
                     assert cli.main(["show", str(folder)]) == 0, capsys.readouterr()
                 looks += 1
