@@ -48,7 +48,7 @@ def loop(keep: Any, points: int, samples: int) -> None:
 
 
 def sweep(keep: Any, points: int, samples: int) -> None:
-    """The same as a sweep, stored piece by piece."""
+    """The same as a sweep, stored batch by batch."""
     mus, rates = grid(points)
     with tempfile.TemporaryDirectory() as folder:
         ss.Sweep(

@@ -13,7 +13,7 @@
 # %% [markdown]
 # # A sweep that grows
 #
-# A parameter sweep simulates the same ensemble at many values of its parameters and stores every finished piece. So
+# A parameter sweep simulates the same ensemble at many values of its parameters and stores every finished batch. So
 # it can start small, be looked at, get more samples and more points, and move from one machine to several; what is
 # there is used again. Every claim below is checked on the numbers.
 
@@ -33,7 +33,7 @@ jax.config.update("jax_enable_x64", True)
 
 SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "10_000"))
 SAMPLES = -(-SAMPLES // 100) * 100
-PIECE = SAMPLES // 4  # samples that are done, and stored, together
+BATCH = SAMPLES // 4  # samples that are done, and stored, together
 kept = tempfile.TemporaryDirectory()
 FOLDER = Path(kept.name) / "mu_and_rate"
 
@@ -49,7 +49,7 @@ OVER = {"mu": [0.5, 0.8, 1.2, 1.6], "rate": [0.3, 0.6, 1.2, 2.4]}
 
 def sweep(samples, over=OVER, **options):
     """The sweep, with a number of samples at each point."""
-    common = {"t1": 100.0, "key": jax.random.key(0), "y0": (0.0, 0.5), "piece": PIECE}
+    common = {"t1": 100.0, "key": jax.random.key(0), "y0": (0.0, 0.5), "batch": BATCH}
     return ss.Sweep(system, law, over=over, samples=samples, **(common | options))
 
 
@@ -82,13 +82,13 @@ print("numbers that are those of a sweep never stopped: {} of {}".format(*same(w
 
 # %%
 def done(folder):
-    """The first samples of the pieces that each run did, after its log."""
+    """The first samples of the batches that each run did, after its log."""
     runs = (folder / "log.txt").read_text().split("begun")[1:]
     return [[int(first) for first in re.findall(r"samples (\d+) to", run)] for run in runs]
 
 
 for number, firsts in enumerate(done(FOLDER), start=1):
-    print(f"run {number}: {len(firsts)} pieces, the lowest first sample {min(firsts)}")
+    print(f"run {number}: {len(firsts)} batches, the lowest first sample {min(firsts)}")
 assert min(done(FOLDER)[1]) == SAMPLES // 2
 
 # %% [markdown]
@@ -96,7 +96,7 @@ assert min(done(FOLDER)[1]) == SAMPLES // 2
 
 # %%
 again = ss.Sweep.load(FOLDER).run(FOLDER, progress=False)
-print(f"pieces done by a third run: {len(done(FOLDER)[2])}")
+print(f"batches done by a third run: {len(done(FOLDER)[2])}")
 print("numbers that a third run left as they were: {} of {}".format(*same(again, whole)))
 
 # %% [markdown]
@@ -107,7 +107,7 @@ print("numbers that a third run left as they were: {} of {}".format(*same(again,
 finer = sweep(SAMPLES, over=OVER | {"mu": [0.5, 0.8, 1.0, 1.2, 1.6]}).run(FOLDER, progress=False)
 shared = finer.sel(mu=OVER["mu"])
 pooled = ["stick_fraction", "mean_stick_count", "mean_stick_duration", "mean_slip_duration"]
-print(f"pieces done for it: {len(done(FOLDER)[3])}; the statistics of the first sixteen points are what they were: "
+print(f"batches done for it: {len(done(FOLDER)[3])}; the statistics of the first sixteen points are what they were: "
       f"{all((shared[name] == whole[name]).all() for name in pooled)}")  # fmt: skip
 print(f"time for a point, on average: {float(finer.run_seconds.mean()):.3f} s")
 
@@ -166,12 +166,12 @@ plt.show()
 
 # %% [markdown]
 # ## As many samples as are needed
-# With `standard_error` each point ends when it has the error asked for, piece by piece. How many samples that takes,
+# With `standard_error` each point ends when it has the error asked for, batch by batch. How many samples that takes,
 # the errors found above foretell: a standard error falls with the square root of the number of samples.
 
 # %%
 WANTED = 0.001  # s
-enough = sweep(40_000, standard_error={"mean_stick_duration": WANTED}, keep="totals", piece=100).run(progress=False)
+enough = sweep(40_000, standard_error={"mean_stick_duration": WANTED}, keep="totals", batch=100).run(progress=False)
 foretold = SAMPLES * (whole.mean_stick_duration_error / WANTED) ** 2
 for mu in OVER["mu"]:
     pairs = zip(enough.samples.sel(mu=mu).values, foretold.sel(mu=mu).values, strict=True)
@@ -181,11 +181,11 @@ print(f"the largest standard error is below {WANTED} s: {bool((enough.mean_stick
 
 # %% [markdown]
 # ## Threads or processes
-# Where a piece is done makes no difference to its numbers. `workers=2` starts two processes, which compile for
+# Where a batch is done makes no difference to its numbers. `workers=2` starts two processes, which compile for
 # themselves; on a cluster `executor=` takes a dask client, with the same result.
 
 # %%
-small = {"over": {"mu": [0.5, 1.2], "rate": [0.6]}, "piece": 50, "keep": "totals"}
+small = {"over": {"mu": [0.5, 1.2], "rate": [0.6]}, "batch": 50, "keep": "totals"}
 one_thread = sweep(200, **small).run(threads=1, progress=False)
 two_processes = sweep(200, **small).run(workers=2, progress=False)
 print("numbers of two processes that are those of one thread: {} of {}".format(*same(two_processes, one_thread)))

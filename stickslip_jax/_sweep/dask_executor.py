@@ -84,7 +84,7 @@ class DaskCluster(Executor):
             found = future.result()
         except KilledWorker as error:
             raise SweepError(
-                f"Workers of the cluster died {error.allowed_failures + 1} times with the same piece, the last "
+                f"Workers of the cluster died {error.allowed_failures + 1} times with the same batch, the last "
                 f"{error.last_worker.address}; what is done is kept. Perhaps memory ran out: give the workers more, or "
                 "fewer threads, and run again."
             ) from error
@@ -131,7 +131,7 @@ class DaskCluster(Executor):
     def check(self) -> None:
         if self._client.status != "running":
             raise SweepError(
-                "The connection to the cluster was lost; the pieces that came before are kept in "
+                "The connection to the cluster was lost; the batches that came before are kept in "
                 f"{self._store.folder}. Connect a new client: the same call with it goes on from there."
             )
         if time.monotonic() >= self._counted + _COUNTED:
@@ -201,7 +201,7 @@ def _perform(plan: Sent, task: tuple) -> bytes | Failed | NoMemory:
 
 
 def _perform_and_write(plan: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed | NoMemory:
-    """Do a task, and write its piece into the folder of the sweep. Raises UnfitWorkerError where that is not here."""
+    """Do a task, and write its batch into the folder of the sweep. Raises UnfitWorkerError where that is not here."""
     _check_shared(Path(path).parents[1], mark)
     found = perform_sent(plan, Task(*task))
     if not isinstance(found, bytes):

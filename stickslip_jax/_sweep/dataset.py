@@ -230,7 +230,7 @@ def _attributes(plan: Plan, body: dict[str, Any]) -> dict[str, Any]:
         "t1": plan.t1,
         "keep": plan.keep,
         "dtype": plan.dtype,
-        "piece": plan.piece,
+        "batch": plan.batch,
         "common_random_numbers": int(not plan.independent),
         "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
         "entropies are of these histograms",

@@ -8,8 +8,8 @@ class SweepError(ValueError):
     """
 
 
-class DamagedPieceError(ValueError):
-    """The bytes of a piece are not what was written. It is removed and done again."""
+class DamagedBatchError(ValueError):
+    """The bytes of a batch are not what was written. It is removed and done again."""
 
 
 class UnreadableError(ValueError):

@@ -9,7 +9,7 @@ from .workers import Failed, NoMemory, Performer, attempted
 
 
 class Written(NamedTuple):
-    """What comes back for a piece that the worker has written into the folder of the sweep."""
+    """What comes back for a batch that the worker has written into the folder of the sweep."""
 
     size: int
 

@@ -47,7 +47,7 @@ def status_of(folder: Path) -> SweepStatus:
             seconds += head["run_seconds"]
             for status, count in zip(Status, head["status_counts"], strict=True):
                 endings[status] += count
-    for _ in work.tasks():  # counts what is done, of the pieces that were found to be whole
+    for _ in work.tasks():  # counts what is done, of the batches that were found to be whole
         pass
     points = plan.points.number
     return SweepStatus(
@@ -69,6 +69,6 @@ def _finished(store: Store) -> "xarray.Dataset | None":
     """The stored data set, if it is that of what was asked for last."""
     try:
         found = read_dataset(store.folder)
-    except (SweepError, OSError, ValueError):  # none, or a damaged one, which the pieces replace
+    except (SweepError, OSError, ValueError):  # none, or a damaged one, which the batches replace
         return None
     return found if found.attrs.get("manifest_sha256") == sum_of(store.body) else None

@@ -16,7 +16,7 @@ from .plan import Plan
 FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 3
 _OLDER_FORMAT = "stickslip_jax study"  # of versions 1 and 2
 OBJECTS = ("system", "law", "y0", "method")
-DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "piece", "dtype")
+DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "batch", "dtype")
 _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
 _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest"}
 """What the user calls it, where that is another name."""
@@ -51,7 +51,7 @@ def manifest_text(plan: Plan) -> str:
 def extended(there: dict[str, Any], here: dict[str, Any]) -> str:
     """The manifest of a sweep that adds to another: what decides the numbers as it is written there.
 
-    Numbers may be equal and written otherwise, 1 and 1.0, and the pieces bear the fingerprint of what is there.
+    Numbers may be equal and written otherwise, 1 and 1.0, and the batches bear the fingerprint of what is there.
     """
     return _text({**here, **{name: there[name] for name in _FINGERPRINT}})
 
@@ -178,6 +178,6 @@ def _brief(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def with_piece(plan: Plan, body: dict[str, Any]) -> Plan:
-    """`plan` cut into pieces as the sweep of a manifest."""
-    return dataclasses.replace(plan, piece=body["deciding"]["piece"])
+def with_batch(plan: Plan, body: dict[str, Any]) -> Plan:
+    """`plan` divided into batches as the sweep of a manifest."""
+    return dataclasses.replace(plan, batch=body["deciding"]["batch"])

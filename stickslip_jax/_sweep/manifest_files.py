@@ -13,7 +13,7 @@ MANIFEST, COPY = "manifest.json", "manifest-copy.json"
 
 
 def mark_of(body: dict[str, Any]) -> bytes:
-    """The mark with which the pieces of a sweep begin."""
+    """The mark with which the batches of a sweep begin."""
     return fingerprint(body)[:MARK].encode()
 
 
@@ -25,7 +25,7 @@ def has_manifest(folder: Path) -> bool:
 def body_in(folder: Path, marks: Callable[[], Iterable[bytes]], *, to_write: bool = False) -> dict[str, Any]:
     """The manifest of a folder, or its copy where that is damaged.
 
-    `marks`: gives those of the pieces that are there. `to_write`: whether both files are about to be replaced. Raises
+    `marks`: gives those of the batches that are there. `to_write`: whether both files are about to be replaced. Raises
     SweepError if there is none, where the two are of two sweeps, and for a foreign file that would be replaced.
     """
     found: dict[str, dict[str, Any]] = {}
@@ -67,7 +67,7 @@ def _told_apart(folder: Path, found: dict[str, dict[str, Any]], marks: set[bytes
         )
     (wrong,) = found.keys() - right
     return (
-        f"{folder / wrong} is of another sweep than {right[0]} and the pieces beside it; move {wrong} elsewhere, and "
+        f"{folder / wrong} is of another sweep than {right[0]} and the batches beside it; move {wrong} elsewhere, and "
         "try again."
     )
 

@@ -23,13 +23,13 @@ from .setting import Setter, Setting, setter_of
 Derivative = tuple[str, tuple[str, ...]]
 """A statistic, and the parameters by which it is differentiated."""
 
-_SMALLEST_PIECE, _LARGEST_PIECE, _PIECES = 1024, 16_384, 64
+_SMALLEST_BATCH, _LARGEST_BATCH, _BATCHES = 1024, 16_384, 64
 RETAINED = 20_000
 """The most sticks of a point that are kept for standard errors."""
 
 
 class Task(NamedTuple):
-    """A piece of the work, done by one thread: samples ``first .. end - 1`` of a point; or, where `derivative` is not
+    """A part of the work, done by one thread: samples ``first .. end - 1`` of a point; or, where `derivative` is not
     None, the derivatives of that number at the point, from all its samples.
     """
 
@@ -60,7 +60,7 @@ class Plan:
     independent: bool
     standard_errors: dict[str, float]
     realizations: int
-    piece: int
+    batch: int
     dtype: str
 
     @cached_property
@@ -118,10 +118,10 @@ class Plan:
         return bool(self.standard_errors)
 
 
-def usual_piece(points: int, samples: int) -> int:
-    """How many samples make a piece: few pieces are too coarse for several threads, many cost time for each."""
-    fair = -(-points * samples // (_PIECES * 256)) * 256
-    return min(max(fair, _SMALLEST_PIECE), _LARGEST_PIECE)
+def usual_batch(points: int, samples: int) -> int:
+    """How many samples make a batch: few batches are too coarse for several threads, many cost time for each."""
+    fair = -(-points * samples // (_BATCHES * 256)) * 256
+    return min(max(fair, _SMALLEST_BATCH), _LARGEST_BATCH)
 
 
 def checked_statistics(statistics: Any, keep: Keep) -> tuple[str, ...]:

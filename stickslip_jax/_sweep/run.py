@@ -21,7 +21,7 @@ from .work import Work
 if TYPE_CHECKING:
     import xarray
 
-_ROUNDS = 3  # after which pieces that keep coming back damaged are an error of the disk
+_ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
 def run_sweep(plan: Plan, folder: Path | None, where: Where, progress: bool | None) -> "xarray.Dataset":
@@ -73,16 +73,16 @@ def _stop(work: Work, kept: bool) -> None:
 def _raise_starved(work: Work, kept: bool) -> None:
     task = min(work.starved)
     points = len({one.point for one in work.starved})
-    what = f"There was no memory for pieces of {points} of {work.plan.points.number} points, even one at a time"
+    what = f"There was no memory for batches of {points} of {work.plan.points.number} points, even one at a time"
     work.store.log(f"stopped: {what}")
     raise SweepError(
         f"{what}, first {described(work.plan, task)} ({work.starved[task]}); "
         + (
-            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the sweep in "
-            "smaller pieces (piece) into another folder."
+            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the sweep with "
+            "a smaller batch into another folder."
             if kept
-            else "run it in smaller pieces (piece), or where there is more memory, and give a folder, which keeps what "
-            "is done."
+            else "run it with a smaller batch, or where there is more memory, and give a folder, which keeps what is "
+            "done."
         )
     )
 

@@ -139,7 +139,7 @@ def _note_lost(work: Work, again: list[Task], lost: dict[Task, int], error: Work
     for task in again:
         lost[task] = lost.get(task, 0) + 1
     worst = max(again, key=lambda task: lost[task])
-    work.store.log(f"a worker died ({error}); {len(again)} pieces are done again")
+    work.store.log(f"a worker died ({error}); {len(again)} batches are done again")
     if lost[worst] > _DEATHS:
         raise SweepError(
             f"A worker died {lost[worst]} times while it simulated {described(work.plan, worst)} ({error}); what is "

@@ -1,11 +1,11 @@
-"""What stands around the bytes of a piece in its file: a mark of the sweep, a check sum, and which piece it is."""
+"""What stands around the bytes of a batch in its file: a mark of the sweep, a check sum, and which batch it is."""
 
 import hashlib
 
-from .errors import DamagedPieceError
+from .errors import DamagedBatchError
 
 MARK = 16
-"""The length of the mark with which a piece begins."""
+"""The length of the mark with which a batch begins."""
 _SUM, _LENGTH = 32, 2  # bytes of the check sum, and of the length of the name
 
 
@@ -13,14 +13,14 @@ BEGINNING = MARK + _SUM + _LENGTH + 255
 """How many bytes hold the mark and the name, for names as long as file systems take them."""
 
 
-class ForeignPieceError(Exception):
-    """A piece that is whole, and of another sweep."""
+class ForeignBatchError(Exception):
+    """A batch that is whole, and of another sweep."""
 
 
 def sealed(mark: bytes, name: str, data: bytes) -> bytes:
-    """The bytes of a piece as they stand in the file called `name`, whose name says what they are.
+    """The bytes of a batch as they stand in the file called `name`, whose name says what they are.
 
-    The check sum is of the name too: under another name they are no piece.
+    The check sum is of the name too: under another name they are no batch.
     """
     claims = name.encode()
     rest = len(claims).to_bytes(_LENGTH, "big") + claims + data
@@ -30,22 +30,22 @@ def sealed(mark: bytes, name: str, data: bytes) -> bytes:
 def unsealed(mark: bytes, name: str, whole: bytes) -> bytes:
     """The bytes that were sealed with this mark and name.
 
-    Raises DamagedPieceError for bytes that are not as they were written, or were written under another name, and
-    ForeignPieceError for those of another sweep.
+    Raises DamagedBatchError for bytes that are not as they were written, or were written under another name, and
+    ForeignBatchError for those of another sweep.
     """
     found, stated, rest = whole[:MARK], whole[MARK : MARK + _SUM], whole[MARK + _SUM :]
     if stated != _sum(found, rest):
-        raise DamagedPieceError("its check sum is wrong")
+        raise DamagedBatchError("its check sum is wrong")
     if found != mark:
-        raise ForeignPieceError
+        raise ForeignBatchError
     claims, data = _claims(rest)
     if claims != name:
-        raise DamagedPieceError(f"it is {claims}, under another name")
+        raise DamagedBatchError(f"it is {claims}, under another name")
     return data
 
 
 def claims_of(beginning: bytes) -> tuple[bytes, str]:
-    """The mark of a piece, and its name when it was written, from its `BEGINNING`; nothing says that they are whole."""
+    """The mark of a batch, and its name when it was written, from its `BEGINNING`; nothing says that they are whole."""
     return beginning[:MARK], _claims(beginning[MARK + _SUM :])[0]
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C during a sweep: the first stops it after the pieces under way, the second at once."""
+"""Ctrl-C during a sweep: the first stops it after the batches under way, the second at once."""
 
 import signal
 import sys
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Stopping:
-    """Whether the sweep is to stop. `requested`: after the pieces under way."""
+    """Whether the sweep is to stop. `requested`: after the batches under way."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -19,9 +19,9 @@ class Stopping:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        # In one piece: a second Ctrl-C comes between the parts that print would write.
+        # In one write: a second Ctrl-C comes between the parts that print would write.
         sys.stderr.write(
-            "\nStopping after the pieces under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
+            "\nStopping after the batches under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
         )
 
 

@@ -1,4 +1,4 @@
-"""The folder of a sweep: its manifest, the pieces that are done, the data set, and a log."""
+"""The folder of a sweep: its manifest, the batches that are done, the data set, and a log."""
 
 import contextlib
 import hashlib
@@ -11,23 +11,23 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._files import finished_name, remove_unfinished, sync_folder, write_whole
-from .errors import DamagedPieceError, SweepError
+from .errors import DamagedBatchError, SweepError
 from .locking import cannot_write, is_locked, locked
-from .manifest import body_of, differences, extended, manifest_text, with_piece
+from .manifest import body_of, differences, extended, manifest_text, with_batch
 from .manifest_files import COPY, MANIFEST, body_in, has_manifest, mark_of
 from .plan import Plan, Task
 from .regular import NotAFileError, append_regular, read_regular
-from .sealing import BEGINNING, MARK, ForeignPieceError, claims_of, sealed, unsealed
+from .sealing import BEGINNING, MARK, ForeignBatchError, claims_of, sealed, unsealed
 from .stored_plan import plan_in
 
-PIECES, DATA, LOG, LOCK = "pieces", "sweep.nc", "log.txt", ".lock"
+BATCHES, DATA, LOG, LOCK = "batches", "sweep.nc", "log.txt", ".lock"
 _LONGEST_NAME = 100  # of a derivative in the name of a file
 
 
 _NAME = re.compile(r"(?P<point>[0-9a-f]{16})-(?P<first>\d+)-(?P<end>\d+)(\.zip|-(?P<name>.+)\.json)")
 
 
-class Piece(NamedTuple):
+class Batch(NamedTuple):
     """A file of samples ``first .. end - 1`` of a point, or of the derivatives with this name from samples
     ``0 .. end - 1``.
     """
@@ -41,8 +41,8 @@ class Piece(NamedTuple):
 class Store:
     """The folder of a sweep, opened for reading; `opened` is for writing.
 
-    A piece is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
-    values of the parameters only, so that a point keeps its pieces when others come. It is sealed with a mark of its
+    A batch is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
+    values of the parameters only, so that a point keeps its batches when others come. It is sealed with a mark of its
     sweep and this name. `held`: whether this program holds the lock, and may change the folder.
     """
 
@@ -75,8 +75,8 @@ class Store:
             missing.append(MANIFEST)
         if _file_number(self.folder / LOCK) != self._lock:
             missing.append(LOCK)
-        if not (self.folder / PIECES).is_dir():
-            missing.append(PIECES)
+        if not (self.folder / BATCHES).is_dir():
+            missing.append(BATCHES)
         if missing:
             raise self._taken_away(missing[0])
 
@@ -86,103 +86,103 @@ class Store:
             "folder that is left alone until it ends."
         )
 
-    # --- pieces
+    # --- batches
 
-    def pieces(self) -> dict[str, list[Piece]]:
-        """All pieces by the identity of their point: those of samples in order, none with samples of another."""
-        return {identity: _without_overlap(pieces) for identity, pieces in self._all().items()}
+    def batches(self) -> dict[str, list[Batch]]:
+        """All batches by the identity of their point: those of samples in order, none with samples of another."""
+        return {identity: _without_overlap(batches) for identity, batches in self._all().items()}
 
-    def _all(self) -> dict[str, list[Piece]]:
-        """All pieces by the identity of their point, in the order of their names.
+    def _all(self) -> dict[str, list[Batch]]:
+        """All batches by the identity of their point, in the order of their names.
 
-        A listing while a run joins pieces may have neither the parts nor the whole of them, but then the next one has
+        A listing while a run joins batches may have neither the parts nor the whole of them, but then the next one has
         the whole: who only looks lists twice.
         """
         names = _names_in(self.folder)
         if not self.held:
             names |= _names_in(self.folder)
-        found: dict[str, list[Piece]] = defaultdict(list)
+        found: dict[str, list[Batch]] = defaultdict(list)
         for file in sorted(names):
             parts = _NAME.fullmatch(file)
             if parts is not None:
                 identity, first, end, name = parts.group("point", "first", "end", "name")
-                found[identity].append(Piece(self.folder / PIECES / file, int(first), int(end), name or ""))
+                found[identity].append(Batch(self.folder / BATCHES / file, int(first), int(end), name or ""))
         return found
 
-    def read(self, piece: Piece) -> bytes:
-        """The bytes of a piece.
+    def read(self, batch: Batch) -> bytes:
+        """The bytes of a batch.
 
-        Raises DamagedPieceError unless they are as they were written under this name, FileNotFoundError for a piece
+        Raises DamagedBatchError unless they are as they were written under this name, FileNotFoundError for a batch
         that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
-            return unsealed(self.mark, piece.path.name, read_regular(piece.path))
+            return unsealed(self.mark, batch.path.name, read_regular(batch.path))
         except FileNotFoundError:
             raise
-        except ForeignPieceError:
-            raise SweepError(f"{piece.path} is a piece of another sweep; move it elsewhere, and run again.") from None
+        except ForeignBatchError:
+            raise SweepError(f"{batch.path} is a batch of another sweep; move it elsewhere, and run again.") from None
         except NotAFileError as error:
-            raise SweepError(f"{piece.path} cannot be read ({error.strerror}); remove it, and run again.") from error
+            raise SweepError(f"{batch.path} cannot be read ({error.strerror}); remove it, and run again.") from error
         except OSError as error:
             raise SweepError(
-                f"{piece.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
+                f"{batch.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
             ) from error
 
-    def check_pieces(self) -> None:
-        """Remove pieces that have another name than when they were written: what is to be done depends on names.
+    def check_batches(self) -> None:
+        """Remove batches that have another name than when they were written: what is to be done depends on names.
 
-        Raises SweepError for whole pieces of another sweep, and for what is no file: nobody may write over them.
+        Raises SweepError for whole batches of another sweep, and for what is no file: nobody may write over them.
         """
         foreign, ours = None, 0
-        for piece in (one for pieces in self._all().values() for one in pieces):
+        for batch in (one for batches in self._all().values() for one in batches):
             try:
-                mark, claims = claims_of(read_regular(piece.path, BEGINNING))
+                mark, claims = claims_of(read_regular(batch.path, BEGINNING))
                 if mark == self.mark:
                     ours += 1
-                    if claims != piece.path.name:
-                        self.remove(piece, f"it is {claims}, under another name")
+                    if claims != batch.path.name:
+                        self.remove(batch, f"it is {claims}, under another name")
                     continue
             except NotAFileError:
-                self.read(piece)  # says so
+                self.read(batch)  # says so
             except OSError:
                 continue
             try:
-                self.read(piece)
-            except (DamagedPieceError, FileNotFoundError):
+                self.read(batch)
+            except (DamagedBatchError, FileNotFoundError):
                 continue
             except SweepError as error:
                 foreign = foreign or error
         if foreign is not None and not ours:
             raise SweepError(
-                f"{self.folder} has pieces of another sweep than its {MANIFEST}; put the manifest of the pieces back, "
-                "or choose another folder."
+                f"{self.folder} has batches of another sweep than its {MANIFEST}; put their manifest back, or choose "
+                "another folder."
             )
         if foreign is not None:
             raise foreign
 
-    def remove(self, piece: Piece, reason: str) -> None:
-        """Remove a piece that is damaged, and log that."""
-        self.log(f"damaged, to be done again: {piece.path.name} ({reason})")
-        with contextlib.suppress(OSError):  # the new piece replaces it
-            piece.path.unlink()
+    def remove(self, batch: Batch, reason: str) -> None:
+        """Remove a batch that is damaged, and log that."""
+        self.log(f"damaged, to be done again: {batch.path.name} ({reason})")
+        with contextlib.suppress(OSError):  # the new batch replaces it
+            batch.path.unlink()
 
     def remove_leftovers(self, identities: Iterable[str]) -> None:
-        """Remove pieces of these points whose samples are in a longer one too: what an interrupted join leaves."""
+        """Remove batches of these points whose samples are in a longer one too: what an interrupted join leaves."""
         there = self._all()
         for identity in identities:
-            for piece in set(there[identity]).difference(_without_overlap(there[identity])):
+            for batch in set(there[identity]).difference(_without_overlap(there[identity])):
                 with contextlib.suppress(OSError):  # they do no harm
-                    piece.path.unlink()
+                    batch.path.unlink()
 
     def path_of(self, identity: str, task: Task, plan: Plan) -> Path:
         """The file of the result of a task."""
         name = f"{identity}-{task.first}-{task.end}"
         if task.derivative is None:
-            return self.folder / PIECES / f"{name}.zip"
-        return self.folder / PIECES / f"{name}-{derivative_name(plan, task.derivative)}.json"
+            return self.folder / BATCHES / f"{name}.zip"
+        return self.folder / BATCHES / f"{name}-{derivative_name(plan, task.derivative)}.json"
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write the bytes of a piece. Raises SweepError if that fails."""
+        """Write the bytes of a batch. Raises SweepError if that fails."""
         self.check_kept()
         try:
             write_whole(path, sealed(self.mark, path.name, data))
@@ -200,26 +200,26 @@ class Store:
 
 
 def _names_in(folder: Path) -> set[str]:
-    """The names of what lies where the pieces are. Raises SweepError if they cannot be listed."""
+    """The names of what lies where the batches are. Raises SweepError if they cannot be listed."""
     try:
-        return set(os.listdir(folder / PIECES))
+        return set(os.listdir(folder / BATCHES))
     except FileNotFoundError:
         return set()
     except NotADirectoryError:
         raise SweepError(
-            f"{folder / PIECES} must be a folder, for the pieces of the sweep, but is a file; move it elsewhere, and "
+            f"{folder / BATCHES} must be a folder, for the batches of the sweep, but is a file; move it elsewhere, and "
             "run again."
         ) from None
     except OSError as error:
-        raise SweepError(f"{folder / PIECES} cannot be read ({error.strerror}); make it readable.") from error
+        raise SweepError(f"{folder / BATCHES} cannot be read ({error.strerror}); make it readable.") from error
 
 
 def _marks_in(folder: Path) -> set[bytes]:
-    """The marks with which the pieces begin."""
+    """The marks with which the batches begin."""
     found = set()
     for name in filter(_NAME.fullmatch, _names_in(folder)):
         with contextlib.suppress(OSError):
-            found.add(read_regular(folder / PIECES / name, MARK))
+            found.add(read_regular(folder / BATCHES / name, MARK))
     return found
 
 
@@ -243,7 +243,7 @@ def derivative_name(plan: Plan, number: int) -> str:
 
 @contextlib.contextmanager
 def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
-    """The store for `plan` in `folder`, held for writing, and the plan cut into pieces as the store is.
+    """The store for `plan` in `folder`, held for writing, and the plan divided into batches as the store is.
 
     A folder without a sweep must be empty or missing. A manifest that differs in what decides the numbers is refused;
     what may differ replaces it. Raises SweepError otherwise.
@@ -253,16 +253,16 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         text = manifest_text(plan)
         if has_manifest(folder):
             there = body_in(folder, lambda: _marks_in(folder), to_write=True)
-            plan = with_piece(plan, there)
+            plan = with_batch(plan, there)
             here = body_of(manifest_text(plan))
             _check_extends(folder, there, here)
             text = extended(there, here)
         store = Store(folder, body_of(text), held=True)
-        store.check_pieces()
+        store.check_batches()
         try:
             remove_unfinished(folder)
-            remove_unfinished(folder / PIECES)
-            (folder / PIECES).mkdir(exist_ok=True)
+            remove_unfinished(folder / BATCHES)
+            (folder / BATCHES).mkdir(exist_ok=True)
             for name in (MANIFEST, COPY):
                 if not _holds(folder / name, text):
                     write_whole(folder / name, text.encode())
@@ -313,16 +313,16 @@ def _make(folder: Path) -> None:
 
 def _is_begun(path: Path) -> bool:
     """Whether a file is what `opened` makes before the manifest is whole."""
-    if path.name == PIECES:
+    if path.name == BATCHES:
         return path.is_dir() and not os.listdir(path)
     return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)
 
 
-def _without_overlap(pieces: list[Piece]) -> list[Piece]:
-    """Pieces of samples in order, of which none has samples of another, the longest first; then the others."""
+def _without_overlap(batches: list[Batch]) -> list[Batch]:
+    """Batches of samples in order, of which none has samples of another, the longest first; then the others."""
     chosen, at = [], 0
-    for piece in sorted((one for one in pieces if not one.derivative), key=lambda one: (one.first, -one.end)):
-        if piece.first >= at:
-            chosen.append(piece)
-            at = piece.end
-    return chosen + [one for one in pieces if one.derivative]
+    for batch in sorted((one for one in batches if not one.derivative), key=lambda one: (one.first, -one.end)):
+        if batch.first >= at:
+            chosen.append(batch)
+            at = batch.end
+    return chosen + [one for one in batches if one.derivative]

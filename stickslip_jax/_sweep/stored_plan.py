@@ -48,7 +48,7 @@ def _plan(body: dict[str, Any], to_run: bool) -> Plan:
     _checks.truth("count_initial_rest", count_initial_rest)
     _checks.truth("independent", deciding["independent"])
     _checks.positive("t1", deciding["t1"], "s")
-    _checks.whole_number("piece", deciding["piece"])
+    _checks.whole_number("batch", deciding["batch"])
     _checks.whole_number("realizations", asked["realizations"], minimum=0)
     if deciding["dtype"] not in ("float64", "float32"):
         raise ValueError(f"dtype is {_checks.show(deciding['dtype'])}")

@@ -31,7 +31,7 @@ from .plan import (
     checked_samples,
     checked_statistics,
     key_data_in,
-    usual_piece,
+    usual_batch,
 )
 from .points import points_of
 from .setting import setting_of
@@ -68,9 +68,9 @@ class Sweep:
     - `independent`: by default sample i uses the same random numbers at all points, so that differences between points
       have small errors; True makes the points independent.
     - `standard_error`: a dict from statistics of totals to the standard error wanted, such as
-      ``{"mean_stick_duration": 0.01}``: each point ends when it has all of them, piece by piece.
+      ``{"mean_stick_duration": 0.01}``: each point ends when it has all of them, batch by batch.
     - `realizations`: of how many samples the sticks are in the result, for figures.
-    - `piece`: samples that are done, and stored, together; by default chosen from the size of the sweep.
+    - `batch`: samples that are done, and stored, together; by default chosen from the size of the sweep.
 
     Nothing is simulated before `run`. Raises ValueError for arguments that do not fit, at any point.
 
@@ -100,7 +100,7 @@ class Sweep:
         independent: bool = False,
         standard_error: Mapping[str, float] | None = None,
         realizations: int = 0,
-        piece: int | None = None,
+        batch: int | None = None,
     ):
         check_method(method)
         _checks.truth("count_initial_rest", count_initial_rest)
@@ -110,8 +110,8 @@ class Sweep:
         chosen = checked_statistics(statistics, keep)
         numbering = Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
         _checks.whole_number("realizations", realizations, minimum=0)
-        if piece is None:
-            piece = usual_piece(points.number, samples)
+        if batch is None:
+            batch = usual_batch(points.number, samples)
         self._plan = Plan(
             setting=setting_of(system, law, y0, method),
             points=points,
@@ -125,7 +125,7 @@ class Sweep:
             independent=independent,
             standard_errors=checked_errors(standard_error, chosen),
             realizations=realizations,
-            piece=_checks.whole_number("piece", piece, maximum=MOST_SAMPLES),
+            batch=_checks.whole_number("batch", batch, maximum=MOST_SAMPLES),
             dtype=str(jnp.result_type(float)),
         )
         self._plan.check()
@@ -173,7 +173,7 @@ class Sweep:
     ) -> "xarray.Dataset":
         """Simulate all points and return the result.
 
-        - `folder`: where every finished piece is stored. The same call goes on after an interrupt, wherever it was
+        - `folder`: where every finished batch is stored. The same call goes on after an interrupt, wherever it was
           stopped, and adds points, samples, statistics or sensitivities to what is there. Without it, nothing is kept.
         - `threads`: of this process (default: all cores). Or `workers`: processes on this machine. Or `executor`: a
           ``dask.distributed.Client`` (docs/clusters.md). The numbers are the same.
@@ -182,7 +182,7 @@ class Sweep:
         - `progress`: as in `simulate_ensemble`.
 
         Returns an ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/sweeps.md describes it.
-        The first Ctrl-C stops after the pieces under way and raises KeyboardInterrupt, a second one at once.
+        The first Ctrl-C stops after the batches under way and raises KeyboardInterrupt, a second one at once.
 
         Raises SweepError for a folder that holds something else or cannot be written, and if points failed; ImportError
         without the extra ``study``.

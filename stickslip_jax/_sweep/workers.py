@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import jax
 
 from .. import _compilation_cache
+from .batches import perform
 from .manifest import versions
-from .pieces import perform
 from .plan import Plan, Task
 from .warned import collecting
 

@@ -234,7 +234,7 @@ def _sweep(
 ) -> SweepCommand:
     """Run a parameter sweep: the same ensemble at many values of its parameters.
 
-    Every finished piece is stored in the folder. Ctrl-C stops after the pieces under way, a second one at once; the
+    Every finished batch is stored in the folder. Ctrl-C stops after the batches under way, a second one at once; the
     same command goes on from there. It also adds points, samples or statistics to a sweep.
 
     Parameters

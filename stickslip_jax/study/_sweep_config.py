@@ -133,7 +133,7 @@ class SweepSection(Section):
         default=None, description="at which a point ends before all samples: { mean_stick_duration = 0.01 }"
     )
     realizations: int = Field(default=0, ge=0, description="number of samples whose sticks are in the result")
-    piece: int | None = Field(
+    batch: int | None = Field(
         default=None, ge=1, le=2**31, description="samples stored together; not given: chosen from the size"
     )
     over: OverConfig = Field(description="the parameters and their values")

@@ -49,7 +49,7 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
             independent=sweep.independent,
             standard_error=sweep.standard_error,
             realizations=sweep.realizations,
-            piece=sweep.piece,
+            batch=sweep.batch,
         )
     except StudyError as error:
         raise StudyError(f"{source}{error}") from error
@@ -63,7 +63,7 @@ def _full_name(name: str, initial: tuple[str, ...]) -> str:
 
 
 _SENSITIVITIES = "sensitivities in [sweep] must hold lists of parameters by statistic"
-_OF_SWEEP = ("keep", "statistics", "standard_error", "realizations", "piece")
+_OF_SWEEP = ("keep", "statistics", "standard_error", "realizations", "batch")
 
 
 def _in_words_of_the_sweep(said: str) -> str:

@@ -42,7 +42,7 @@ def test_ensembles(tmp_path, keep):
 
 @pytest.mark.slow
 def test_data_of_a_sweep(tmp_path):
-    """A damaged data set is made anew from the pieces."""
+    """A damaged data set is made anew from the batches."""
     expected = run(sweep_of(), tmp_path / "sweep")
     path = tmp_path / "sweep" / "sweep.nc"
     for number, _ in enumerate(flipped(path.read_bytes(), path, "sweep")):

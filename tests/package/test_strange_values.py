@@ -252,7 +252,7 @@ def test_sensitivities_of_a_sweep(wrong):
         ("y0", np.ma.array([0.0, 1.0], mask=[True, False])),
         ("system", 5),
         ("system", None),
-        ("piece", 10**39),
+        ("batch", 10**39),
         ("standard_error", [1.0]),
         ("orders", True),
     ],

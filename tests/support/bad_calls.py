@@ -213,7 +213,7 @@ def runs() -> Iterator[Target]:
         over=({"mu": [0.5, 1.0]}, "any"), **{**ENSEMBLE, "samples": (4, "whole")}, **OPTIONS,
         method=(ss.Exact(), "method"), keep=("totals", "never | word"), statistics=(None, "any"),
         sensitivities=((), "any"), independent=(False, "truth"), standard_error=(None, "any"),
-        realizations=(0, "whole or zero"), piece=(None, "optional whole"),
+        realizations=(0, "whole or zero"), batch=(None, "optional whole"),
     )  # fmt: skip
     sweep = ss.Sweep(SYSTEM, LAW, over={"mu": [0.5, 1.0]}, t1=5.0, samples=4, key=KEY, keep="totals")
     yield fields(

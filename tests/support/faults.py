@@ -23,14 +23,14 @@ SYSTEM, LAW = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching
 
 
 def sweep_of(system: Any = SYSTEM, law: Any = LAW, **changes: Any) -> ss.Sweep:
-    """A sweep of two points, with two pieces at each, unless `changes` say otherwise."""
-    usual = {"over": {"mu": [0.5, 1.0]}, "t1": 20.0, "samples": 500, "piece": 256, "key": jax.random.key(0)}
+    """A sweep of two points, with two batches at each, unless `changes` say otherwise."""
+    usual = {"over": {"mu": [0.5, 1.0]}, "t1": 20.0, "samples": 500, "batch": 256, "key": jax.random.key(0)}
     usual |= {"y0": (0.0, 1.0), "keep": "totals"}
     return ss.Sweep(system, law, **{**usual, **changes})
 
 
 def long_sweep() -> ss.Sweep:
-    """One with many pieces, to be killed again and again."""
+    """One with many batches, to be killed again and again."""
     return sweep_of(over={"mu": np.linspace(0.5, 1.2, 4)}, samples=30 * 256)
 
 

@@ -18,7 +18,7 @@ from support.sweep import assert_same, small_sweep
 
 import stickslip_jax as ss
 from stickslip_jax._sweep import dask_executor
-from stickslip_jax._sweep.pieces import perform
+from stickslip_jax._sweep.batches import perform
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "clusters.md"
 
@@ -72,7 +72,7 @@ def test_cluster_gives_the_same_bits_and_keeps_nothing(client, undisturbed, tmp_
 @pytest.mark.slow
 @pytest.mark.parametrize("shared", [False, True])
 def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tmp_path, shared):
-    """At most two for each thread; a piece, or one number where the worker has written it."""
+    """At most two for each thread; a batch, or one number where the worker has written it."""
     most, sizes, result = [], [], dask_executor.DaskCluster.result
 
     def noted(self, task, future):
@@ -204,8 +204,8 @@ def test_killed_worker_of_a_cluster_changes_nothing(tmp_path, shared):
     sweep = small_sweep(samples=40_000)
     with one_process() as (client, pool):
         running = pool.submit(sweep.run, tmp_path, executor=client, shared_folder=shared)
-        for pieces in (3, 20):
-            wait_for(lambda pieces=pieces: log_of(tmp_path).count("done ") >= pieces)
+        for batches in (3, 20):
+            wait_for(lambda batches=batches: log_of(tmp_path).count("done ") >= batches)
             (pid,) = pids_of_workers(client)
             os.kill(pid, signal.SIGKILL)
         found = running.result()
@@ -224,14 +224,14 @@ def test_restart_of_the_cluster_changes_nothing(tmp_path, undisturbed):
 
 
 @pytest.mark.slow
-def test_piece_that_kills_its_workers_is_told(tmp_path):
+def test_batch_that_kills_its_workers_is_told(tmp_path):
     """The scheduler gives up after some deaths; here after the first."""
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), one_process() as (client, pool):
         running = pool.submit(small_sweep(samples=40_000).run, tmp_path, executor=client)
         wait_for(lambda: "done " in log_of(tmp_path))
         (pid,) = pids_of_workers(client)
         os.kill(pid, signal.SIGKILL)
-        with pytest.raises(ss.SweepError, match="Workers of the cluster died 1 times with the same piece, the last"):
+        with pytest.raises(ss.SweepError, match="Workers of the cluster died 1 times with the same batch, the last"):
             running.result()
     assert "done " in log_of(tmp_path)
 

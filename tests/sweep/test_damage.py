@@ -9,8 +9,8 @@ from support.faults import assert_same, failing, files_in, one_sentence, run, sw
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.dataset import read_dataset
-from stickslip_jax._sweep.errors import DamagedPieceError
-from stickslip_jax._sweep.store import Piece, Store
+from stickslip_jax._sweep.errors import DamagedBatchError
+from stickslip_jax._sweep.store import Batch, Store
 from stickslip_jax._sweep.work import Work
 
 SENSITIVITIES = [("stick_fraction", "mu")]
@@ -29,8 +29,8 @@ def copied(whole, tmp_path):
     return Path(shutil.copytree(whole[0], tmp_path / "sweep")), whole[1]
 
 
-def piece_in(folder, kind) -> Path:
-    return min((folder / "pieces").glob(f"*{kind}"))
+def batch_in(folder, kind) -> Path:
+    return min((folder / "batches").glob(f"*{kind}"))
 
 
 def log_of(folder) -> str:
@@ -66,26 +66,26 @@ SPOILT = {
 
 @pytest.mark.parametrize("kind", [".zip", ".json"])
 @pytest.mark.parametrize("how", SPOILT)
-def test_damaged_piece_is_found_and_done_again(copied, how, kind):
+def test_damaged_batch_is_found_and_done_again(copied, how, kind):
     folder, dataset = copied
-    path = piece_in(folder, kind)
+    path = batch_in(folder, kind)
     path.write_bytes(SPOILT[how](path.read_bytes()))
     assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
     assert f"damaged, to be done again: {path.name}" in log_of(folder)
 
 
-def test_piece_that_is_gone_is_done_again(copied):
+def test_batch_that_is_gone_is_done_again(copied):
     folder, dataset = copied
     for kind in (".zip", ".json"):
-        piece_in(folder, kind).unlink()
+        batch_in(folder, kind).unlink()
     assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
 
 
 def test_reading_changes_nothing(copied):
-    """Also where a piece is damaged: only the run that holds the lock may remove it."""
+    """Also where a batch is damaged: only the run that holds the lock may remove it."""
     folder, _ = copied
     for kind in (".zip", ".json"):
-        path = piece_in(folder, kind)
+        path = batch_in(folder, kind)
         path.write_bytes(spoilt_half(path.read_bytes()))
     before = files_in(folder)
     plan = sweep_of(sensitivities=SENSITIVITIES).plan
@@ -126,13 +126,13 @@ def test_both_manifests_damaged(copied):
 
 
 @pytest.mark.parametrize("kind", [".zip", ".json"])
-def test_piece_of_another_sweep(copied, tmp_path, kind):
+def test_batch_of_another_sweep(copied, tmp_path, kind):
     """It is whole: nobody removes it or writes over it."""
     folder, dataset = copied
     other = tmp_path / "other"
     run(sweep_of(key=jax.random.key(1), sensitivities=SENSITIVITIES), other)
-    path = piece_in(folder, kind)
-    shutil.copy(other / "pieces" / path.name, path)
+    path = batch_in(folder, kind)
+    shutil.copy(other / "batches" / path.name, path)
     before = files_in(folder)
     with pytest.raises(ss.SweepError) as error:
         run(sweep_of(sensitivities=SENSITIVITIES), folder)
@@ -143,21 +143,21 @@ def test_piece_of_another_sweep(copied, tmp_path, kind):
 
 
 def test_leftovers_are_passed_over(copied, tmp_path):
-    """Temporary files of a killed run are removed, and pieces that a join left; what is not ours stays."""
+    """Temporary files of a killed run are removed, and batches that a join left; what is not ours stays."""
     folder, dataset = copied
     names = set(files_in(folder))
-    joined = piece_in(folder, ".zip")
+    joined = batch_in(folder, ".zip")
     identity = joined.name.partition("-")[0]
-    (folder / "pieces" / f"{identity}-0-256.zip").write_bytes(b"part of a join that was interrupted")
-    for name in ("manifest.json.123.unfinished", f"pieces/{joined.name}.123.unfinished"):
+    (folder / "batches" / f"{identity}-0-256.zip").write_bytes(b"part of a join that was interrupted")
+    for name in ("manifest.json.123.unfinished", f"batches/{joined.name}.123.unfinished"):
         (folder / name).write_bytes(b"half")
-    for name in ("notes.txt", "pieces/notes.txt", "pieces/a-b-c.zip", "my.unfinished"):
+    for name in ("notes.txt", "batches/notes.txt", "batches/a-b-c.zip", "my.unfinished"):
         (folder / name).write_bytes(b"mine")
     assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
-    assert set(files_in(folder)) == names | {"notes.txt", "pieces/notes.txt", "pieces/a-b-c.zip", "my.unfinished"}
+    assert set(files_in(folder)) == names | {"notes.txt", "batches/notes.txt", "batches/a-b-c.zip", "my.unfinished"}
 
 
-def test_damaged_join_is_made_of_its_pieces(tmp_path):
+def test_damaged_join_is_made_of_its_batches(tmp_path):
     """Where the join was interrupted, so that both are there."""
     folder, kept = tmp_path / "sweep", {}
 
@@ -170,18 +170,18 @@ def test_damaged_join_is_made_of_its_pieces(tmp_path):
     assert len(kept) == 4
     for path, data in kept.items():
         path.write_bytes(data)
-    joined = sorted((folder / "pieces").glob("*-0-500.zip"))
+    joined = sorted((folder / "batches").glob("*-0-500.zip"))
     for path in joined:
         path.write_bytes(spoilt_half(path.read_bytes()))
     begun = log_of(folder).count(" done mu")
     assert_same(run(sweep_of(), folder), dataset)
-    assert log_of(folder).count(" done mu") == begun  # no piece is simulated
-    assert sorted((folder / "pieces").iterdir()) == joined
+    assert log_of(folder).count(" done mu") == begun  # no batch is simulated
+    assert sorted((folder / "batches").iterdir()) == joined
 
 
 def test_disk_that_gives_back_other_bytes(tmp_path, monkeypatch):
-    def damaged(store: Store, piece: Piece) -> bytes:
-        raise DamagedPieceError
+    def damaged(store: Store, batch: Batch) -> bytes:
+        raise DamagedBatchError
 
     monkeypatch.setattr(Store, "read", damaged)
     with pytest.raises(ss.SweepError) as error:

@@ -28,7 +28,7 @@ seed = 1
 
 [sweep]
 keep = "totals"
-piece = 1024
+batch = 1024
 
 [sweep.over]
 mu = [0.5, 1.0]
@@ -132,7 +132,7 @@ def test_whole_run_at_an_address(capsys):
     found, wanted = read_dataset(Path("sweep")), read_dataset(Path("threads"))
     assert set(found.variables) == set(wanted.variables)
     for name in set(wanted.data_vars) - {"run_seconds"}:
-        if found[name].dtype.kind in "iu":  # 3000 samples end within a piece, so that sums differ by round-off
+        if found[name].dtype.kind in "iu":  # 3000 samples end within a batch, so that sums differ by round-off
             np.testing.assert_array_equal(found[name], wanted[name], err_msg=name, strict=True)
         else:
             np.testing.assert_allclose(found[name], wanted[name], rtol=1e-12, err_msg=name)
@@ -196,7 +196,7 @@ workers.perform = hungry
 
 @pytest.mark.slow
 def test_worker_that_is_killed_by_its_memory_limit_is_told(tmp_path):
-    """Its nanny kills it again and again: the piece is named, and what the others did is kept."""
+    """Its nanny kills it again and again: the batch is named, and what the others did is kept."""
     (tmp_path / "hungry.py").write_text(HUNGRY)
     sweep = small_sweep(keep="totals")
     with (
@@ -205,7 +205,7 @@ def test_worker_that_is_killed_by_its_memory_limit_is_told(tmp_path):
             preload=[str(tmp_path / "hungry.py")],
         ) as cluster,
         Client(cluster) as client,
-        pytest.raises(SweepError, match=r"Workers of the cluster died \d+ times with the same piece.*Perhaps memory"),
+        pytest.raises(SweepError, match=r"Workers of the cluster died \d+ times with the same batch.*Perhaps memory"),
     ):  # fmt: skip
         sweep.run(tmp_path / "sweep", executor=client)
     before = log_of(tmp_path / "sweep").count("done ")

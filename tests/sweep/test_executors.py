@@ -55,11 +55,11 @@ def test_order_of_the_points_changes_nothing(undisturbed):
 
 
 @pytest.mark.slow
-def test_size_of_the_pieces_changes_means_by_round_off_and_counts_not_at_all(undisturbed):
+def test_size_of_the_batches_changes_means_by_round_off_and_counts_not_at_all(undisturbed):
     """Two orders of adding n numbers x differ by at most 2 n u sum|x| (Higham, Accuracy and Stability, eq. 4.4), where
     sum|x| is at most n times the root of their mean square.
     """
-    found = small_sweep(piece=700).run(threads=2)
+    found = small_sweep(batch=700).run(threads=2)
     whole = [name for name in undisturbed.data_vars if undisturbed[name].dtype.kind in "iu"]
     histograms = [name for name in undisturbed.data_vars if name.endswith(("_density", "_entropy", "_quantile"))]
     assert "duration_count_in_bin" in whole
@@ -116,7 +116,7 @@ TWO_DEVICES = """
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensitivities", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_two_devices_share_the_pieces_and_give_the_same_bits(undisturbed, tmp_path, sensitivities):
+def test_two_devices_share_the_batches_and_give_the_same_bits(undisturbed, tmp_path, sensitivities):
     done = subprocess.run(
         [sys.executable, "-c", script(TWO_DEVICES).replace("SENSITIVITIES", str(sensitivities)), str(tmp_path)],
         env={**environment(), "XLA_FLAGS": "--xla_force_host_platform_device_count=2"},
@@ -242,8 +242,8 @@ def workers_of(program: subprocess.Popen) -> list[psutil.Process]:
     return [child for child in children if "resource_tracker" not in " ".join(child.cmdline())]
 
 
-def begun(folder, pieces: int):
-    return lambda: log_of(folder).count("done ") >= pieces
+def begun(folder, batches: int):
+    return lambda: log_of(folder).count("done ") >= batches
 
 
 @pytest.mark.slow
@@ -271,7 +271,7 @@ def test_ctrl_c_ends_program_and_workers(tmp_path, signals):
         time.sleep(0.5)
     out, err = program.communicate(timeout=300)
     assert program.returncode == 0, err
-    assert err.count("Stopping after the pieces under way") == 1
+    assert err.count("Stopping after the batches under way") == 1
     assert "Traceback" not in err
     if signals == 1:
         assert "goes on from here" in out

@@ -9,7 +9,7 @@ from support.faults import assert_same, failing, run, sweep_of
 from stickslip_jax._sweep import workers
 
 U = 2.0**-53
-SAMPLES, LONGER, PIECE, T1 = 500, 900, 256, 20.0
+SAMPLES, LONGER, BATCH, T1 = 500, 900, 256, 20.0
 
 
 @pytest.fixture
@@ -39,9 +39,9 @@ def test_more_samples(tmp_path, simulated):
     assert not set(inexact) & set(counted)
     assert not {name for name in inexact if "_bin" in name or "entropy" in name or "quantile" in name}
     # The mean of n numbers in [0, largest] is computed within n * U * largest; a merge adds at most 4 * U * largest,
-    # four roundings of numbers that are at most as large. There are at most 5 pieces, in each of the two sweeps.
+    # four roundings of numbers that are at most as large. There are at most 5 batches, in each of the two sweeps.
     sticks = int(whole["duration_count_in_bin"].sum("duration_bin").max())
-    for name, numbers, largest in (("stick_fraction", PIECE, 1.0), ("duration_mean", sticks, T1)):
+    for name, numbers, largest in (("stick_fraction", BATCH, 1.0), ("duration_mean", sticks, T1)):
         most = 2 * (numbers + 5 * 4) * U * largest
         assert np.all(np.abs(whole[name] - extended[name]) <= most)
 
@@ -99,18 +99,18 @@ class StoppedError(BaseException):
 
 
 def test_wanted_standard_errors_after_an_interrupt_that_left_a_gap(tmp_path, simulated):
-    """Each missing piece is simulated once, those beyond the gap never again."""
-    folder, samples = tmp_path / "sweep", 6 * PIECE
+    """Each missing batch is simulated once, those beyond the gap never again."""
+    folder, samples = tmp_path / "sweep", 6 * BATCH
 
     def stop(number, name, of):
-        if len(list((folder / "pieces").glob("*.zip"))) == 4:
+        if len(list((folder / "batches").glob("*.zip"))) == 4:
             raise StoppedError
 
     with contextlib.suppress(StoppedError), failing(folder, stop):
         sweep_of(over={"mu": [0.5]}, samples=samples).run(folder, threads=1, progress=False)
-    pieces = sorted((folder / "pieces").glob("*.zip"), key=lambda path: int(path.name.split("-")[1]))
-    assert [path.name.split("-")[1] for path in pieces] == ["0", "256", "512", "768"]
-    pieces[1].unlink()
+    batches = sorted((folder / "batches").glob("*.zip"), key=lambda path: int(path.name.split("-")[1]))
+    assert [path.name.split("-")[1] for path in batches] == ["0", "256", "512", "768"]
+    batches[1].unlink()
     simulated.clear()
     wanted = {"standard_error": {"stick_fraction": 1e-9}}  # never reached
     dataset = sweep_of(over={"mu": [0.5]}, samples=samples, **wanted).run(folder, threads=1, progress=False)

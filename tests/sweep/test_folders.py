@@ -41,7 +41,7 @@ def refused(sweep: ss.Sweep, folder: Path, *parts: str) -> str:
 # --- foreign folders
 
 
-@pytest.mark.parametrize("name", ["thesis.tex", "log.txt", "sweep.nc", "pieces/mine.txt", "data/manifest.json"])
+@pytest.mark.parametrize("name", ["thesis.tex", "log.txt", "sweep.nc", "batches/mine.txt", "data/manifest.json"])
 def test_foreign_folder(tmp_path, name):
     """Also one with files that have the names of ours."""
     path = tmp_path / "sweep" / name
@@ -104,7 +104,7 @@ def test_no_permission(whole, public_folder):
     sweep, there = sweep_of(), Path(shutil.copytree(whole[0], public_folder / "sweep"))
     (there / ".lock").unlink()
     before = files_in(public_folder)
-    for path in (public_folder, there, there / "pieces"):
+    for path in (public_folder, there, there / "batches"):
         path.chmod(0o555)
     with without_rights():
         for folder in (there, public_folder / "new"):
@@ -123,10 +123,10 @@ def test_no_permission(whole, public_folder):
     assert files_in(public_folder) == before
 
 
-def test_piece_that_cannot_be_read(whole, public_folder):
+def test_batch_that_cannot_be_read(whole, public_folder):
     folder = Path(shutil.copytree(whole[0], public_folder / "sweep"))
-    path = min((folder / "pieces").iterdir())
-    for entry in (folder, folder / "pieces", *folder.iterdir()):
+    path = min((folder / "batches").iterdir())
+    for entry in (folder, folder / "batches", *folder.iterdir()):
         entry.chmod(0o777)
     path.chmod(0o000)
     with without_rights():
@@ -272,7 +272,7 @@ def test_store_of_a_newer_version(whole, tmp_path):
 
 
 def test_numbers_written_otherwise_are_the_same_sweep(whole, tmp_path):
-    """1 and 1.0: nothing is simulated again, and no piece is taken for one of another sweep."""
+    """1 and 1.0: nothing is simulated again, and no batch is taken for one of another sweep."""
     folder = Path(shutil.copytree(whole[0], tmp_path / "sweep"))
     before = files_in(folder)
     sweep = sweep_of(ss.MassSpring(1, 4, 1, ss.Coulomb(1.0)), y0=(0, 1))

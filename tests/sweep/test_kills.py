@@ -17,7 +17,7 @@ def undisturbed(tmp_path_factory):
     names = []
     with failing(folder, lambda number, name, of: names.append(name)):
         dataset = run(sweep_of(), folder)
-    # 2 manifests, 4 pieces, 2 joins of 2 pieces each, the data set; and once the folder above.
+    # 2 manifests, 4 batches, 2 joins of 2 batches each, the data set; and once the folder above.
     assert (names.count("replace"), names.count("unlink"), names.count("fsync")) == (9, 4, 19)
     return dataset, set(files_in(folder))
 
@@ -73,7 +73,7 @@ def test_killed_at_every_operation_on_the_disk(tmp_path, undisturbed):
     assert number > 9 + 4 + 19
 
 
-def pieces_done(folder) -> int:
+def batches_done(folder) -> int:
     log = folder / "log.txt"
     return log.read_text().count(" done mu") if log.exists() else 0
 
@@ -87,10 +87,10 @@ def kill_while_starting(folder, moments) -> None:
 
 
 def kill_while_simulating(folder, moments) -> None:
-    """Some pieces, and a moment, after the first: while others are simulated, written and joined."""
-    wanted = pieces_done(folder) + moments.randint(1, 5)
+    """Some batches, and a moment, after the first: while others are simulated, written and joined."""
+    wanted = batches_done(folder) + moments.randint(1, 5)
     process = started("long", folder)
-    while pieces_done(folder) < wanted:
+    while batches_done(folder) < wanted:
         assert process.poll() is None, process.communicate()
         time.sleep(0.002)
     time.sleep(moments.uniform(0.0, 0.05))
@@ -103,7 +103,7 @@ def test_two_kills_at_random_moments(tmp_path, undisturbed_long):
     folder, moments = tmp_path / "sweep", random.Random(2)
     kill_while_starting(folder, moments)
     kill_while_simulating(folder, moments)
-    assert 0 < pieces_done(folder) < 4 * 30
+    assert 0 < batches_done(folder) < 4 * 30
     assert_same(run(long_sweep(), folder), undisturbed_long)
 
 
@@ -112,5 +112,5 @@ def test_ten_kills_in_a_row_at_random_moments(tmp_path, undisturbed_long):
     folder, moments = tmp_path / "sweep", random.Random(10)
     for number in range(10):
         (kill_while_starting if number in (0, 6) else kill_while_simulating)(folder, moments)
-    assert 0 < pieces_done(folder) < 4 * 30
+    assert 0 < batches_done(folder) < 4 * 30
     assert_same(run(long_sweep(), folder), undisturbed_long)

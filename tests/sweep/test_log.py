@@ -1,4 +1,4 @@
-"""What a sweep says about pieces, unfinished samples and failed points: in its log, its result and errors."""
+"""What a sweep says about batches, unfinished samples and failed points: in its log, its result and errors."""
 
 import re
 
@@ -15,15 +15,15 @@ TIME = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d"
 
 def test_log_of_a_whole_sweep(tmp_path):
     run(sweep_of(), tmp_path / "sweep")
-    begun, *pieces, finished = (tmp_path / "sweep" / "log.txt").read_text().splitlines()
+    begun, *batches, finished = (tmp_path / "sweep" / "log.txt").read_text().splitlines()
     assert re.fullmatch(f"{TIME} begun: 2 points, 500 samples each", begun)
     assert re.fullmatch(f"{TIME} finished", finished)
-    done = [re.fullmatch(rf"{TIME} done (mu = \S+: samples \d+ to \d+) in \d+\.\d\d s", line)[1] for line in pieces]
+    done = [re.fullmatch(rf"{TIME} done (mu = \S+: samples \d+ to \d+) in \d+\.\d\d s", line)[1] for line in batches]
     assert sorted(done) == [f"mu = {mu}: samples {part}" for mu in ("0.5", "1") for part in ("0 to 255", "256 to 499")]
 
 
 def test_samples_that_did_not_finish_are_counted(tmp_path):
-    """As the ensemble counts them; the log names them piece by piece."""
+    """As the ensemble counts them; the log names them batch by batch."""
     sweep = sweep_of(method=ss.Exact(step=0.05, max_steps=420))
     dataset = run(sweep, tmp_path / "sweep")
     log = (tmp_path / "sweep" / "log.txt").read_text()

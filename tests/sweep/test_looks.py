@@ -1,4 +1,4 @@
-"""Looks at a sweep while a run works on it: each is of one set of pieces, and none fails."""
+"""Looks at a sweep while a run works on it: each is of one set of batches, and none fails."""
 
 import gc
 import os
@@ -11,8 +11,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from support.batches import join, unjoined
 from support.faults import TESTS, log_of, run, sweep_of
-from support.pieces import join, unjoined
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
@@ -23,13 +23,13 @@ from stickslip_jax._sweep.spool import Spool
 
 @pytest.fixture
 def begun(tmp_path):
-    """The folder of a sweep that has the first of two pieces at each point, and the function that adds the others.
+    """The folder of a sweep that has the first of two batches at each point, and the function that adds the others.
 
     These are joined at once, as by a run.
     """
     sweep, folder = sweep_of(keep="statistics"), tmp_path / "sweep"
     unjoined(sweep, folder)
-    for path in (folder / "pieces").glob("*-256-500.zip"):
+    for path in (folder / "batches").glob("*-256-500.zip"):
         path.unlink()
     return folder, lambda: join(folder)
 
@@ -49,7 +49,7 @@ def test_all_ways_to_look_see_the_same(begun):
     assert looked_at(folder) == [500, 500]
 
 
-def test_pieces_that_join_between_the_two_readings(begun, monkeypatch):
+def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
     """The histograms are in bins for what was read first: values that came later need not fit into them."""
     folder, add_and_join = begun
     before, common_bins = stored_dataset(folder), dataset._common_bins
@@ -66,15 +66,15 @@ def test_pieces_that_join_between_the_two_readings(begun, monkeypatch):
 
 
 @pytest.mark.parametrize("look", [status_of, stored_dataset], ids=["status", "show"])
-def test_pieces_that_join_after_they_were_listed(begun, monkeypatch, look):
+def test_batches_that_join_after_they_were_listed(begun, monkeypatch, look):
     folder, add_and_join = begun
     read, calls = store.Store.read, []
 
-    def joined_before(self, piece):
-        calls.append(piece)
+    def joined_before(self, batch):
+        calls.append(batch)
         if len(calls) == 1:
             add_and_join()
-        return read(self, piece)
+        return read(self, batch)
 
     monkeypatch.setattr(store.Store, "read", joined_before)
     found = look(folder)
@@ -101,10 +101,10 @@ def test_listing_that_misses_the_parts_and_the_whole(begun, monkeypatch):
 def test_what_was_read_goes_to_the_disk_where_it_is_much(monkeypatch):
     monkeypatch.setattr("stickslip_jax._sweep.spool._IN_MEMORY", 10)
     spool = Spool()
-    pieces = [(store.Piece(Path("a"), 0, 5), b"12345"), (store.Piece(Path("b"), 5, 9), b"6789" * 10)]
-    spool.keep(3, pieces)
+    batches = [(store.Batch(Path("a"), 0, 5), b"12345"), (store.Batch(Path("b"), 5, 9), b"6789" * 10)]
+    spool.keep(3, batches)
     spool.keep(1, [])
-    assert (spool.kept(3), spool.kept(1), spool.kept(0)) == (pieces, [], None)
+    assert (spool.kept(3), spool.kept(1), spool.kept(0)) == (batches, [], None)
     del spool  # closes its file: pytest makes errors of those that are left open
     gc.collect()
 
@@ -151,7 +151,7 @@ def busy_sweep() -> ss.Sweep:
 
 @contextmanager
 def running(folder):
-    """A run of it, killed at the end, with a piece that is done."""
+    """A run of it, killed at the end, with a batch that is done."""
     paths = os.pathsep.join([str(TESTS), str(TESTS.parent)])
     process = subprocess.Popen(
         [sys.executable, "-c", RUN, str(folder)], env=os.environ | {"PYTHONPATH": paths}, stderr=subprocess.PIPE,

@@ -92,7 +92,7 @@ EDITED = {
     "t1": ("deciding", -1.0, "t1"),
     "keep": ("deciding", "junk", "keep"),
     "dtype": ("deciding", "junk", "dtype"),
-    "piece": ("deciding", 0, "piece"),
+    "batch": ("deciding", 0, "batch"),
     "independent": ("deciding", 3, "independent"),
     "key_data": ("deciding", [1, -2], "key"),
     "numbering": ("deciding", [10**9, False], "orders"),
@@ -169,7 +169,7 @@ def test_statistic_that_is_not_known_is_left_out_alone(copied, capsys, monkeypat
 
 @pytest.mark.parametrize("wrong", MANIFESTS)
 def test_manifest_of_another_sweep_beside_a_good_one(copied, tmp_path, wrong):
-    """The pieces tell which is right; these stay where they are."""
+    """The batches tell which is right; these stay where they are."""
     folder, dataset = copied
     run(sweep_of(key=jax.random.key(1)), tmp_path / "other")
     shutil.copy(tmp_path / "other" / "manifest.json", folder / wrong)
@@ -179,18 +179,18 @@ def test_manifest_of_another_sweep_beside_a_good_one(copied, tmp_path, wrong):
         with pytest.raises(ss.SweepError) as error:
             call()
         one_sentence(
-            error, f"{folder / wrong} is of another sweep than {right} and the pieces", f"move {wrong} elsewhere"
+            error, f"{folder / wrong} is of another sweep than {right} and the batches", f"move {wrong} elsewhere"
         )
     assert files_in(folder) == before
     (folder / wrong).unlink()
     assert_same(run(ss.Sweep.load(folder), folder), dataset)
 
 
-def test_two_manifests_and_no_pieces(copied, tmp_path):
+def test_two_manifests_and_no_batches(copied, tmp_path):
     folder, _ = copied
     run(sweep_of(key=jax.random.key(1)), tmp_path / "other")
     shutil.copy(tmp_path / "other" / "manifest.json", folder)
-    shutil.rmtree(folder / "pieces")
+    shutil.rmtree(folder / "batches")
     with pytest.raises(ss.SweepError) as error:
         run(sweep_of(), folder)
     one_sentence(
@@ -215,17 +215,17 @@ def test_file_of_another_program_beside_a_good_manifest(copied, name):
 
 
 def test_manifest_of_another_sweep_alone(copied, tmp_path):
-    """All pieces are of another sweep than it says: not these are to be moved away."""
+    """All batches are of another sweep than it says: not these are to be moved away."""
     folder, _ = copied
     run(sweep_of(key=jax.random.key(1)), tmp_path / "other")
     for name in MANIFESTS:
         shutil.copy(tmp_path / "other" / name, folder / name)
     with pytest.raises(ss.SweepError) as error:
         run(sweep_of(key=jax.random.key(1)), folder)
-    one_sentence(error, f"{folder} has pieces of another sweep than its manifest.json", "put the manifest", "back")
+    one_sentence(error, f"{folder} has batches of another sweep than its manifest.json", "put the manifest", "back")
 
 
-def test_format_before_the_pieces_were_sealed_with_their_names(copied):
+def test_format_before_the_batches_were_sealed_with_their_names(copied):
     folder, _ = copied
     rewrite(folder, lambda body: body.update(format_version=1))
     calls_refused(folder, f"it has format 1, written by stickslip_jax {ss.__version__}", "into another folder")

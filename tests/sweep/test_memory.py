@@ -63,8 +63,8 @@ def starving(monkeypatch, may_begin):
     return tried
 
 
-def test_piece_without_memory_is_done_again_with_fewer_at_a_time(tmp_path, monkeypatch):
-    """The numbers are the same: the size of a piece, which decides the last digits, stays as it is."""
+def test_batch_without_memory_is_done_again_with_fewer_at_a_time(tmp_path, monkeypatch):
+    """The numbers are the same: the size of a batch, which decides the last digits, stays as it is."""
     wanted = run(sweep_of(), tmp_path / "wanted")
     tried = starving(monkeypatch, lambda task, tried: tried.count(task) > 1 or task.first == 0)
     assert_same(run(sweep_of(), tmp_path / "sweep"), wanted)
@@ -84,7 +84,7 @@ def test_no_memory_even_alone(tmp_path, monkeypatch):
         with pytest.raises(ss.SweepError) as error:
             run(sweep_of(), folder)
         one_sentence(
-            error, "There was no memory for pieces of 1 of 2 points, even one at a time, first mu = 1: samples 0 to",
+            error, "There was no memory for batches of 1 of 2 points, even one at a time, first mu = 1: samples 0 to",
             "MemoryError: Unable to allocate 4.00 EiB", f"what is done is kept in {folder}", "more memory",
         )  # fmt: skip
         status = status_of(folder)
@@ -173,5 +173,5 @@ def test_processes_without_memory(tmp_path):
         capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "There was no memory for pieces of 2 of 2 points" in done.stdout
+    assert "There was no memory for batches of 2 of 2 points" in done.stdout
     assert "MemoryError: Unable to allocate" in done.stdout

@@ -117,7 +117,7 @@ BAD = [
     ({"standard_error": {"stick_fraction": 0.0}}, r"standard_error\['stick_fraction'\] must be positive, but 0.0"),
     ({"t1": -1.0}, r"t1 must be positive \(in s\), but -1.0 was given"),
     ({"key": None}, r"key must be a key such as jax.random.key\(0\)"),
-    ({"piece": 0}, r"piece must be a whole number of at least 1, but 0 was given"),
+    ({"batch": 0}, r"batch must be a whole number of at least 1, but 0 was given"),
 ]
 
 

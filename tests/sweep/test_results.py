@@ -112,9 +112,9 @@ def test_random_numbers_are_common_unless_asked(many):
 
 
 def test_wanted_standard_errors():
-    """Each point ends with the first piece after which its error is small enough, or with all samples."""
+    """Each point ends with the first batch after which its error is small enough, or with all samples."""
     wanted = {"mean_stick_duration": 0.0022}
-    found = sweep(samples=1000, piece=128, keep="totals", standard_error=wanted).run()
+    found = sweep(samples=1000, batch=128, keep="totals", standard_error=wanted).run()
     for mu in MU:
         for rate in RATE:
             at = found.sel(mu=mu, rate=rate)

@@ -1,24 +1,24 @@
-"""Pieces that were swapped, copied, renamed or shifted, and files with a bit turned: found, told, and done again."""
+"""Batches that were swapped, copied, renamed or shifted, and files with a bit turned: found, told, and done again."""
 
 import random
 import shutil
 from pathlib import Path
 
 import pytest
+from support.batches import assert_same_or_missing, unjoined
 from support.faults import assert_same, log_of, run, sweep_of
-from support.pieces import assert_same_or_missing, unjoined
 
 import stickslip_jax as ss
-from stickslip_jax._sweep.errors import DamagedPieceError
+from stickslip_jax._sweep.batches import derivatives_of, head_of, unpacked
+from stickslip_jax._sweep.errors import DamagedBatchError
 from stickslip_jax._sweep.looking import status_of, stored_dataset
 from stickslip_jax._sweep.manifest import manifest_text
-from stickslip_jax._sweep.pieces import derivatives_of, head_of, unpacked
-from stickslip_jax._sweep.sealing import MARK, ForeignPieceError, sealed, unsealed
+from stickslip_jax._sweep.sealing import MARK, ForeignBatchError, sealed, unsealed
 from stickslip_jax._sweep.store import Store
 from stickslip_jax._sweep.work import Work
 
 SENSITIVITIES = [("stick_fraction", "mu"), ("mean_stick_count", "mu")]
-SEAL, DATA = b"0123456789abcdef", b"the bytes of a piece"
+SEAL, DATA = b"0123456789abcdef", b"the bytes of a batch"
 
 
 def test_seal_is_of_sweep_name_and_bytes():
@@ -27,21 +27,21 @@ def test_seal_is_of_sweep_name_and_bytes():
     for at in range(len(whole)):
         for bit in range(8):
             turned = whole[:at] + bytes([whole[at] ^ 1 << bit]) + whole[at + 1 :]
-            with pytest.raises(DamagedPieceError, match="check sum"):
+            with pytest.raises(DamagedBatchError, match="check sum"):
                 unsealed(SEAL, "a-0-256.zip", turned)
     for size in range(len(whole)):
-        with pytest.raises(DamagedPieceError, match="check sum"):
+        with pytest.raises(DamagedBatchError, match="check sum"):
             unsealed(SEAL, "a-0-256.zip", whole[:size])
-    with pytest.raises(DamagedPieceError, match=r"it is a-0-256\.zip, under another name"):
+    with pytest.raises(DamagedBatchError, match=r"it is a-0-256\.zip, under another name"):
         unsealed(SEAL, "a-256-512.zip", whole)
-    with pytest.raises(ForeignPieceError):
+    with pytest.raises(ForeignBatchError):
         unsealed(SEAL[::-1], "a-0-256.zip", whole)
     assert whole[:MARK] == SEAL
 
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """A folder with all pieces of a sweep, not joined, with two derivatives at both points; and its data set."""
+    """A folder with all batches of a sweep, not joined, with two derivatives at both points; and its data set."""
     folder = tmp_path_factory.mktemp("parts") / "sweep"
     return folder, unjoined(sweep_of(sensitivities=SENSITIVITIES), folder)
 
@@ -59,8 +59,8 @@ def swap(one: Path, other: Path) -> None:
     aside.rename(other)
 
 
-def pieces(folder: Path, pattern: str) -> list[Path]:
-    found = sorted((folder / "pieces").glob(pattern))
+def batches(folder: Path, pattern: str) -> list[Path]:
+    found = sorted((folder / "batches").glob(pattern))
     assert found
     return found
 
@@ -72,29 +72,29 @@ def named(path: Path, first: int, end: int) -> Path:
 
 
 MOVES = {
-    "two points swapped": lambda folder: swap(*pieces(folder, "*-0-256.zip")),
-    "two pieces of a point swapped": lambda folder: swap(*pieces(folder, f"{_identity(folder)}-*.zip")),
-    "copied over another point": lambda folder: shutil.copy(*pieces(folder, "*-256-500.zip")),
-    "copied over other samples": lambda folder: shutil.copy(*pieces(folder, f"{_identity(folder)}-*.zip")),
+    "two points swapped": lambda folder: swap(*batches(folder, "*-0-256.zip")),
+    "two batches of a point swapped": lambda folder: swap(*batches(folder, f"{_identity(folder)}-*.zip")),
+    "copied over another point": lambda folder: shutil.copy(*batches(folder, "*-256-500.zip")),
+    "copied over other samples": lambda folder: shutil.copy(*batches(folder, f"{_identity(folder)}-*.zip")),
     "renamed to more samples": lambda folder: _renamed(folder, 0, 500),
     "shifted by one sample": lambda folder: _renamed(folder, 1, 257),
     "renamed to fewer samples": lambda folder: _renamed(folder, 0, 255),
-    "derivatives of two points swapped": lambda folder: swap(*pieces(folder, "*stick_fraction*.json")),
-    "two derivatives of a point swapped": lambda folder: swap(*pieces(folder, f"{_identity(folder)}-*.json")),
+    "derivatives of two points swapped": lambda folder: swap(*batches(folder, "*stick_fraction*.json")),
+    "two derivatives of a point swapped": lambda folder: swap(*batches(folder, f"{_identity(folder)}-*.json")),
 }
 
 
 def _identity(folder: Path) -> str:
-    return pieces(folder, "*.zip")[0].name.partition("-")[0]
+    return batches(folder, "*.zip")[0].name.partition("-")[0]
 
 
 def _renamed(folder: Path, first: int, end: int) -> None:
-    path = pieces(folder, "*-0-256.zip")[0]
+    path = batches(folder, "*-0-256.zip")[0]
     path.rename(named(path, first, end))
 
 
 @pytest.mark.parametrize("move", MOVES)
-def test_piece_under_another_name_is_found_and_done_again(copied, move):
+def test_batch_under_another_name_is_found_and_done_again(copied, move):
     folder, wanted = copied
     MOVES[move](folder)
     assert_same_or_missing(stored_dataset(folder), wanted)
@@ -109,18 +109,18 @@ def test_status_does_not_count_what_is_under_another_name(copied):
     assert (status_of(folder).samples, status_of(folder).complete) == (488, 0)
 
 
-def test_piece_whose_head_differs_from_its_name(copied):
+def test_batch_whose_head_differs_from_its_name(copied):
     """As of a worker that gives back the result of another task: the seal is right, and what is in it is not."""
     folder, wanted = copied
     sweep = sweep_of(sensitivities=SENSITIVITIES)
     store = Store.reading(folder)
-    first, second = pieces(folder, f"{_identity(folder)}-*.zip")
+    first, second = batches(folder, f"{_identity(folder)}-*.zip")
     data = unsealed(store.mark, second.name, second.read_bytes())
     fields = sweep.plan.fields_at(0)
     assert unpacked(data, fields, 256, 500).samples == head_of(data, 256, 500)["samples"] == 244
     for of in ((0, 256), (0, 244), (256, 512), (255, 500)):
         for read in (lambda of: unpacked(data, fields, *of), lambda of: head_of(data, *of)):
-            with pytest.raises(DamagedPieceError, match="it holds 244 samples from 256 on"):
+            with pytest.raises(DamagedBatchError, match="it holds 244 samples from 256 on"):
                 read(of)
     first.write_bytes(sealed(store.mark, first.name, data))
     assert_same_or_missing(stored_dataset(folder), wanted)
@@ -130,11 +130,11 @@ def test_piece_whose_head_differs_from_its_name(copied):
 
 def test_derivatives_from_other_samples(copied):
     folder, _ = copied
-    path = pieces(folder, "*.json")[0]
+    path = batches(folder, "*.json")[0]
     data = unsealed(Store.reading(folder).mark, path.name, path.read_bytes())
     assert derivatives_of(data, 500)["end"] == 500
     for wrong, end in ((data, 501), (b"{}", 500), (b"[" * 100_000, 500), (b"5", 500)):
-        with pytest.raises(DamagedPieceError):
+        with pytest.raises(DamagedBatchError):
             derivatives_of(wrong, end)
 
 
@@ -159,8 +159,8 @@ def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, parts):
 
 
 def move_at_random(folder: Path, chance: random.Random) -> None:
-    """Swap two pieces, copy one over another, or give one another name."""
-    one, other = chance.sample(pieces(folder, f"*.{chance.choice(['zip', 'zip', 'json'])}"), 2)
+    """Swap two batches, copy one over another, or give one another name."""
+    one, other = chance.sample(batches(folder, f"*.{chance.choice(['zip', 'zip', 'json'])}"), 2)
     how = chance.choice(["swap", "copy", "rename", "shift"])
     if how == "swap":
         swap(one, other)
@@ -185,20 +185,20 @@ def moves_told(parts, tmp_path, number: int) -> None:
         shutil.rmtree(spoilt)
 
 
-def test_four_pieces_moved_at_random(parts, tmp_path):
+def test_four_batches_moved_at_random(parts, tmp_path):
     moves_told(parts, tmp_path, 4)
 
 
 @pytest.mark.slow
-def test_two_hundred_pieces_moved_at_random(parts, tmp_path):
+def test_two_hundred_batches_moved_at_random(parts, tmp_path):
     moves_told(parts, tmp_path, 200)
 
 
 def flips_told(copied, number: int) -> None:
-    """Turn single bits in pieces, manifest and its copy: numbers are as before, or missing, never others."""
+    """Turn single bits in batches, manifest and its copy: numbers are as before, or missing, never others."""
     folder, wanted = copied
     text = manifest_text(ss.Sweep.load(folder).plan)
-    files = [folder / "manifest.json", folder / "manifest-copy.json", *pieces(folder, "*")]
+    files = [folder / "manifest.json", folder / "manifest-copy.json", *batches(folder, "*")]
     plan, chance = sweep_of(sensitivities=SENSITIVITIES).plan, random.Random(7)
     for at in range(number):
         path = files[at % len(files)]
@@ -207,7 +207,7 @@ def flips_told(copied, number: int) -> None:
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << chance.randrange(8)]) + whole[place + 1 :])
         assert manifest_text(ss.Sweep.load(folder).plan) == text
         assert_same_or_missing(stored_dataset(folder), wanted)
-        if path.parent.name == "pieces":
+        if path.parent.name == "batches":
             work = Work(plan, Store.reading(folder))
             there = [work.ensemble(point) for point in range(2)], [work.derivatives(point) for point in range(2)]
             samples = sum(0 if one is None else one.samples for one in there[0])

@@ -41,7 +41,7 @@ def in_time(call):
 
 
 def taking(monkeypatch, take) -> None:
-    """Call `take` while the third piece is simulated."""
+    """Call `take` while the third batch is simulated."""
     perform, begun = workers.perform, []
 
     def taken(plan, task):
@@ -54,7 +54,7 @@ def taking(monkeypatch, take) -> None:
 
 
 def emptied(folder: Path) -> None:
-    """As ``rm -r`` leaves it where a new piece comes while it works."""
+    """As ``rm -r`` leaves it where a new batch comes while it works."""
     for path in folder.rglob("*"):
         if path.is_file():
             path.unlink(missing_ok=True)
@@ -87,15 +87,15 @@ def test_command_in_a_folder_that_is_taken_away_fails(tmp_path, monkeypatch, cap
     monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
     folder, config = tmp_path / "sweep", tmp_path / "sweep.toml"
     config.write_text(
-        '[run]\nt1 = 20.0\nsamples = 500\n[sweep]\nkeep = "totals"\npiece = 256\n[sweep.over]\nmu = [0.5, 1.0]'
+        '[run]\nt1 = 20.0\nsamples = 500\n[sweep]\nkeep = "totals"\nbatch = 256\n[sweep.over]\nmu = [0.5, 1.0]'
     )
     taking(monkeypatch, lambda: shutil.rmtree(folder, ignore_errors=True))
     assert cli.main(["sweep", str(config), "--out", str(folder), "--threads", "2"]) == 2
     assert "was removed, or changed, while the sweep ran" in capsys.readouterr().err
 
 
-def test_pieces_taken_away_while_one_is_written(tmp_path, monkeypatch):
-    """What removes a folder may have come no further than to the piece that is being written."""
+def test_batches_taken_away_while_one_is_written(tmp_path, monkeypatch):
+    """What removes a folder may have come no further than to the batch that is being written."""
     folder = tmp_path / "sweep"
 
     def taken(path, data):
@@ -103,14 +103,14 @@ def test_pieces_taken_away_while_one_is_written(tmp_path, monkeypatch):
 
     write = store_module.write_whole
     monkeypatch.setattr(
-        store_module, "write_whole", lambda path, data: (taken if path.parent.name == "pieces" else write)(path, data)
+        store_module, "write_whole", lambda path, data: (taken if path.parent.name == "batches" else write)(path, data)
     )
     with pytest.raises(ss.SweepError, match=r"was removed, or changed, while the sweep ran in it \(.*\.zip is gone\)"):
         run(sweep_of(), folder)
 
 
 def test_folder_taken_away_at_the_end(tmp_path, monkeypatch):
-    """After the last piece, while the data set is made."""
+    """After the last batch, while the data set is made."""
     folder = tmp_path / "sweep"
     dataset_of = run_module.dataset_of
 
@@ -140,10 +140,10 @@ def put_folder(path: Path) -> None:
 
 @pytest.mark.parametrize(("put", "kind"), [(put_pipe, "a named pipe"), (put_folder, "a folder")])
 @pytest.mark.parametrize("call", [lambda folder: run(sweep_of(), folder), lambda folder: ss.Sweep.load(folder).results])
-def test_piece_that_is_no_file(copied, put, kind, call):
+def test_batch_that_is_no_file(copied, put, kind, call):
     folder, dataset = copied
     (folder / "sweep.nc").unlink()
-    path = min((folder / "pieces").iterdir())
+    path = min((folder / "batches").iterdir())
     put(path)
     with pytest.raises(ss.SweepError) as error:
         in_time(lambda: call(folder))
@@ -180,13 +180,13 @@ def test_log_and_data_set_that_are_no_files(copied, put):
 
 
 @pytest.mark.parametrize("put", [put_pipe, lambda path: path.write_text("mine")])
-def test_pieces_that_is_no_folder(copied, put):
+def test_batches_that_is_no_folder(copied, put):
     folder, _ = copied
-    shutil.rmtree(folder / "pieces")
-    put(folder / "pieces")
+    shutil.rmtree(folder / "batches")
+    put(folder / "batches")
     (folder / "sweep.nc").unlink()
     for call in (lambda: run(sweep_of(), folder), lambda: ss.Sweep.load(folder).results, lambda: status_of(folder)):
         with pytest.raises(ss.SweepError) as error:
             in_time(call)
-        one_sentence(error, f"{folder / 'pieces'} must be a folder", "but is a file", "move it elsewhere")
-    assert not (folder / "pieces").is_dir()
+        one_sentence(error, f"{folder / 'batches'} must be a folder", "but is a file", "move it elsewhere")
+    assert not (folder / "batches").is_dir()

@@ -36,7 +36,7 @@ samples = 3000
 
 [sweep]
 keep = "totals"
-piece = 1024
+batch = 1024
 
 [sweep.over]
 mu = [0.5, 1.0]
@@ -49,7 +49,7 @@ samples = 100_000
 
 [sweep]
 keep = "totals"
-piece = 4096
+batch = 4096
 
 [sweep.over]
 mu = { linspace = [0.5, 2.0, 4] }
@@ -126,7 +126,7 @@ statistics = ["stick_fraction", "mean_stick_duration"]
 independent = true
 standard_error = {{ stick_fraction = 0.01 }}
 realizations = 2
-piece = 50
+batch = 50
 {sweep}
 [sweep.over]
 initial_velocity = {{ linspace = [0, 1, 3] }}
@@ -155,7 +155,7 @@ speed = {{ logspace = [1, 4, 3] }}
         independent=True,
         standard_error={"stick_fraction": 0.01},
         realizations=2,
-        piece=50,
+        batch=50,
         **options,
     )
     assert manifest_text(sweep_of(config).plan) == manifest_text(expected.plan)
@@ -263,16 +263,16 @@ def test_status_and_table_of_a_finished_sweep(capsys, finished):
     assert cli.main(["show", str(finished), "--out", "figure.png", "--force"]) == 0
 
 
-def test_looking_changes_nothing_and_leaves_damaged_pieces_out(capsys, finished, tmp_path):
-    """A piece that is cut in half is removed by who resumes, not by who looks; so are unfinished files."""
+def test_looking_changes_nothing_and_leaves_damaged_batches_out(capsys, finished, tmp_path):
+    """A batch that is cut in half is removed by who resumes, not by who looks; so are unfinished files."""
     folder = tmp_path / "copy"
     folder.mkdir()
-    (folder / "pieces").mkdir()
-    for path in [finished / "manifest.json", *(finished / "pieces").iterdir()]:
+    (folder / "batches").mkdir()
+    for path in [finished / "manifest.json", *(finished / "batches").iterdir()]:
         (folder / path.relative_to(finished)).write_bytes(path.read_bytes())
-    damaged = sorted((folder / "pieces").iterdir())[0]
+    damaged = sorted((folder / "batches").iterdir())[0]
     damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
-    (folder / "pieces" / "new.zip.1.unfinished").write_bytes(b"")
+    (folder / "batches" / "new.zip.1.unfinished").write_bytes(b"")
     before = {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in folder.rglob("*") if path.is_file()}
     assert cli.main(["status", str(folder)]) == 0
     assert "not running." in capsys.readouterr().out
@@ -287,7 +287,7 @@ def test_looking_changes_nothing_and_leaves_damaged_pieces_out(capsys, finished,
 
 
 def _started(*arguments):
-    """A run in ``sweep``, begun, and with a piece that is done."""
+    """A run in ``sweep``, begun, and with a batch that is done."""
     begun = _log().count("begun")
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -310,7 +310,7 @@ def _numbers(folder):
 
 
 def test_stopped_sweep_goes_on(capsys, tmp_path):
-    """Ctrl-C waits for the pieces under way; SIGTERM and a second Ctrl-C do not. Nothing that is stored is lost."""
+    """Ctrl-C waits for the batches under way; SIGTERM and a second Ctrl-C do not. Nothing that is stored is lost."""
     path = config_file(tmp_path, LONG)
     process = _started("sweep", path, "--out", "sweep", "--threads", "1")
     try:
@@ -326,8 +326,8 @@ def test_stopped_sweep_goes_on(capsys, tmp_path):
         process.kill()
     assert (process.returncode, out) == (130, "")
     asked, stopped = err.strip().splitlines()
-    assert asked.startswith("Stopping after the pieces under way")
-    done = re.fullmatch(  # the pieces under way may be the last of a point
+    assert asked.startswith("Stopping after the batches under way")
+    done = re.fullmatch(  # the batches under way may be the last of a point
         "stickslip: Stopped with ([01]) of 4 points done; `stickslip resume sweep`, or the same call again, goes on "
         r"from here\.",
         stopped,
@@ -335,7 +335,7 @@ def test_stopped_sweep_goes_on(capsys, tmp_path):
     assert done
     assert cli.main(["status", "sweep"]) == 0
     assert f"{done[1]} of 4 points done" in capsys.readouterr().out
-    stored = set(Path("sweep/pieces").iterdir())
+    stored = set(Path("sweep/batches").iterdir())
     kept = "what is done is kept, and the same command goes on from there.\n"
     for code, said in ((143, f"stickslip: Terminated; {kept}"), (130, f"stickslip: Interrupted; {kept}")):
         process = _started("resume", "sweep", "--threads", "1")
@@ -348,7 +348,7 @@ def test_stopped_sweep_goes_on(capsys, tmp_path):
         finally:
             process.kill()
         assert (process.returncode, out, err) == (code, "", said)
-        assert stored <= set(Path("sweep/pieces").iterdir())
+        assert stored <= set(Path("sweep/batches").iterdir())
     assert cli.main(["status", "sweep"]) == 0
     assert "`stickslip resume sweep` goes on from here." in capsys.readouterr().out
 
@@ -357,8 +357,8 @@ def test_resumed_sweep_has_the_numbers_of_one_that_was_not_stopped(tmp_path, fin
     path = config_file(tmp_path, SMALL)
     sweep = sweep_of(read_sweep_config(path))
     sweep.run("sweep", progress=False)
-    pieces = sorted(Path("sweep/pieces").iterdir())
-    for one in pieces[::2]:
+    batches = sorted(Path("sweep/batches").iterdir())
+    for one in batches[::2]:
         one.unlink()
     Path("sweep/sweep.nc").unlink()
     assert cli.main(["resume", "sweep", "--workers", "1", "--quiet"]) == 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .._ensemble.call import simulate_piece
+from .._ensemble.call import simulate_batch
 from .._ensemble.encoding import Decoder, Encoder
 from .._ensemble.kept import Retained
 from .._ensemble.parts import EnsembleAccumulator
@@ -19,7 +19,7 @@ from .._events.sticks import FlatSticks
 from .._sensitivity import Sensitivities, sensitivity
 from .._statistics.registry import DIFFERENTIABLE
 from .._status import Status
-from .errors import DamagedPieceError
+from .errors import DamagedBatchError
 from .plan import RETAINED, Plan, Task
 from .warned import collected
 
@@ -35,10 +35,10 @@ def perform(plan: Plan, task: Task) -> bytes:
 
 def _simulated(plan: Plan, task: Task) -> Ensemble:
     run = plan.run_at(task.point)
-    fewest = min(plan.samples, plan.piece)
-    # Joined, the pieces retain the first sticks of the point, whatever their size; each sample takes one place or more.
+    fewest = min(plan.samples, plan.batch)
+    # Joined, the batches retain the first sticks of the point, whatever their size; each sample takes one row or more.
     retained = max(0, RETAINED - task.first)
-    return simulate_piece(run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest)
+    return simulate_batch(run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest)
 
 
 def _derivatives(plan: Plan, task: Task) -> dict[str, Any]:
@@ -93,9 +93,9 @@ _UNFIT = (
 
 
 def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensemble:
-    """The ensemble of the piece of samples ``first .. end - 1`` that `perform` made.
+    """The ensemble of the batch of samples ``first .. end - 1`` that `perform` made.
 
-    `fields`: from `Plan.fields_at`. Raises DamagedPieceError for other bytes, and for those of other samples.
+    `fields`: from `Plan.fields_at`. Raises DamagedBatchError for other bytes, and for those of other samples.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:  # checks the sum of every entry that it reads
@@ -112,7 +112,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
         counts = dict(zip(Status, head["status_counts"], strict=True))
         numbers = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
     except _UNFIT as error:
-        raise DamagedPieceError(str(error)) from error
+        raise DamagedBatchError(str(error)) from error
     return Ensemble(
         **fields, **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
         threads=1, compile_seconds=0.0,
@@ -120,15 +120,15 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
 
 
 def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
-    """What the piece of samples ``first .. end - 1`` says of itself: "samples", "status_counts", "run_seconds".
+    """What the batch of samples ``first .. end - 1`` says of itself: "samples", "status_counts", "run_seconds".
 
-    Raises DamagedPieceError as `unpacked`.
+    Raises DamagedBatchError as `unpacked`.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return _head_in(archive, first, end)
     except _UNFIT as error:
-        raise DamagedPieceError(str(error)) from error
+        raise DamagedBatchError(str(error)) from error
 
 
 def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> dict[str, Any]:
@@ -140,28 +140,28 @@ def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> dict[str, Any]:
 
 
 def derivatives_of(data: bytes, end: int) -> dict[str, Any]:
-    """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedPieceError for other bytes."""
+    """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedBatchError for other bytes."""
     try:
         found = json.loads(data)
         if found["end"] != end or not found["by"].keys():
             raise ValueError(f"it holds derivatives from {found['end']} samples")
     except _UNFIT as error:
-        raise DamagedPieceError(str(error)) from error
+        raise DamagedBatchError(str(error)) from error
     return found
 
 
 def unfinished_in(head: dict[str, Any]) -> dict[Status, int]:
-    """How many samples of a piece did not reach the end, by their status; `head`: from `head_of`."""
+    """How many samples of a batch did not reach the end, by their status; `head`: from `head_of`."""
     counts = zip(Status, head["status_counts"], strict=True)
     return {status: count for status, count in counts if count and status != Status.FINISHED}
 
 
-def joined(pieces: list[Ensemble]) -> Ensemble:
-    """Consecutive pieces as one, merged one after the other from the first."""
-    first, *_ = pieces
-    accumulator = EnsembleAccumulator(sum(one.samples for one in pieces), first.keep, RETAINED)
-    for one in pieces:
+def joined(batches: list[Ensemble]) -> Ensemble:
+    """Consecutive batches as one, merged one after the other from the first."""
+    first, *_ = batches
+    accumulator = EnsembleAccumulator(sum(one.samples for one in batches), first.keep, RETAINED)
+    for one in batches:
         accumulator.add_ensemble(one)
     return dataclasses.replace(
-        first, samples=accumulator.samples, run_seconds=sum(one.run_seconds for one in pieces), **accumulator.found()
+        first, samples=accumulator.samples, run_seconds=sum(one.run_seconds for one in batches), **accumulator.found()
     )

@@ -1,4 +1,4 @@
-"""Folders of sweeps whose pieces are not joined yet, and what is in them."""
+"""Folders of sweeps whose batches are not joined yet, and what is in them."""
 
 import shutil
 from pathlib import Path
@@ -11,9 +11,9 @@ from support.faults import failing, run
 
 
 def unjoined(sweep: ss.Sweep, folder: Path) -> Any:
-    """Run a sweep in a folder, and put the pieces back that were joined; returns the data set.
+    """Run a sweep in a folder, and put the batches back that were joined; returns the data set.
 
-    The data set is not in the folder any more, so that looks read the pieces.
+    The data set is not in the folder any more, so that looks read the batches.
     """
     parts: dict[Path, bytes] = {}
 
@@ -23,8 +23,8 @@ def unjoined(sweep: ss.Sweep, folder: Path) -> Any:
 
     with failing(folder, keep):
         dataset = run(sweep, folder)
-    shutil.copytree(folder / "pieces", folder.with_name("joined"))
-    for path in (folder / "pieces").glob("*.zip"):
+    shutil.copytree(folder / "batches", folder.with_name("joined"))
+    for path in (folder / "batches").glob("*.zip"):
         if path not in parts:
             path.unlink()
     for path, data in parts.items():
@@ -34,11 +34,11 @@ def unjoined(sweep: ss.Sweep, folder: Path) -> Any:
 
 
 def join(folder: Path) -> None:
-    """Do what a run does at the end of every point: the joined piece first, then its parts go."""
+    """Do what a run does at the end of every point: the joined batch first, then its parts go."""
     for path in folder.with_name("joined").glob("*.zip"):
         identity = path.name.partition("-")[0]
-        parts = [part for part in (folder / "pieces").glob(f"{identity}-*.zip") if part.name != path.name]
-        shutil.copy(path, folder / "pieces" / path.name)
+        parts = [part for part in (folder / "batches").glob(f"{identity}-*.zip") if part.name != path.name]
+        shutil.copy(path, folder / "batches" / path.name)
         for part in parts:
             part.unlink()
 
