@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from .._files import NotAFileError, read_regular
 from .errors import OtherProgramError, SweepError, UnreadableError
 from .manifest import FORMAT, body_of, fingerprint
-from .regular import NotAFileError, read_regular
 from .sealing import MARK
 
 MANIFEST, COPY = "manifest.json", "manifest-copy.json"

@@ -10,13 +10,20 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .._files import finished_name, remove_unfinished, sync_folder, write_whole
+from .._files import (
+    NotAFileError,
+    append_regular,
+    finished_name,
+    read_regular,
+    remove_unfinished,
+    sync_folder,
+    write_whole,
+)
 from .errors import DamagedBatchError, SweepError
 from .locking import cannot_write, is_locked, locked
 from .manifest import body_of, differences, extended, manifest_text, with_batch
 from .manifest_files import COPY, MANIFEST, body_in, has_manifest, mark_of
 from .plan import Plan, Task
-from .regular import NotAFileError, append_regular, read_regular
 from .sealing import BEGINNING, MARK, ForeignBatchError, claims_of, sealed, unsealed
 from .stored_plan import plan_in
 
