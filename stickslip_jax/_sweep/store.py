@@ -71,6 +71,11 @@ class Store:
             raise SweepError(f"{self.folder}: {error}") from error.__cause__
 
     @property
+    def dtype(self) -> str:
+        """The precision of the sweep, "float64" or "float32"."""
+        return self.body["deciding"]["dtype"]
+
+    @property
     def is_in_use(self) -> bool:
         """Whether a run holds the folder now."""
         return is_locked(self.folder / LOCK)

@@ -10,7 +10,7 @@ from .._statistics.registry import STATISTICS
 from .batches import derivatives_of, head_of, joined, packed, unfinished_in, unpacked
 from .errors import DamagedBatchError
 from .plan import Plan, Task
-from .spool import Spool
+from .read_cache import ReadCache
 from .store import Batch, Store, derivative_name
 
 _LISTINGS = 5  # of the folder at most, where a run that is under way has joined batches since the last
@@ -39,7 +39,7 @@ class Work:
         self._left: dict[int, int] = {}  # tasks of a point that are not done
         self.done = [0] * self.plan.points.number
         # A run may join batches while somebody looks: what was read once is kept, so that it is the same a second time.
-        self._spool = None if self.store.held else Spool()
+        self._cache = None if self.store.held else ReadCache()
 
     def batches(self, point: int) -> list[Batch]:
         """The batches of a point that are there."""
@@ -159,12 +159,12 @@ class Work:
 
     def _in_a_row(self, point: int) -> list[tuple[Batch, bytes]]:
         """The batches of samples of a point from the first on that are there without a gap."""
-        kept = None if self._spool is None else self._spool.kept(point)
+        kept = None if self._cache is None else self._cache.get(point)
         if kept is not None:
             return kept
         found = self._read(point, is_gap_allowed=False)
-        if self._spool is not None:
-            self._spool.keep(point, found)
+        if self._cache is not None:
+            self._cache.put(point, found)
         return found
 
     def heads(self, point: int) -> list[dict[str, Any]]:

@@ -28,7 +28,7 @@ COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 def _in_an_empty_folder(tmp_path, monkeypatch):
     """The command's settings of the process are left out: the tests share theirs."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
 
 
 def _subprocess(*arguments, **options):

@@ -17,8 +17,8 @@ from support.faults import TESTS, log_of, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import dataset, store
-from stickslip_jax._sweep.looking import status_of, stored_dataset
-from stickslip_jax._sweep.spool import Spool
+from stickslip_jax._sweep.read_cache import ReadCache
+from stickslip_jax._sweep.reading import status_of, stored_dataset
 
 
 @pytest.fixture
@@ -99,13 +99,13 @@ def test_listing_that_misses_the_parts_and_the_whole(begun, monkeypatch):
 
 
 def test_what_was_read_goes_to_the_disk_where_it_is_much(monkeypatch):
-    monkeypatch.setattr("stickslip_jax._sweep.spool._IN_MEMORY", 10)
-    spool = Spool()
+    monkeypatch.setattr("stickslip_jax._sweep.read_cache._IN_MEMORY", 10)
+    cache = ReadCache()
     batches = [(store.Batch(Path("a"), 0, 5), b"12345"), (store.Batch(Path("b"), 5, 9), b"6789" * 10)]
-    spool.keep(3, batches)
-    spool.keep(1, [])
-    assert (spool.kept(3), spool.kept(1), spool.kept(0)) == (batches, [], None)
-    del spool  # closes its file: pytest makes errors of those that are left open
+    cache.put(3, batches)
+    cache.put(1, [])
+    assert (cache.get(3), cache.get(1), cache.get(0)) == (batches, [], None)
+    del cache  # closes its file: pytest makes errors of those that are left open
     gc.collect()
 
 
@@ -113,7 +113,7 @@ def test_no_room_for_what_was_read(monkeypatch, begun):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("stickslip_jax._sweep.spool.SpooledTemporaryFile.write", full)
+    monkeypatch.setattr("stickslip_jax._sweep.read_cache.SpooledTemporaryFile.write", full)
     with pytest.raises(ss.SweepError, match=r"cannot be written \(No space left on device\).*TMPDIR\."):
         stored_dataset(begun[0])
 
@@ -177,7 +177,7 @@ def assert_consistent(found) -> None:
 @pytest.mark.slow
 def test_two_hundred_looks_while_a_sweep_runs(tmp_path, capsys, monkeypatch):
     """As many as run beside it; a run that ends is followed by another one in another folder."""
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     looks = beside = 0
     partial = set()
     jax.config.update("jax_enable_x64", True)

@@ -11,7 +11,7 @@ from support.faults import assert_same, files_in, one_sentence, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import manifest
-from stickslip_jax._sweep.looking import status_of, stored_dataset
+from stickslip_jax._sweep.reading import status_of, stored_dataset
 
 MANIFESTS = ("manifest.json", "manifest-copy.json")
 
@@ -152,7 +152,7 @@ def test_statistic_that_is_not_known_is_left_out_alone(copied, capsys, monkeypat
         found = stored_dataset(folder)
     assert set(found.data_vars) == set(dataset.data_vars)
     assert found.mean_stick_duration.equals(dataset.mean_stick_duration)
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     assert cli.main(["show", str(folder)]) == 0
     out, err = capsys.readouterr()
     said = "stickslip: The sweep asks for 'junk', which this version of stickslip_jax does not know; it is left out.\n"

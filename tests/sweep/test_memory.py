@@ -12,8 +12,8 @@ from support.faults import TESTS, assert_same, log_of, one_sentence, run, sweep_
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import workers
-from stickslip_jax._sweep.looking import status_of
 from stickslip_jax._sweep.plan import Task
+from stickslip_jax._sweep.reading import status_of
 from stickslip_jax._sweep.workers import Failed, NoMemory, outcome_of, perform_sent, sent
 
 

@@ -11,8 +11,8 @@ from support.faults import assert_same, log_of, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax._sweep.batches import derivatives_of, head_of, unpacked
 from stickslip_jax._sweep.errors import DamagedBatchError
-from stickslip_jax._sweep.looking import status_of, stored_dataset
 from stickslip_jax._sweep.manifest import manifest_text
+from stickslip_jax._sweep.reading import status_of, stored_dataset
 from stickslip_jax._sweep.sealing import MARK, ForeignBatchError, sealed, unsealed
 from stickslip_jax._sweep.store import Store
 from stickslip_jax._sweep.work import Work

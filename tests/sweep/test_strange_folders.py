@@ -13,7 +13,7 @@ from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import run as run_module
 from stickslip_jax._sweep import store as store_module
 from stickslip_jax._sweep import workers
-from stickslip_jax._sweep.looking import status_of, stored_dataset
+from stickslip_jax._sweep.reading import status_of, stored_dataset
 
 MANIFESTS = ("manifest.json", "manifest-copy.json")
 
@@ -84,7 +84,7 @@ def test_folder_that_is_taken_away_while_it_runs(tmp_path, monkeypatch, what):
 
 
 def test_command_in_a_folder_that_is_taken_away_fails(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     folder, config = tmp_path / "sweep", tmp_path / "sweep.toml"
     config.write_text(
         '[run]\nt1 = 20.0\nsamples = 500\n[sweep]\nkeep = "totals"\nbatch = 256\n[sweep.over]\nmu = [0.5, 1.0]'

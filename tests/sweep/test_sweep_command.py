@@ -60,7 +60,7 @@ mu = { linspace = [0.5, 2.0, 4] }
 def _in_an_empty_folder(tmp_path, monkeypatch):
     """The command's settings of the process are left out: the tests share theirs."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
 
 
 @pytest.fixture(scope="module")
