@@ -21,7 +21,7 @@ from .._statistics.registry import DIFFERENTIABLE
 from .._status import Status
 from .errors import DamagedBatchError
 from .plan import RETAINED, Plan, Task
-from .warned import collected
+from .task_warnings import warnings_of_task
 
 _SUMS = ("moments", "accumulator", "near_grazing_samples")
 
@@ -46,7 +46,7 @@ def _derivatives(plan: Plan, task: Task) -> dict[str, Any]:
     name, wrt = plan.derivatives[task.derivative]
     statistic = next(one for one in DIFFERENTIABLE if one.name == name)
     setting, started = plan.setting_at(task.point), time.perf_counter()
-    with collected() as said:
+    with warnings_of_task() as texts:
         found = sensitivity(
             statistic, *setting.model[:2], wrt=wrt, t1=plan.t1, samples=task.samples, key=plan.key_at(task.point),
             y0=setting.y0, method=setting.method, threads=1,
@@ -57,7 +57,7 @@ def _derivatives(plan: Plan, task: Task) -> dict[str, Any]:
     return {
         "end": task.end,
         "by": numbers,
-        "warnings": said,
+        "warnings": texts,
         "seconds": time.perf_counter() - started,
     }
 

@@ -15,9 +15,9 @@ from .. import _checks
 from .._files import write_whole
 from .errors import SweepError
 from .executors import Executor, WorkerDiedError, Written
+from .header import with_header
 from .locking import cannot_write
 from .plan import Plan, Task
-from .sealing import sealed
 from .store import Store
 from .workers import Failed, NoMemory, Sent, UnfitWorkerError, perform_sent, sent
 
@@ -69,7 +69,7 @@ class DaskCluster(Executor):
         submit = functools.partial(self._client.submit, key=key, pure=False, retries=_RETRIES)
         if self._shared:
             path = str(self._path_of(task).resolve())
-            future = submit(_perform_and_write, self._plan, tuple(task), path, self._store.mark)
+            future = submit(_perform_and_write, self._plan, tuple(task), path, self._store.sweep_id)
         else:
             future = submit(_perform, self._plan, tuple(task))
         self._futures[task] = future
@@ -200,13 +200,13 @@ def _perform(plan: Sent, task: tuple) -> bytes | Failed | NoMemory:
     return perform_sent(plan, Task(*task))
 
 
-def _perform_and_write(plan: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed | NoMemory:
+def _perform_and_write(plan: Sent, task: tuple, path: str, sweep_id: bytes) -> Written | Failed | NoMemory:
     """Do a task, and write its batch into the folder of the sweep. Raises UnfitWorkerError where that is not here."""
-    _check_shared(Path(path).parents[1], mark)
+    _check_shared(Path(path).parents[1], sweep_id)
     found = perform_sent(plan, Task(*task))
     if not isinstance(found, bytes):
         return found
-    whole = sealed(mark, Path(path).name, found)
+    whole = with_header(sweep_id, Path(path).name, found)
     try:
         write_whole(Path(path), whole)
     except OSError as error:
@@ -215,9 +215,9 @@ def _perform_and_write(plan: Sent, task: tuple, path: str, mark: bytes) -> Writt
 
 
 @functools.lru_cache(maxsize=4)
-def _check_shared(folder: Path, mark: bytes) -> None:
+def _check_shared(folder: Path, sweep_id: bytes) -> None:
     try:
-        if Store.reading(folder).mark == mark:
+        if Store.reading(folder).sweep_id == sweep_id:
             return
         reason = "holds another sweep"
     except SweepError as error:

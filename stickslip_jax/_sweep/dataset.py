@@ -22,7 +22,7 @@ from .groups import GROUPS
 from .locking import cannot_write
 from .manifest import sum_of
 from .plan import Plan
-from .points import POINT, Axis
+from .points import POINT
 from .setting import label_of, unit_of
 from .store import DATA, Store, derivative_name
 from .work import Work
@@ -39,7 +39,7 @@ class Columns:
 
     def __init__(self, plan: Plan):
         self._number, self._shape = plan.points.number, plan.points.shape
-        self._dimensions = tuple(axis.name for axis in plan.points.axes)
+        self._dimensions = tuple(one.name for one in plan.points.dimensions)
         self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
 
     def put(
@@ -80,7 +80,7 @@ def dataset_of(work: Work) -> "xarray.Dataset":
         if ensemble is not None:
             _put_statistics(columns, point, ensemble, plan, bins)
         _put_derivatives(columns, point, work)
-    coordinates = {**_axes(plan), **_bin_coordinates(plan, bins)}
+    coordinates = {**_point_coordinates(plan), **_bin_coordinates(plan, bins)}
     return xr.Dataset(dict(columns.variables()), coordinates, _attributes(plan, work.store.body))
 
 
@@ -184,20 +184,17 @@ def _unit_of_derivative(plan: Plan, statistic: str, wrt: str) -> str:
     return of if by == "1" else f"{of} ({by})-1"
 
 
-def _axes(plan: Plan) -> dict[str, Any]:
+def _point_coordinates(plan: Plan) -> dict[str, Any]:
     """The coordinates of the points."""
     found: dict[str, Any] = {}
-    for axis in plan.points.axes:
-        for name, values in zip(axis.parameters, axis.values.T, strict=True):
+    for one in plan.points.dimensions:
+        for name, values in zip(one.parameters, one.values.T, strict=True):
             meaning = f"{name}, {GROUPS[name].meaning}" if name in GROUPS else label_of(plan.setting, name)
-            found[name] = (axis.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
-        if axis.name not in found:
-            found[axis.name] = (axis.name, np.arange(len(axis.values)), {"long_name": _number_of(axis)})
+            found[name] = (one.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
+        if one.name not in found:
+            entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
+            found[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
     return found
-
-
-def _number_of(axis: Axis) -> str:
-    return "number of the point" if axis.name == POINT else f"number of the entry of {', '.join(axis.parameters)}"
 
 
 def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, Any]:

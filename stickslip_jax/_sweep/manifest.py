@@ -3,8 +3,8 @@
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, TypedDict, cast, get_origin
 
 import jax
 import jax.lib
@@ -21,26 +21,41 @@ _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
 _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest"}
 """What the user calls it, where that is another name."""
 ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
-_PARTS = {
-    "format": str, "format_version": int, "versions": dict, "objects": dict, "deciding": dict, "asked": dict,
-    "axes": list, "floats": list, "integers": list,
-}  # fmt: skip
 _DEEPEST = 64  # levels of parts within parts; ours have some ten
+
+
+class Manifest(TypedDict):
+    """What a manifest holds.
+
+    - `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
+    - `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
+    - `dimensions`: of the points: name, parameters, values.
+    """
+
+    format: str
+    format_version: int
+    versions: dict[str, str]
+    objects: dict[str, Any]
+    deciding: dict[str, Any]
+    asked: dict[str, Any]
+    dimensions: list[dict[str, Any]]
+    floats: list[str]
+    integers: list[int]
 
 
 def manifest_text(plan: Plan) -> str:
     """The manifest of a sweep as JSON."""
     encoder = Encoder()
-    body = {
+    body: Manifest = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "versions": versions(),
         "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
         "deciding": {name: _plain(getattr(plan, name)) for name in DECIDING},
         "asked": {name: _plain(getattr(plan, name)) for name in ASKED},
-        "axes": [
-            {"name": axis.name, "parameters": list(axis.parameters), "values": axis.values.tolist()}
-            for axis in plan.points.axes
+        "dimensions": [
+            {"name": one.name, "parameters": list(one.parameters), "values": one.values.tolist()}
+            for one in plan.points.dimensions
         ],
         "floats": [float(value).hex() for value in encoder.floats],
         "integers": encoder.integers.tolist(),
@@ -48,19 +63,19 @@ def manifest_text(plan: Plan) -> str:
     return _text(body)
 
 
-def extended(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """The manifest of a sweep that adds to another: what decides the numbers as it is written there.
+def extended(stored: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """The text of the `new` manifest, with what decides the numbers written as in the `stored` one.
 
-    Numbers may be equal and written otherwise, 1 and 1.0, and the batches bear the fingerprint of what is there.
+    Numbers may be equal and written otherwise, 1 and 1.0, and the batches bear the fingerprint of what is stored.
     """
-    return _text({**here, **{name: there[name] for name in _FINGERPRINT}})
+    return _text({**new, **{name: stored[name] for name in _FINGERPRINT}})
 
 
-def _text(body: dict[str, Any]) -> str:
+def _text(body: Mapping[str, Any]) -> str:
     return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
 
 
-def body_of(text: str) -> dict[str, Any]:
+def body_of(text: str) -> Manifest:
     """The manifest in a text.
 
     Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and SweepError for
@@ -79,7 +94,7 @@ def body_of(text: str) -> dict[str, Any]:
         raise OtherProgramError("it is of another program")
     _check_format(body)
     _check_parts(body)
-    return body
+    return cast(Manifest, body)
 
 
 def _check_format(body: dict[str, Any]) -> None:
@@ -97,8 +112,8 @@ def _check_format(body: dict[str, Any]) -> None:
 
 def _check_parts(body: dict[str, Any]) -> None:
     """Raises UnreadableError for a manifest in which a part is missing, or is of another kind."""
-    for name, kind in _PARTS.items():
-        if type(body.get(name)) is not kind:
+    for name, kind in Manifest.__annotations__.items():
+        if type(body.get(name)) is not (get_origin(kind) or kind):
             raise UnreadableError(f"its {name} is missing")
     wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
@@ -106,7 +121,7 @@ def _check_parts(body: dict[str, Any]) -> None:
             raise UnreadableError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
 
 
-def _depth(value: Any) -> int:
+def _depth(value: object) -> int:
     """How many levels of parts within parts there are, counted up to a little more than are allowed."""
     level, depth = [value], 0
     while level and depth <= _DEEPEST:
@@ -116,24 +131,24 @@ def _depth(value: Any) -> int:
     return depth
 
 
-def differences(there: dict[str, Any], here: dict[str, Any]) -> list[str]:
+def differences(stored: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """What decides the numbers and differs between two manifests, each "name: ... there, ... here".
 
-    Points, samples, statistics and sensitivities may differ: they add to what is there.
+    Points, samples, statistics and sensitivities are not compared: other ones are added to what is stored.
     """
-    parameters = [{name for axis in body["axes"] for name in axis["parameters"]} for body in (there, here)]
+    parameters = [{name for one in body["dimensions"] for name in one["parameters"]} for body in (stored, new)]
     found = []
     if parameters[0] != parameters[1]:
         found.append(f"parameters: {', '.join(sorted(parameters[0]))} there, {', '.join(sorted(parameters[1]))} here")
     for part in ("objects", "deciding", "versions"):
-        for path, old, new in _different(there[part], here[part], ()):
-            found.append(f"{_named(path)}: {_brief(old)} there, {_brief(new)} here")
-    if not found and (there["floats"], there["integers"]) != (here["floats"], here["integers"]):
+        for path, there, here in _different(stored[part], new[part], ()):
+            found.append(f"{_named(path)}: {_brief(there)} there, {_brief(here)} here")
+    if not found and any(stored[part] != new[part] for part in ("floats", "integers")):
         found.append("an array of the system or law differs")
     return found
 
 
-def fingerprint(body: dict[str, Any]) -> str:
+def fingerprint(body: Mapping[str, Any]) -> str:
     """A sum of everything that decides the numbers at a point."""
     return sum_of({name: body[name] for name in _FINGERPRINT})
 
@@ -146,7 +161,7 @@ def versions() -> dict[str, str]:
     return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib}
 
 
-def sum_of(body: dict[str, Any]) -> str:
+def sum_of(body: Mapping[str, Any]) -> str:
     """The check sum of a manifest, or of a part of one."""
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
@@ -156,7 +171,7 @@ def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+def _different(old: object, new: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
     both = isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys()
     if both and old.get("class") == new.get("class"):
         for name in old:
@@ -170,7 +185,7 @@ def _named(path: tuple[str, ...]) -> str:
     return ".".join(part for part in parts if part not in ("fields", "class", "values", "tuple")) or "object"
 
 
-def _brief(value: Any) -> str:
+def _brief(value: object) -> str:
     if isinstance(value, dict) and "class" in value:
         fields = value["fields"]
         return fields["text"] or fields["name"] if value["class"] == "Unknown" else str(value["class"])
@@ -178,6 +193,6 @@ def _brief(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def with_batch(plan: Plan, body: dict[str, Any]) -> Plan:
-    """`plan` divided into batches as the sweep of a manifest."""
+def with_batch(plan: Plan, body: Manifest) -> Plan:
+    """`plan` with the batches of the sweep of a manifest."""
     return dataclasses.replace(plan, batch=body["deciding"]["batch"])

@@ -1,7 +1,7 @@
 """What a sweep simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, get_args
 
@@ -14,7 +14,7 @@ from .._ensemble.parts import Keep
 from .._ensemble.run import MOST_SAMPLES, Run
 from .._inputs.numbers import parameters_of
 from .._numerics.random_bits import key_data_of
-from .._statistics.accumulator import Numbering
+from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
 from .checking import check_points
 from .points import Points
@@ -62,6 +62,49 @@ class Plan:
     realizations: int
     batch: int
     dtype: str
+
+    @classmethod
+    def checked(
+        cls,
+        setting: Setting,
+        points: Points,
+        *,
+        t1: Any,
+        samples: object,
+        key_data: tuple[int, ...] | None,
+        keep: object,
+        numbering: Sequence[object],
+        statistics: object,
+        derivatives: object,
+        independent: object,
+        standard_errors: object,
+        realizations: object,
+        batch: object,
+        dtype: str,
+    ) -> "Plan":
+        """The plan with these fields. Raises ValueError, with the names of the arguments of `Sweep`, for others."""
+        orders, count_initial_rest = numbering
+        _checks.truth("count_initial_rest", count_initial_rest)
+        _checks.truth("independent", independent)
+        _checks.positive("t1", t1, "s")
+        keep = checked_keep(keep)
+        names = checked_statistics(statistics, keep)
+        return cls(
+            setting=setting,
+            points=points,
+            t1=float(t1),
+            samples=checked_samples(samples),
+            key_data=key_data,
+            keep=keep,
+            numbering=Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest)),
+            statistics=names,
+            derivatives=checked_derivatives(derivatives),
+            independent=bool(independent),
+            standard_errors=checked_errors(standard_errors, names),
+            realizations=_checks.whole_number("realizations", realizations, minimum=0),
+            batch=_checks.whole_number("batch", batch, maximum=MOST_SAMPLES),
+            dtype=dtype,
+        )
 
     @cached_property
     def _with_values(self) -> Setter:
@@ -124,7 +167,7 @@ def usual_batch(points: int, samples: int) -> int:
     return min(max(fair, _SMALLEST_BATCH), _LARGEST_BATCH)
 
 
-def checked_statistics(statistics: Any, keep: Keep) -> tuple[str, ...]:
+def checked_statistics(statistics: object, keep: Keep) -> tuple[str, ...]:
     """The names of what is estimated; None for all that `keep` allows. Raises ValueError for other names."""
     more = [] if keep == "totals" else [quantity.name for quantity in DISTRIBUTIONS]
     known = list(dict.fromkeys([*STATISTICS, *more]))  # the stick fraction has a distribution too
@@ -164,7 +207,7 @@ def checked_derivatives(sensitivities: Any) -> tuple[Derivative, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def checked_errors(standard_error: Any, statistics: tuple[str, ...]) -> dict[str, float]:
+def checked_errors(standard_error: object, statistics: tuple[str, ...]) -> dict[str, float]:
     """The wanted standard errors by statistic. Raises ValueError for anything else."""
     if standard_error is None:
         return {}
@@ -183,22 +226,19 @@ def checked_errors(standard_error: Any, statistics: tuple[str, ...]) -> dict[str
     return {name: float(value) for name, value in standard_error.items()}
 
 
-def checked_keep(keep: Any) -> Keep:
+def checked_keep(keep: object) -> Keep:
     """`keep`, "statistics" or "totals". Raises ValueError for anything else."""
     allowed = [name for name in get_args(Keep) if name != "sticks"]
-    if not _is_word(keep, allowed):
-        raise ValueError(
-            f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
-            "stick of a point comes from sweep.ensemble_at(mu=...)."
-        )
-    return keep
+    for name in allowed:
+        if isinstance(keep, str) and keep == name:
+            return name
+    raise ValueError(
+        f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
+        "stick of a point comes from sweep.ensemble_at(mu=...)."
+    )
 
 
-def _is_word(value: Any, words: Iterable[str]) -> bool:
-    return isinstance(value, str) and value in words
-
-
-def checked_samples(samples: Any) -> int:
+def checked_samples(samples: object) -> int:
     """`samples`, a whole number of at least 1. Raises ValueError for anything else."""
     return _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
 

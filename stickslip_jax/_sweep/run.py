@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from .._ensemble.progress import progress_bar
 from .dataset import dataset_of, write_dataset
 from .errors import SweepError
-from .places import Where, executor_for
+from .executor_choice import ExecutorChoice
 from .plan import Plan
 from .runner import described, run_tasks
 from .stopping import stoppable
 from .store import LOG, opened
-from .warned import collecting
+from .task_warnings import warnings_by_thread
 from .work import Work
 
 if TYPE_CHECKING:
@@ -24,23 +24,23 @@ if TYPE_CHECKING:
 _ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
-def run_sweep(plan: Plan, folder: Path | None, where: Where, progress: bool | None) -> "xarray.Dataset":
+def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
     """Do what is left of a sweep, and return its result; see `Sweep.run`."""
     _check_dtype(plan)
     if folder is None:
         with TemporaryDirectory(prefix="stickslip-sweep-") as temporary:
-            return _run_in(Path(temporary), False, plan, where, progress)
-    return _run_in(folder, True, plan, where, progress)
+            return _run_in(Path(temporary), False, plan, choice, progress)
+    return _run_in(folder, True, plan, choice, progress)
 
 
-def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool | None) -> "xarray.Dataset":
+def _run_in(folder: Path, kept: bool, plan: Plan, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
     """`run_sweep` in a folder; `kept`: whether it is the user's."""
-    with opened(folder, plan) as (store, cut), stoppable() as stopping, collecting():
+    with opened(folder, plan) as (store, cut), stoppable() as stopping, warnings_by_thread():
         store.log(f"begun: {cut.points.number} points, {cut.samples} samples each")
         for _ in range(_ROUNDS):
             work = Work(cut, store)
             with (
-                executor_for(cut, store, where) as chosen,
+                choice.opened(cut, store) as chosen,
                 progress_bar(progress, cut.points.number * cut.samples) as bar,
             ):
                 run_tasks(work, chosen, stopping, bar)

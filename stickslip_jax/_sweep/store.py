@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from .._files import (
     NotAFileError,
@@ -20,11 +20,11 @@ from .._files import (
     write_whole,
 )
 from .errors import DamagedBatchError, SweepError
+from .header import ID_LENGTH, LONGEST_HEADER, ForeignBatchError, id_and_name, with_header, without_header
 from .locking import cannot_write, is_locked, locked
-from .manifest import body_of, differences, extended, manifest_text, with_batch
-from .manifest_files import COPY, MANIFEST, body_in, has_manifest, mark_of
+from .manifest import Manifest, body_of, differences, extended, manifest_text, with_batch
+from .manifest_files import COPY, MANIFEST, body_in, has_manifest, sweep_id_of
 from .plan import Plan, Task
-from .sealing import BEGINNING, MARK, ForeignBatchError, claims_of, sealed, unsealed
 from .stored_plan import plan_in
 
 BATCHES, DATA, LOG, LOCK = "batches", "sweep.nc", "log.txt", ".lock"
@@ -49,19 +49,19 @@ class Store:
     """The folder of a sweep, opened for reading; `opened` is for writing.
 
     A batch is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
-    values of the parameters only, so that a point keeps its batches when others come. It is sealed with a mark of its
-    sweep and this name. `held`: whether this program holds the lock, and may change the folder.
+    values of the parameters only, so that a point keeps its batches when others come. Its header has the identity of
+    the sweep and this name. `can_write`: whether this program holds the lock, and may change the folder.
     """
 
-    def __init__(self, folder: Path, body: dict[str, Any], *, held: bool = False):
-        self.folder, self.body, self.held = folder, body, held
-        self.mark = mark_of(body)
-        self._lock = _file_number(folder / LOCK) if held else None
+    def __init__(self, folder: Path, body: Manifest, *, can_write: bool = False):
+        self.folder, self.body, self.can_write = folder, body, can_write
+        self.sweep_id = sweep_id_of(body)
+        self._lock = _file_number(folder / LOCK) if can_write else None
 
     @classmethod
     def reading(cls, folder: Path) -> "Store":
         """The store in a folder. Raises SweepError if there is none, or none that this version can read."""
-        return cls(folder, body_in(folder, lambda: _marks_in(folder)))
+        return cls(folder, body_in(folder, lambda: _ids_in(folder)))
 
     def plan(self, *, to_run: bool = True, every_point: bool = False) -> Plan:
         """The sweep that is stored; see `plan_in`. Raises SweepError with the name of the folder."""
@@ -108,10 +108,10 @@ class Store:
         """All batches by the identity of their point, in the order of their names.
 
         A listing while a run joins batches may have neither the parts nor the whole of them, but then the next one has
-        the whole: who only looks lists twice.
+        the whole: a program that only reads lists twice.
         """
         names = _names_in(self.folder)
-        if not self.held:
+        if not self.can_write:
             names |= _names_in(self.folder)
         found: dict[str, list[Batch]] = defaultdict(list)
         for file in sorted(names):
@@ -128,7 +128,7 @@ class Store:
         that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
-            return unsealed(self.mark, batch.path.name, read_regular(batch.path))
+            return without_header(self.sweep_id, batch.path.name, read_regular(batch.path))
         except FileNotFoundError:
             raise
         except ForeignBatchError:
@@ -145,14 +145,14 @@ class Store:
 
         Raises SweepError for whole batches of another sweep, and for what is no file: nobody may write over them.
         """
-        foreign, ours = None, 0
+        foreign, is_any_ours = None, False
         for batch in (one for batches in self._all().values() for one in batches):
             try:
-                mark, claims = claims_of(read_regular(batch.path, BEGINNING))
-                if mark == self.mark:
-                    ours += 1
-                    if claims != batch.path.name:
-                        self.remove(batch, f"it is {claims}, under another name")
+                sweep_id, name = id_and_name(read_regular(batch.path, LONGEST_HEADER))
+                if sweep_id == self.sweep_id:
+                    is_any_ours = True
+                    if name != batch.path.name:
+                        self.remove(batch, f"it is {name}, under another name")
                     continue
             except NotAFileError:
                 self.read(batch)  # says so
@@ -164,7 +164,7 @@ class Store:
                 continue
             except SweepError as error:
                 foreign = foreign or error
-        if foreign is not None and not ours:
+        if foreign is not None and not is_any_ours:
             raise SweepError(
                 f"{self.folder} has batches of another sweep than its {MANIFEST}; put their manifest back, or choose "
                 "another folder."
@@ -197,7 +197,7 @@ class Store:
         """Write the bytes of a batch. Raises SweepError if that fails."""
         self.check_kept()
         try:
-            write_whole(path, sealed(self.mark, path.name, data))
+            write_whole(path, with_header(self.sweep_id, path.name, data))
         except FileNotFoundError as error:  # while the folder is being removed, the rest may still be there
             self.check_kept()
             raise self._taken_away(path.name) from error
@@ -226,12 +226,12 @@ def _names_in(folder: Path) -> set[str]:
         raise SweepError(f"{folder / BATCHES} cannot be read ({error.strerror}); make it readable.") from error
 
 
-def _marks_in(folder: Path) -> set[bytes]:
-    """The marks with which the batches begin."""
+def _ids_in(folder: Path) -> set[bytes]:
+    """The identities of sweeps with which the batches begin."""
     found = set()
     for name in filter(_NAME.fullmatch, _names_in(folder)):
         with contextlib.suppress(OSError):
-            found.add(read_regular(folder / BATCHES / name, MARK))
+            found.add(read_regular(folder / BATCHES / name, ID_LENGTH))
     return found
 
 
@@ -255,28 +255,28 @@ def derivative_name(plan: Plan, number: int) -> str:
 
 @contextlib.contextmanager
 def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
-    """The store for `plan` in `folder`, held for writing, and the plan divided into batches as the store is.
+    """The store for `plan` in `folder`, locked for writing, and the plan with the batches of the store.
 
-    A folder without a sweep must be empty or missing. A manifest that differs in what decides the numbers is refused;
-    what may differ replaces it. Raises SweepError otherwise.
+    A folder without a sweep must be empty or missing. If the folder has a manifest with the same numbers, the new one
+    replaces it. Raises SweepError for a manifest with other numbers, and for other folders.
     """
-    _make(folder)
+    _make_folder(folder)
     with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
         text = manifest_text(plan)
         if has_manifest(folder):
-            there = body_in(folder, lambda: _marks_in(folder), to_write=True)
-            plan = with_batch(plan, there)
-            here = body_of(manifest_text(plan))
-            _check_extends(folder, there, here)
-            text = extended(there, here)
-        store = Store(folder, body_of(text), held=True)
+            stored = body_in(folder, lambda: _ids_in(folder), to_write=True)
+            plan = with_batch(plan, stored)
+            new = body_of(manifest_text(plan))
+            _check_extends(folder, stored, new)
+            text = extended(stored, new)
+        store = Store(folder, body_of(text), can_write=True)
         store.check_batches()
         try:
             remove_unfinished(folder)
             remove_unfinished(folder / BATCHES)
             (folder / BATCHES).mkdir(exist_ok=True)
             for name in (MANIFEST, COPY):
-                if not _holds(folder / name, text):
+                if not _has_text(folder / name, text):
                     write_whole(folder / name, text.encode())
             sync_folder(folder.parent)
         except OSError as error:
@@ -284,28 +284,28 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         yield store, plan
 
 
-def _check_extends(folder: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
-    """Raises SweepError unless the sweep of the manifest `here` adds to that `there`, which the folder holds."""
-    found = differences(there, here)
+def _check_extends(folder: Path, stored: Manifest, new: Manifest) -> None:
+    """Raises SweepError unless the sweep of the `new` manifest only adds to that of the `stored` one."""
+    found = differences(stored, new)
     if found:
         raise SweepError(
             f"{folder} holds a sweep with other numbers ({'; '.join(found[:5])}); choose another folder, or "
             "change the sweep back."
         )
-    if there["asked"]["samples"] > here["asked"]["samples"]:
+    if stored["asked"]["samples"] > new["asked"]["samples"]:
         raise SweepError(
-            f"{folder} holds {there['asked']['samples']} samples of each point; ask for at least as many, or "
+            f"{folder} holds {stored['asked']['samples']} samples of each point; ask for at least as many, or "
             "choose another folder."
         )
 
 
-def _holds(path: Path, text: str) -> bool:
+def _has_text(path: Path, text: str) -> bool:
     with contextlib.suppress(FileNotFoundError):
         return read_regular(path) == text.encode()
     return False
 
 
-def _make(folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     """Make the folder. Raises SweepError for one that holds something else, or cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -237,8 +237,8 @@ class Sweep:
 
     def __repr__(self) -> str:
         plan = self._plan
-        axes = " x ".join(f"{len(axis.values)} {', '.join(axis.parameters)}" for axis in plan.points.axes)
+        sizes = " x ".join(f"{len(one)} {', '.join(one.parameters)}" for one in plan.points.dimensions)
         return (
-            f"Sweep of {plan.points.number:,} points ({axes}), {plan.samples:,} samples each on [0, {plan.t1:g}] s, "
+            f"Sweep of {plan.points.number:,} points ({sizes}), {plan.samples:,} samples each on [0, {plan.t1:g}] s, "
             f"keep={plan.keep!r}"
         )

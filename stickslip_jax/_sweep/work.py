@@ -39,7 +39,7 @@ class Work:
         self._left: dict[int, int] = {}  # tasks of a point that are not done
         self.done = [0] * self.plan.points.number
         # A run may join batches while somebody looks: what was read once is kept, so that it is the same a second time.
-        self._cache = None if self.store.held else ReadCache()
+        self._cache = None if self.store.can_write else ReadCache()
 
     def batches(self, point: int) -> list[Batch]:
         """The batches of a point that are there."""
@@ -218,7 +218,7 @@ class Work:
     def _join(self, point: int) -> None:
         """Make one file of the batches of samples of a point, if there are several; the files take much space."""
         batches = [batch for batch in self.batches(point) if not batch.derivative]
-        if len(batches) < 2 or not self.store.held:
+        if len(batches) < 2 or not self.store.can_write:
             return
         whole = self.ensemble(point)
         if whole is None or whole.samples != batches[-1].end:  # a damaged batch, which is done again
@@ -240,5 +240,5 @@ class Work:
         with contextlib.suppress(ValueError):  # the folder was listed again since it was read
             self.batches(point).remove(batch)
         self.damaged += 1
-        if self.store.held:
+        if self.store.can_write:
             self.store.remove(batch, reason)

@@ -21,7 +21,7 @@ from .. import _compilation_cache
 from .batches import perform
 from .manifest import versions
 from .plan import Plan, Task
-from .warned import collecting
+from .task_warnings import warnings_by_thread
 
 
 class UnfitWorkerError(RuntimeError):
@@ -139,7 +139,7 @@ def _pickler() -> Callable[[Any], bytes]:
 
 def perform_sent(plan: Sent, task: Task) -> bytes | Failed | NoMemory:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
-    with _precision.of(plan.double), collecting():
+    with _precision.of(plan.double), warnings_by_thread():
         return attempted(_performer(plan).perform, task)
 
 

@@ -29,10 +29,10 @@ class OverConfig(Section):
 
     @model_validator(mode="after")
     def _all_have_values(self) -> "OverConfig":
-        self.axes()
+        self.parameter_values()
         return self
 
-    def axes(self) -> dict[tuple[str, ...], np.ndarray]:
+    def parameter_values(self) -> dict[tuple[str, ...], np.ndarray]:
         """The values by the names that change together: (points,) of one name, (points, names) of several.
 
         Raises ValueError for anything else.

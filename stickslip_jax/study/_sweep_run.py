@@ -28,7 +28,7 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
     """The sweep that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
     run, sweep = config.run, config.sweep
     over: dict[str | tuple[str, ...], Any] = {}
-    for names, values in sweep.over.axes().items():
+    for names, values in sweep.over.parameter_values().items():
         full = tuple(_full_name(name, run.initial) for name in names)
         over[full if len(full) > 1 else "".join(full)] = values
     try:

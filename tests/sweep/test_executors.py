@@ -22,7 +22,7 @@ from support.sweep import PLACES, assert_same, small_sweep
 import stickslip_jax as ss
 from stickslip_jax._sweep.manifest import versions
 from stickslip_jax._sweep.plan import Task
-from stickslip_jax._sweep.warned import collecting
+from stickslip_jax._sweep.task_warnings import warnings_by_thread
 from stickslip_jax._sweep.workers import Failed, UnfitWorkerError, perform_sent, sent
 
 SUPPORT = Path(__file__).parents[1]
@@ -200,12 +200,12 @@ def test_threads_that_collect_warnings_give_back_the_filters():
     inside, go = threading.Event(), threading.Event()
 
     def other():
-        with collecting():
+        with warnings_by_thread():
             inside.set()
             go.wait()
 
     thread = threading.Thread(target=other)
-    with collecting():
+    with warnings_by_thread():
         thread.start()
         inside.wait()
     assert warnings.showwarning is not show

@@ -34,7 +34,7 @@ def calls_refused(folder: Path, *parts: str) -> None:
 
 
 PARTS = [
-    "format_version", "versions", "objects", "deciding", "asked", "axes", "floats", "integers", "versions.jax",
+    "format_version", "versions", "objects", "deciding", "asked", "dimensions", "floats", "integers", "versions.jax",
     "objects.system", "deciding.t1", "deciding.numbering", "asked.samples", "asked.statistics",
 ]  # fmt: skip
 
@@ -114,7 +114,7 @@ def test_edited_manifest(copied, name):
 
 
 @pytest.mark.parametrize(
-    "axes",
+    "dimensions",
     [
         [],
         [{"name": "mu", "parameters": ["mu"], "values": []}],
@@ -126,9 +126,9 @@ def test_edited_manifest(copied, name):
         ["mu"],
     ],
 )
-def test_manifest_with_other_points(copied, axes):
+def test_manifest_with_other_points(copied, dimensions):
     folder, _ = copied
-    rewrite(folder, lambda body: body.update(axes=axes))
+    rewrite(folder, lambda body: body.update(dimensions=dimensions))
     (folder / "sweep.nc").unlink()
     with pytest.raises(ss.SweepError) as error:
         ss.Sweep.load(folder)

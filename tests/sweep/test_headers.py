@@ -11,32 +11,32 @@ from support.faults import assert_same, log_of, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax._sweep.batches import derivatives_of, head_of, unpacked
 from stickslip_jax._sweep.errors import DamagedBatchError
+from stickslip_jax._sweep.header import ID_LENGTH, ForeignBatchError, with_header, without_header
 from stickslip_jax._sweep.manifest import manifest_text
 from stickslip_jax._sweep.reading import status_of, stored_dataset
-from stickslip_jax._sweep.sealing import MARK, ForeignBatchError, sealed, unsealed
 from stickslip_jax._sweep.store import Store
 from stickslip_jax._sweep.work import Work
 
 SENSITIVITIES = [("stick_fraction", "mu"), ("mean_stick_count", "mu")]
-SEAL, DATA = b"0123456789abcdef", b"the bytes of a batch"
+SWEEP_ID, DATA = b"0123456789abcdef", b"the bytes of a batch"
 
 
-def test_seal_is_of_sweep_name_and_bytes():
-    whole = sealed(SEAL, "a-0-256.zip", DATA)
-    assert unsealed(SEAL, "a-0-256.zip", whole) == DATA
+def test_header_is_of_sweep_name_and_bytes():
+    whole = with_header(SWEEP_ID, "a-0-256.zip", DATA)
+    assert without_header(SWEEP_ID, "a-0-256.zip", whole) == DATA
     for at in range(len(whole)):
         for bit in range(8):
             turned = whole[:at] + bytes([whole[at] ^ 1 << bit]) + whole[at + 1 :]
             with pytest.raises(DamagedBatchError, match="check sum"):
-                unsealed(SEAL, "a-0-256.zip", turned)
+                without_header(SWEEP_ID, "a-0-256.zip", turned)
     for size in range(len(whole)):
         with pytest.raises(DamagedBatchError, match="check sum"):
-            unsealed(SEAL, "a-0-256.zip", whole[:size])
+            without_header(SWEEP_ID, "a-0-256.zip", whole[:size])
     with pytest.raises(DamagedBatchError, match=r"it is a-0-256\.zip, under another name"):
-        unsealed(SEAL, "a-256-512.zip", whole)
+        without_header(SWEEP_ID, "a-256-512.zip", whole)
     with pytest.raises(ForeignBatchError):
-        unsealed(SEAL[::-1], "a-0-256.zip", whole)
-    assert whole[:MARK] == SEAL
+        without_header(SWEEP_ID[::-1], "a-0-256.zip", whole)
+    assert whole[:ID_LENGTH] == SWEEP_ID
 
 
 @pytest.fixture(scope="module")
@@ -110,19 +110,19 @@ def test_status_does_not_count_what_is_under_another_name(copied):
 
 
 def test_batch_whose_head_differs_from_its_name(copied):
-    """As of a worker that gives back the result of another task: the seal is right, and what is in it is not."""
+    """As of a worker that gives back the result of another task: the header is right, and what is in it is not."""
     folder, wanted = copied
     sweep = sweep_of(sensitivities=SENSITIVITIES)
     store = Store.reading(folder)
     first, second = batches(folder, f"{_identity(folder)}-*.zip")
-    data = unsealed(store.mark, second.name, second.read_bytes())
+    data = without_header(store.sweep_id, second.name, second.read_bytes())
     fields = sweep.plan.fields_at(0)
     assert unpacked(data, fields, 256, 500).samples == head_of(data, 256, 500)["samples"] == 244
     for of in ((0, 256), (0, 244), (256, 512), (255, 500)):
         for read in (lambda of: unpacked(data, fields, *of), lambda of: head_of(data, *of)):
             with pytest.raises(DamagedBatchError, match="it holds 244 samples from 256 on"):
                 read(of)
-    first.write_bytes(sealed(store.mark, first.name, data))
+    first.write_bytes(with_header(store.sweep_id, first.name, data))
     assert_same_or_missing(stored_dataset(folder), wanted)
     assert_same(run(sweep, folder), wanted)
     assert "it holds 244 samples from 256 on" in log_of(folder)
@@ -131,7 +131,7 @@ def test_batch_whose_head_differs_from_its_name(copied):
 def test_derivatives_from_other_samples(copied):
     folder, _ = copied
     path = batches(folder, "*.json")[0]
-    data = unsealed(Store.reading(folder).mark, path.name, path.read_bytes())
+    data = without_header(Store.reading(folder).sweep_id, path.name, path.read_bytes())
     assert derivatives_of(data, 500)["end"] == 500
     for wrong, end in ((data, 501), (b"{}", 500), (b"[" * 100_000, 500), (b"5", 500)):
         with pytest.raises(DamagedBatchError):
