@@ -27,7 +27,9 @@ class ExecutorChoice(NamedTuple):
         """Raises ValueError for arguments that exclude each other."""
         names = [name for name in ("threads", "workers", "executor") if getattr(self, name) is not None]
         if len(names) > 1:
-            raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
+            raise ValueError(
+                f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate."
+            )
         _checks.truth("shared_folder", self.shared_folder)
         if self.shared_folder and (self.executor is None or not has_folder):
             missing = "a folder" if self.executor is not None else "executor"

@@ -33,21 +33,21 @@ def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress:
     return _run_in(folder, True, plan, choice, progress)
 
 
-def _run_in(folder: Path, kept: bool, plan: Plan, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
+def _run_in(folder: Path, kept: bool, asked: Plan, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
     """`run_sweep` in a folder; `kept`: whether it is the user's."""
-    with opened(folder, plan) as (store, cut), stoppable() as stopping, warnings_by_thread():
-        store.log(f"begun: {cut.points.number} points, {cut.samples} samples each")
+    with opened(folder, asked) as (store, plan), stoppable() as stopping, warnings_by_thread():
+        store.log(f"begun: {plan.points.number} points, {plan.samples} samples each")
         for _ in range(_ROUNDS):
-            work = Work(cut, store)
+            work = Work(plan, store)
             with (
-                choice.opened(cut, store) as chosen,
-                progress_bar(progress, cut.points.number * cut.samples) as bar,
+                choice.opened(plan, store) as chosen,
+                progress_bar(progress, plan.points.number * plan.samples) as bar,
             ):
                 run_tasks(work, chosen, stopping, bar)
             if stopping.requested:
                 _stop(work, kept)
-            if work.starved:
-                _raise_starved(work, kept)
+            if work.without_memory:
+                _raise_no_memory(work, kept)
             dataset = dataset_of(work)
             if work.damaged:
                 continue
@@ -70,13 +70,13 @@ def _stop(work: Work, kept: bool) -> None:
     )
 
 
-def _raise_starved(work: Work, kept: bool) -> None:
-    task = min(work.starved)
-    points = len({one.point for one in work.starved})
+def _raise_no_memory(work: Work, kept: bool) -> None:
+    task = min(work.without_memory)
+    points = len({one.point for one in work.without_memory})
     what = f"There was no memory for batches of {points} of {work.plan.points.number} points, even one at a time"
     work.store.log(f"stopped: {what}")
     raise SweepError(
-        f"{what}, first {described(work.plan, task)} ({work.starved[task]}); "
+        f"{what}, first {described(work.plan, task)} ({work.without_memory[task]}); "
         + (
             f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the sweep with "
             "a smaller batch into another folder."

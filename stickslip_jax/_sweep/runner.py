@@ -67,10 +67,10 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
 def _give_up(work: Work, task: Task, found: NoMemory | Failed) -> None:
     """Note why a task is not done in this run."""
     if isinstance(found, Failed):
-        work.fail(task, found.reason)
+        work.failed[task.point] = found.reason  # the other tasks of the point go on
         work.store.log(f"FAILED {described(work.plan, task)}: {found.reason}")
     else:
-        work.starve(task, found.reason)
+        work.without_memory[task] = found.reason
         work.store.log(f"no memory for {described(work.plan, task)}, even alone: {found.reason}")
 
 

@@ -15,24 +15,14 @@ from .._dynamics.validation import check_method
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._ensemble.result import Ensemble
-from .._ensemble.run import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
-from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._statistics.registry import SampledQuantity, StatisticOfTotals
 from .._systems.system import System
 from .._types import Array
 from .errors import SweepError
-from .plan import (
-    Plan,
-    checked_derivatives,
-    checked_errors,
-    checked_keep,
-    checked_samples,
-    checked_statistics,
-    key_data_in,
-    usual_batch,
-)
+from .plan import Plan, checked_samples, key_data_in, usual_batch
 from .points import points_of
 from .setting import setting_of
 
@@ -53,26 +43,39 @@ class Sweep:
         )
         dataset = sweep.run("results/mu_and_rate")
 
-    - `system`, `law`, `t1` (s), `key`, `y0`, `method`, `orders`, `count_initial_rest`: as in `simulate_ensemble`.
-      Numbers may be distributions.
-    - `over`: a dict from the name of a parameter to its values: every combination is a point. A tuple of names has rows
-      of values, which change together. Or a design with values (`stickslip_jax.design`), whose rows are the points.
-      A name is that of a number of system, law, start or method, as in `sensitivity` ("mu", "rate", "y0[0]",
-      "method.width"), of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the base over the
-      natural frequency; "w", base speed over ``natural angular frequency * half-width of the stick band``.
-    - `samples`: of each point; with `standard_error`, at most.
-    - `keep`: "statistics", or "totals" (fewer statistics, about three times as fast; a stick that begins at t = 0 then
-      counts in all of them).
-    - `statistics`: names of those in the result; by default all.
-    - `sensitivities`: pairs of a statistic and a parameter (or several), ``[("mean_stick_duration", "mu")]``.
-    - `independent`: by default sample i uses the same random numbers at all points, so that differences between points
-      have small errors; True makes the points independent.
-    - `standard_error`: a dict from statistics of totals to the standard error wanted, such as
-      ``{"mean_stick_duration": 0.01}``: each point ends when it has all of them, batch by batch.
-    - `realizations`: of how many samples the sticks are in the result, for figures.
-    - `batch`: samples that are done, and stored, together; by default chosen from the size of the sweep.
+    Nothing is simulated before `run`.
 
-    Nothing is simulated before `run`. Raises ValueError for arguments that do not fit, at any point.
+    Args:
+        system: As in `simulate_ensemble`, and so are `law`, `t1` (s), `key`, `y0`, `method`, `orders` and
+            `count_initial_rest`. Numbers may be distributions.
+        law: The excitation.
+        over: A dict from the name of a parameter to its values: every combination is a point. A tuple of names has
+            rows of values, which change together. Or a design with values (`stickslip_jax.design`), whose rows are the
+            points. A name is that of a number of system, law, start or method, as in `sensitivity` ("mu", "rate",
+            "y0[0]", "method.width"), of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the
+            base over the natural frequency; "w", base speed over
+            ``natural angular frequency * half-width of the stick band``.
+        t1: The duration, s.
+        samples: Of each point; with `standard_error`, at most.
+        key: Of the random numbers.
+        y0: The initial state; by default zero.
+        method: Of the simulation.
+        keep: "statistics", or "totals" (fewer statistics, about three times as fast; a stick that begins at t = 0
+            then counts in all of them).
+        statistics: Names of those in the result; by default all.
+        sensitivities: Pairs of a statistic and a parameter (or several), ``[("mean_stick_duration", "mu")]``.
+        orders: There are statistics of the 1st to this stick.
+        count_initial_rest: Whether a stick that begins at t = 0 counts as the first.
+        independent: By default sample i uses the same random numbers at all points, so that differences between points
+            have small errors; True makes the points independent.
+        standard_error: A dict from statistics of totals to the standard error wanted, such as
+            ``{"mean_stick_duration": 0.01}``: batches are added to each point until it has all of them.
+        realizations: Of how many samples the sticks are in the result, for figures.
+        batch: Number of samples that are simulated, and stored, together; by default chosen from the size of the
+            sweep. It decides the last digits of means.
+
+    Raises:
+        ValueError: For arguments that do not fit, at any point.
 
     >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
     >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -93,8 +96,8 @@ class Sweep:
         y0: InitialState | None = None,
         method: Exact | Regularized = EXACT,
         keep: Keep = "statistics",
-        statistics: Iterable[Any] | None = None,
-        sensitivities: Iterable[tuple[Any, Any]] = (),
+        statistics: Iterable[str | StatisticOfTotals | SampledQuantity] | None = None,
+        sensitivities: Iterable[tuple[str | StatisticOfTotals, str | Sequence[str]]] = (),
         orders: int = 10,
         count_initial_rest: bool = False,
         independent: bool = False,
@@ -103,29 +106,21 @@ class Sweep:
         batch: int | None = None,
     ):
         check_method(method)
-        _checks.truth("count_initial_rest", count_initial_rest)
-        _checks.truth("independent", independent)
-        _checks.positive("t1", t1, "s")
-        points, samples, keep = points_of(over), checked_samples(samples), checked_keep(keep)
-        chosen = checked_statistics(statistics, keep)
-        numbering = Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), count_initial_rest)
-        _checks.whole_number("realizations", realizations, minimum=0)
-        if batch is None:
-            batch = usual_batch(points.number, samples)
-        self._plan = Plan(
-            setting=setting_of(system, law, y0, method),
-            points=points,
-            t1=float(t1),
+        points, samples = points_of(over), checked_samples(samples)
+        self._plan = Plan.checked(
+            setting_of(system, law, y0, method),
+            points,
+            t1=t1,
             samples=samples,
             key_data=key_data_in(key),
             keep=keep,
-            numbering=numbering,
-            statistics=chosen,
-            derivatives=checked_derivatives(sensitivities),
+            numbering=(orders, count_initial_rest),
+            statistics=statistics,
+            derivatives=sensitivities,
             independent=independent,
-            standard_errors=checked_errors(standard_error, chosen),
+            standard_errors=standard_error,
             realizations=realizations,
-            batch=_checks.whole_number("batch", batch, maximum=MOST_SAMPLES),
+            batch=usual_batch(points.number, samples) if batch is None else batch,
             dtype=str(jnp.result_type(float)),
         )
         self._plan.check()
@@ -133,10 +128,17 @@ class Sweep:
 
     @classmethod
     def load(cls, folder: Folder) -> "Sweep":
-        """The sweep that is stored in `folder`, to go on with: ``Sweep.load(folder).run(folder)``.
+        """The sweep that is stored in a folder, to go on with: ``Sweep.load(folder).run(folder)``.
 
-        Raises SweepError for a folder that holds none, one of a newer version, and one of systems or laws of your own
-        classes: those run again from the program that made them.
+        Args:
+            folder: Where `run` stored it.
+
+        Returns:
+            The sweep.
+
+        Raises:
+            SweepError: For a folder that holds none, one of a newer version, and one of systems or laws of your own
+                classes: those run again from the program that made them.
         """
         from .store import Store  # noqa: PLC0415
 
@@ -147,10 +149,12 @@ class Sweep:
 
     @property
     def results(self) -> "xarray.Dataset":
-        """What is in the folder that the sweep was loaded from, ``Sweep.load(folder).results``, as `run` returns it.
+        """What is stored in the folder that the sweep was loaded from, ``Sweep.load(folder).results``.
 
-        Also while a run works there; NaN, and 0 samples, where nothing is yet. Raises SweepError for a sweep that was
-        not loaded from a folder.
+        It is as `run` returns it, also while a run works there; NaN, and 0 samples, where nothing is yet.
+
+        Raises:
+            SweepError: For a sweep that was not loaded from a folder.
         """
         from .looking import stored_dataset  # noqa: PLC0415 - needs an extra
 
@@ -171,30 +175,36 @@ class Sweep:
         shared_folder: bool = False,
         progress: bool | None = None,
     ) -> "xarray.Dataset":
-        """Simulate all points and return the result.
+        """Simulate all points.
 
-        - `folder`: where every finished batch is stored. The same call goes on after an interrupt, wherever it was
-          stopped, and adds points, samples, statistics or sensitivities to what is there. Without it, nothing is kept.
-        - `threads`: of this process (default: all cores). Or `workers`: processes on this machine. Or `executor`: a
-          ``dask.distributed.Client`` (docs/clusters.md). The numbers are the same.
-        - `shared_folder`: whether the workers of `executor` see `folder` under the same name, and write into it; else
-          they send what they have done.
-        - `progress`: as in `simulate_ensemble`.
+        The same call goes on after an interrupt, wherever it was stopped, and adds points, samples, statistics or
+        sensitivities to what is stored. The numbers are the same wherever it runs. The first Ctrl-C stops after the
+        batches under way and raises KeyboardInterrupt, a second one at once.
 
-        Returns an ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/sweeps.md describes it.
-        The first Ctrl-C stops after the batches under way and raises KeyboardInterrupt, a second one at once.
+        Args:
+            folder: Where every finished batch is stored. Without it, nothing is kept.
+            threads: Number of threads of this process (default: all cores).
+            workers: Number of processes on this machine, in place of threads.
+            executor: A ``dask.distributed.Client`` (docs/clusters.md), in place of threads.
+            shared_folder: Whether the workers of `executor` see `folder` under the same name, and write into it; else
+                they send what they have done.
+            progress: As in `simulate_ensemble`.
 
-        Raises SweepError for a folder that holds something else or cannot be written, and if points failed; ImportError
-        without the extra ``study``.
+        Returns:
+            An ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/sweeps.md describes it.
+
+        Raises:
+            SweepError: For a folder that holds something else or cannot be written, and if points failed.
+            ImportError: Without the extra ``study``.
         """
-        from .places import Where, check_where  # noqa: PLC0415 - with what runs sweeps only
+        from .executor_choice import ExecutorChoice  # noqa: PLC0415 - with what runs sweeps only
         from .run import run_sweep  # noqa: PLC0415 - needs an extra
 
         require_threads_of_jax()
         path = None if folder is None else _checks.path("folder", folder)
-        where = Where(threads, workers, executor, shared_folder)
-        check_where(where, has_folder=folder is not None)
-        return run_sweep(self._plan, path, where, progress)
+        choice = ExecutorChoice(threads, workers, executor, shared_folder)
+        choice.check(has_folder=folder is not None)
+        return run_sweep(self._plan, path, choice, progress)
 
     @property
     def points(self) -> int:
@@ -212,7 +222,18 @@ class Sweep:
     ) -> Ensemble:  # fmt: skip
         """The ensemble at one point, simulated now, with every stick: ``sweep.ensemble_at(mu=0.5, rate=1.0)``.
 
-        `samples`: by default those of the sweep. Raises ValueError for values that are no point of the sweep.
+        Args:
+            samples: By default those of the sweep.
+            keep: As in `simulate_ensemble`, and so are `threads` and `progress`.
+            threads: Number of threads.
+            progress: Whether to show a progress bar.
+            **values: Those of all parameters at the point.
+
+        Returns:
+            The ensemble.
+
+        Raises:
+            ValueError: For values that are no point of the sweep.
         """
         plan = self._plan
         samples = plan.samples if samples is None else samples

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from .._ensemble.result import Ensemble
@@ -20,16 +21,16 @@ _LISTINGS = 5  # of the folder at most, where a run that is under way has joined
 class Work:
     """The tasks of a sweep that are left, in order of the points.
 
-    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `starved`: tasks for which
-    there was no memory, and the error. `complete`: points with nothing left to do. `damaged`: batches that could not be
-    read, and were removed.
+    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `without_memory`: tasks for
+    which there was no memory, and the error; a later run does them. `complete`: points with nothing left to do.
+    `damaged`: batches that could not be read, and were removed.
     """
 
     plan: Plan
     store: Store
     done: list[int] = field(default_factory=list)
     failed: dict[int, str] = field(default_factory=dict)
-    starved: dict[Task, str] = field(default_factory=dict)
+    without_memory: dict[Task, str] = field(default_factory=dict)
     complete: int = 0
     damaged: int = 0
 
@@ -38,14 +39,18 @@ class Work:
         self._batches = self.store.batches()
         self._left: dict[int, int] = {}  # tasks of a point that are not done
         self.done = [0] * self.plan.points.number
-        # A run may join batches while somebody looks: what was read once is kept, so that it is the same a second time.
+        # A run may join batches while they are read here: what was read once is kept, so that it stays the same.
         self._cache = None if self.store.can_write else ReadCache()
 
     def batches(self, point: int) -> list[Batch]:
         """The batches of a point that are there."""
         return self._batches.get(self._identities[point], [])
 
-    def path_of(self, task: Task) -> Any:
+    def _of_samples(self, point: int) -> list[Batch]:
+        """The batches of samples of a point, without those of derivatives."""
+        return [batch for batch in self.batches(point) if not batch.derivative]
+
+    def _path_of(self, task: Task) -> Path:
         """The file for the result of a task."""
         return self.store.path_of(self._identities[task.point], task, self.plan)
 
@@ -60,10 +65,9 @@ class Work:
             yield from tasks
 
     def _tasks_at(self, point: int) -> list[Task]:
-        batches = self.batches(point)
-        self.done[point] = sum(batch.end - batch.first for batch in batches if not batch.derivative)
+        self.done[point] = sum(batch.end - batch.first for batch in self._of_samples(point))
         tasks = self._missing(point)
-        there = {(batch.derivative, batch.end) for batch in batches}
+        there = {(batch.derivative, batch.end) for batch in self.batches(point)}
         for number in range(len(self.plan.derivatives)):
             if (derivative_name(self.plan, number), self.plan.samples) not in there:
                 tasks.append(Task(point, 0, self.plan.samples, number))
@@ -72,26 +76,23 @@ class Work:
     def _missing(self, point: int) -> list[Task]:
         """The tasks for samples of a point that are not there; with wanted standard errors, the first of them."""
         gaps, at = [], 0
-        for batch in (one for one in self.batches(point) if not one.derivative):
-            gaps += self._cut(point, at, batch.first)
+        for batch in self._of_samples(point):
+            gaps += self._tasks_between(point, at, batch.first)
             at = batch.end
-        gaps += self._cut(point, at, self.plan.samples)
+        gaps += self._tasks_between(point, at, self.plan.samples)
         if self.plan.is_adaptive and gaps:
             return [] if self._is_precise(point) else gaps[:1]
         return gaps
 
-    def _cut(self, point: int, first: int, end: int) -> list[Task]:
-        """The tasks of samples ``first .. end - 1``, which end at multiples of the batch."""
-        tasks, batch = [], self.plan.batch
-        while first < end:
-            after = min(end, (first // batch + 1) * batch)
-            tasks.append(Task(point, first, after))
-            first = after
-        return tasks
+    def _tasks_between(self, point: int, first: int, end: int) -> list[Task]:
+        """The tasks of samples ``first .. end - 1``, which end at multiples of the size of a batch."""
+        size = self.plan.batch
+        ends = range((first // size + 1) * size, end + size, size) if first < end else ()
+        return [Task(point, max(first, after - size), min(after, end)) for after in ends]
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
         """Store the result of a task, None if the worker has; returns what is to be done next because of it."""
-        path = self.path_of(task)
+        path = self._path_of(task)
         if data is not None:
             self.store.write(path, data)
         name = "" if task.derivative is None else derivative_name(self.plan, task.derivative)
@@ -134,14 +135,6 @@ class Work:
         wanted = self.plan.standard_errors.items()
         return all(STATISTICS[name](ensemble).standard_error <= most for name, most in wanted)  # NaN: not yet
 
-    def fail(self, task: Task, reason: str) -> None:
-        """Note that a task failed; the others of its point go on."""
-        self.failed[task.point] = reason
-
-    def starve(self, task: Task, reason: str) -> None:
-        """Note that there was no memory for a task; a later run does it."""
-        self.starved[task] = reason
-
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
@@ -149,7 +142,7 @@ class Work:
         samples every time, whatever a run does meanwhile.
         """
         found, fields = [], self.plan.fields_at(point)
-        for batch, data in self._in_a_row(point):
+        for batch, data in self._without_gap(point):
             try:
                 found.append(unpacked(data, fields, batch.first, batch.end))
             except DamagedBatchError as error:
@@ -157,13 +150,13 @@ class Work:
                 break
         return joined(found) if len(found) > 1 else found[0] if found else None
 
-    def _in_a_row(self, point: int) -> list[tuple[Batch, bytes]]:
+    def _without_gap(self, point: int) -> list[tuple[Batch, bytes]]:
         """The batches of samples of a point from the first on that are there without a gap."""
-        kept = None if self._cache is None else self._cache.get(point)
-        if kept is not None:
-            return kept
-        found = self._read(point, is_gap_allowed=False)
-        if self._cache is not None:
+        if self._cache is None:
+            return self._read(point, is_gap_allowed=False)
+        found = self._cache.get(point)
+        if found is None:
+            found = self._read(point, is_gap_allowed=False)
             self._cache.put(point, found)
         return found
 
@@ -171,10 +164,8 @@ class Work:
         """What the batches of samples of a point say of themselves; see `head_of`."""
         found = []
         for batch, data in self._read(point, is_gap_allowed=True):
-            try:
+            with self._damage_removed(point, batch):
                 found.append(head_of(data, batch.first, batch.end))
-            except DamagedBatchError as error:
-                self._remove(point, batch, str(error))
         return found
 
     def _read(self, point: int, *, is_gap_allowed: bool) -> list[tuple[Batch, bytes]]:
@@ -182,16 +173,11 @@ class Work:
         for _ in range(_LISTINGS):
             found, at = [], 0
             try:
-                for batch in [one for one in self.batches(point) if not one.derivative]:
-                    if batch.first != at and not is_gap_allowed:
-                        continue
-                    try:
-                        found.append((batch, self.store.read(batch)))
-                    except DamagedBatchError as error:
-                        self._remove(point, batch, str(error))
-                        if not is_gap_allowed:
-                            break
-                    at = batch.end
+                for batch in self._of_samples(point):
+                    if batch.first == at or is_gap_allowed:
+                        with self._damage_removed(point, batch):
+                            found.append((batch, self.store.read(batch)))
+                            at = batch.end  # where it is damaged, all that follow come after a gap
                 return found
             except FileNotFoundError:
                 self._list_again()
@@ -208,23 +194,22 @@ class Work:
         for batch in list(self.batches(point)):
             if batch.derivative in names and batch.end == self.plan.samples:
                 try:
-                    found[batch.derivative] = derivatives_of(self.store.read(batch), batch.end)
-                except DamagedBatchError as error:
-                    self._remove(point, batch, str(error))
+                    with self._damage_removed(point, batch):
+                        found[batch.derivative] = derivatives_of(self.store.read(batch), batch.end)
                 except FileNotFoundError:
                     self._list_again()
         return found
 
     def _join(self, point: int) -> None:
         """Make one file of the batches of samples of a point, if there are several; the files take much space."""
-        batches = [batch for batch in self.batches(point) if not batch.derivative]
+        batches = self._of_samples(point)
         if len(batches) < 2 or not self.store.can_write:
             return
         whole = self.ensemble(point)
         if whole is None or whole.samples != batches[-1].end:  # a damaged batch, which is done again
             return
         task = Task(point, 0, whole.samples)
-        path = self.path_of(task)
+        path = self._path_of(task)
         self.store.write(path, packed(whole))
         others = [batch for batch in self.batches(point) if batch.derivative]
         self._batches[self._identities[point]] = [Batch(path, 0, whole.samples), *others]
@@ -235,6 +220,14 @@ class Work:
     def remove_leftovers(self) -> None:
         """Remove batches whose samples are in a longer one too. For when all of those have been read."""
         self.store.remove_leftovers(self._identities)
+
+    @contextlib.contextmanager
+    def _damage_removed(self, point: int, batch: Batch) -> Iterator[None]:
+        """Remove a batch in which the block finds damage."""
+        try:
+            yield
+        except DamagedBatchError as error:
+            self._remove(point, batch, str(error))
 
     def _remove(self, point: int, batch: Batch, reason: str) -> None:
         with contextlib.suppress(ValueError):  # the folder was listed again since it was read
