@@ -6,7 +6,7 @@ import json
 import time
 import zipfile
 import zlib
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -26,6 +26,24 @@ from .task_warnings import warnings_of_task
 _SUMS = ("moments", "accumulator", "near_grazing_samples")
 
 
+class Head(TypedDict):
+    """What a batch of samples says of itself; its sums stand beside it."""
+
+    samples: int
+    first_sample: int
+    status_counts: list[int]
+    run_seconds: float
+
+
+class Derivatives(TypedDict):
+    """The derivatives of a statistic from samples ``0 .. end - 1``, by parameter, and the warnings about them."""
+
+    end: int
+    by: dict[str, dict[str, Any]]
+    warnings: list[str]
+    seconds: float
+
+
 def perform(plan: Plan, task: Task) -> bytes:
     """Do the work of `task` in this thread. Raises ValueError for a point that cannot be simulated."""
     if task.derivative is None:
@@ -41,7 +59,7 @@ def _simulated(plan: Plan, task: Task) -> Ensemble:
     return simulate_batch(run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest)
 
 
-def _derivatives(plan: Plan, task: Task) -> dict[str, Any]:
+def _derivatives(plan: Plan, task: Task) -> Derivatives:
     assert task.derivative is not None
     name, wrt = plan.derivatives[task.derivative]
     statistic = next(one for one in DIFFERENTIABLE if one.name == name)
@@ -119,7 +137,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
     )  # fmt: skip
 
 
-def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
+def head_of(data: bytes, first: int, end: int) -> Head:
     """What the batch of samples ``first .. end - 1`` says of itself: "samples", "status_counts", "run_seconds".
 
     Raises DamagedBatchError as `unpacked`.
@@ -131,7 +149,7 @@ def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
         raise DamagedBatchError(str(error)) from error
 
 
-def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> dict[str, Any]:
+def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> Head:
     head = json.loads(archive.read("head.json"))
     samples = end - first
     if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):
@@ -139,7 +157,7 @@ def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> dict[str, Any]:
     return head
 
 
-def derivatives_of(data: bytes, end: int) -> dict[str, Any]:
+def derivatives_of(data: bytes, end: int) -> Derivatives:
     """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedBatchError for other bytes."""
     try:
         found = json.loads(data)
@@ -150,7 +168,7 @@ def derivatives_of(data: bytes, end: int) -> dict[str, Any]:
     return found
 
 
-def unfinished_in(head: dict[str, Any]) -> dict[Status, int]:
+def unfinished_in(head: Head) -> dict[Status, int]:
     """How many samples of a batch did not reach the end, by their status; `head`: from `head_of`."""
     counts = zip(Status, head["status_counts"], strict=True)
     return {status: count for status, count in counts if count and status != Status.FINISHED}

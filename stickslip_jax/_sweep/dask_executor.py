@@ -19,7 +19,7 @@ from .header import with_header
 from .locking import cannot_write
 from .plan import Plan, Task
 from .store import Store
-from .workers import Failed, NoMemory, Sent, UnfitWorkerError, perform_sent, sent
+from .workers import Failed, NoMemory, Outcome, Sent, UnfitWorkerError, perform_sent, sent
 
 _RETRIES = 3  # of a task that failed for another reason than its point
 _PART = 4 * 2**20  # bytes: dask warns about tasks that hold 10 MB
@@ -75,7 +75,7 @@ class DaskCluster(Executor):
         self._futures[task] = future
         return future
 
-    def result(self, task: Task, future: Any) -> bytes | Written | Failed | NoMemory:
+    def result(self, task: Task, future: Any) -> Outcome | Written:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
         self._futures.pop(task, None)
@@ -196,7 +196,7 @@ def _assembled(parts: list[bytes], others: dict[str, Any]) -> Sent:
     return Sent(**{**others, "plan": b"".join(parts)})
 
 
-def _perform(plan: Sent, task: tuple) -> bytes | Failed | NoMemory:
+def _perform(plan: Sent, task: tuple) -> Outcome:
     return perform_sent(plan, Task(*task))
 
 

@@ -5,7 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 from .plan import Plan, Task
-from .workers import Failed, NoMemory, Performer, attempted
+from .workers import Outcome, Performer, attempted
 
 
 class Written(NamedTuple):
@@ -35,7 +35,7 @@ class Executor(ABC):
         """A future of the task, with ``add_done_callback``."""
 
     @abstractmethod
-    def result(self, task: Task, future: Any) -> bytes | Written | Failed | NoMemory:
+    def result(self, task: Task, future: Any) -> Outcome | Written:
         """What came of a future that is done. Raises WorkerDiedError, SweepError where there is no going on, and what
         went wrong with the task.
         """
@@ -62,10 +62,10 @@ class Threads(Executor):
     def at_once(self) -> int:
         return 2 * self._threads
 
-    def submit(self, task: Task) -> Future[bytes | Failed | NoMemory]:
+    def submit(self, task: Task) -> Future[Outcome]:
         return self._pool.submit(attempted, self._performer.perform, task)
 
-    def result(self, task: Task, future: Future[bytes | Failed | NoMemory]) -> bytes | Failed | NoMemory:
+    def result(self, task: Task, future: Future[Outcome]) -> Outcome:
         return future.result()
 
     def close(self, *, wait: bool) -> None:

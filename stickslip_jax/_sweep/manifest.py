@@ -63,7 +63,7 @@ def manifest_text(plan: Plan) -> str:
     return _text(body)
 
 
-def extended(stored: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+def extended(stored: Mapping[str, object], new: Mapping[str, object]) -> str:
     """The text of the `new` manifest, with what decides the numbers written as in the `stored` one.
 
     Numbers may be equal and written otherwise, 1 and 1.0, and the batches bear the fingerprint of what is stored.
@@ -71,7 +71,7 @@ def extended(stored: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     return _text({**new, **{name: stored[name] for name in _FINGERPRINT}})
 
 
-def _text(body: Mapping[str, Any]) -> str:
+def _text(body: Mapping[str, object]) -> str:
     return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
 
 
@@ -131,7 +131,7 @@ def _depth(value: object) -> int:
     return depth
 
 
-def differences(stored: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+def differences(stored: Manifest, new: Manifest) -> list[str]:
     """What decides the numbers and differs between two manifests, each "name: ... there, ... here".
 
     Points, samples, statistics and sensitivities are not compared: other ones are added to what is stored.
@@ -148,7 +148,7 @@ def differences(stored: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def fingerprint(body: Mapping[str, Any]) -> str:
+def fingerprint(body: Mapping[str, object]) -> str:
     """A sum of everything that decides the numbers at a point."""
     return sum_of({name: body[name] for name in _FINGERPRINT})
 
@@ -161,12 +161,12 @@ def versions() -> dict[str, str]:
     return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib}
 
 
-def sum_of(body: Mapping[str, Any]) -> str:
+def sum_of(body: Mapping[str, object]) -> str:
     """The check sum of a manifest, or of a part of one."""
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """`value` in lists, dicts and numbers, as JSON gives it back."""
     return json.loads(json.dumps(value))
 

@@ -16,6 +16,7 @@ from .._inputs.numbers import parameters_of
 from .._numerics.random_bits import key_data_of
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._statistics.registry import DIFFERENTIABLE, DISTRIBUTIONS, STATISTICS
+from .._types import Array
 from .checking import check_points
 from .points import Points
 from .setting import Setter, Setting, setter_of
@@ -114,7 +115,7 @@ class Plan:
         """What is simulated at a point."""
         return self._with_values(self.points.values(point))
 
-    def key_at(self, point: int) -> Any:
+    def key_at(self, point: int) -> Array | None:
         """The key of a point: the sweep's, or one that depends on the values of the parameters there too."""
         if self.key_data is None:
             return None
@@ -243,6 +244,6 @@ def checked_samples(samples: object) -> int:
     return _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
 
 
-def key_data_in(key: Any) -> tuple[int, ...] | None:
+def key_data_in(key: Array | None) -> tuple[int, ...] | None:
     """The numbers of `key`; None where there is none."""
     return None if key is None else tuple(int(word) for word in np.asarray(key_data_of(key)))

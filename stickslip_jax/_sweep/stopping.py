@@ -5,7 +5,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from types import FrameType
 
 
 class Stopping:
@@ -14,7 +14,7 @@ class Stopping:
     def __init__(self) -> None:
         self.requested = False
 
-    def request(self, number: int, frame: Any) -> None:
+    def request(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal: the first time ask to stop, the second time raise KeyboardInterrupt."""
         if self.requested:
             raise KeyboardInterrupt

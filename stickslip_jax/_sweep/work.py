@@ -4,11 +4,10 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from .._ensemble.result import Ensemble
 from .._statistics.registry import STATISTICS
-from .batches import derivatives_of, head_of, joined, packed, unfinished_in, unpacked
+from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unfinished_in, unpacked
 from .errors import DamagedBatchError
 from .plan import Plan, Task
 from .read_cache import ReadCache
@@ -160,7 +159,7 @@ class Work:
             self._cache.put(point, found)
         return found
 
-    def heads(self, point: int) -> list[dict[str, Any]]:
+    def heads(self, point: int) -> list[Head]:
         """What the batches of samples of a point say of themselves; see `head_of`."""
         found = []
         for batch, data in self._read(point, is_gap_allowed=True):
@@ -188,7 +187,7 @@ class Work:
         self._batches = self.store.batches()
         self.damaged += 1
 
-    def derivatives(self, point: int) -> dict[str, dict[str, Any]]:
+    def derivatives(self, point: int) -> dict[str, Derivatives]:
         """The results of the derivatives of a point that are there, by name."""
         found, names = {}, {derivative_name(self.plan, number) for number in range(len(self.plan.derivatives))}
         for batch in list(self.batches(point)):

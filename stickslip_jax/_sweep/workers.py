@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 
@@ -40,6 +40,10 @@ class NoMemory(NamedTuple):
     reason: str
 
 
+Outcome: TypeAlias = bytes | Failed | NoMemory
+"""What comes of a task: its result, or why there is none."""
+
+
 _NO_MEMORY = ("RESOURCE_EXHAUSTED", "std::bad_alloc", "MemoryError", "can't start new thread")
 """What errors of JAX, and of what it calls, say where there is no memory."""
 
@@ -56,7 +60,7 @@ def outcome_of(error: Exception) -> Failed | NoMemory:
     return Failed(said)
 
 
-def attempted(perform: Callable[[Task], bytes], task: Task) -> bytes | Failed | NoMemory:
+def attempted(perform: Callable[[Task], bytes], task: Task) -> Outcome:
     """Do a task. Raises what is neither of its point nor of memory."""
     try:
         return perform(task)
@@ -95,7 +99,7 @@ class Performer:
 
 @dataclasses.dataclass
 class _Device:
-    device: Any
+    device: jax.Device
     compiling: threading.Lock = dataclasses.field(default_factory=threading.Lock)
     compiled: bool = False
 
@@ -131,13 +135,13 @@ def _dumps(plan: Plan) -> bytes:
         ) from error
 
 
-def _pickler() -> Callable[[Any], bytes]:
+def _pickler() -> Callable[[object], bytes]:
     if importlib.util.find_spec("cloudpickle") is None:
         return pickle.dumps
     return importlib.import_module("cloudpickle").dumps  # comes with loky and dask; sends the classes of notebooks too
 
 
-def perform_sent(plan: Sent, task: Task) -> bytes | Failed | NoMemory:
+def perform_sent(plan: Sent, task: Task) -> Outcome:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
     with _precision.of(plan.double), warnings_by_thread():
         return attempted(_performer(plan).perform, task)
@@ -207,12 +211,12 @@ _SETTINGS = (
 _plan_of_process: list[Sent] = []
 
 
-def start_of_process(plan: Plan) -> tuple[Sent, dict[str, Any], int]:
+def start_of_process(plan: Plan) -> tuple[Sent, dict[str, object], int]:
     """The arguments of `prepare_process`. Raises ValueError for a plan that cannot be sent."""
     return sent(plan), {name: getattr(jax.config, name) for name in _SETTINGS}, os.getpid()
 
 
-def prepare_process(plan: Sent, settings: dict[str, Any], parent: int) -> None:
+def prepare_process(plan: Sent, settings: dict[str, object], parent: int) -> None:
     """Set JAX as in the main process; once in every worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the main one decides
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -228,6 +232,6 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def perform_in_process(task: Task) -> bytes | Failed | NoMemory:
+def perform_in_process(task: Task) -> Outcome:
     """Do a task of the sweep that the process was started for."""
     return perform_sent(_plan_of_process[0], task)

@@ -4,7 +4,7 @@ One class for each law, chosen by the key ``law``. The keys are the fields of th
 defaults. To offer another law, add its class here and to the union.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 from pydantic import Field, model_validator
@@ -60,7 +60,7 @@ class _Phased(DescribedSection):
 
     @model_validator(mode="before")
     @classmethod
-    def _given_phase_is_not_random(cls, table: Any) -> Any:
+    def _given_phase_is_not_random(cls, table: object) -> object:
         if not isinstance(table, dict) or all(table.get(key) is None for key in ("phase", "phases")):
             return table
         return {"random_phase": False, **table}

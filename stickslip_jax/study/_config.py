@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from .. import _diffrax as diffrax
+from .._distributions.families import Uniform
 from .._dynamics.method import Exact, Regularized
 from .._statistics.accumulator import MOST_ORDERS
 from ._bases_config import BaseConfig, SourceVoltageConfig
@@ -55,7 +56,7 @@ class PointConfig(Section):
             return Exact(self.step, self.max_steps, solver)
         return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
 
-    def y0(self) -> tuple[Any, ...]:
+    def y0(self) -> tuple[float | Uniform, ...]:
         """The initial state as the simulation takes it."""
         return tuple(start_value(getattr(self, name)) for name in self.initial)
 

@@ -29,7 +29,7 @@ OPTIONS = {
 
 
 def read_config(
-    path: Path | None = None, options: Mapping[str, Any] | None = None, *, example: str | None = None
+    path: Path | None = None, options: Mapping[str, object] | None = None, *, example: str | None = None
 ) -> StudyConfig:
     """Read the study described by a TOML file.
 
@@ -44,7 +44,7 @@ def read_config(
 
 
 def read_sweep_config(
-    path: Path | None = None, options: Mapping[str, Any] | None = None, *, paper: str | None = None
+    path: Path | None = None, options: Mapping[str, object] | None = None, *, paper: str | None = None
 ) -> SweepConfig:
     """Read the parameter sweep described by a TOML file; the rest is as in `read_config`.
 
@@ -54,7 +54,7 @@ def read_sweep_config(
 
 
 def _read(
-    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, Any] | None
+    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, object] | None
 ) -> _File:
     table = dict(usual) if path is None else _parse(path, command)
     config = _validated(kind, table, path, f"{path}: ", {})

@@ -1,5 +1,6 @@
 """Records in a study: signals at given times, given in the configuration or read from a file."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +29,7 @@ def _existing(file: str, info: Any) -> str:
     return str(path)
 
 
-def _column(value: Any, info: Any) -> int | str:
+def _column(value: object, info: Any) -> int | str:
     if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
     raise ValueError(
@@ -67,7 +68,7 @@ class _FromFile(Section):
     shift: bool | None = Field(default=None, description=_TABLE_ONLY["shift"])
     scale: float | None = Field(default=None, description=_SCALE)
 
-    def _refuse(self, keys: Any, reason: str) -> None:
+    def _refuse(self, keys: Iterable[str], reason: str) -> None:
         for key in keys:
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} must be left out, but {shown_value(getattr(self, key))} was given: {reason}.")

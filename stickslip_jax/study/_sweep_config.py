@@ -49,7 +49,7 @@ class OverConfig(Section):
         return {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
 
 
-def _number_of_values(given: Any) -> int:
+def _number_of_values(given: object) -> int:
     """How many values a parameter has, before there are any; 1 where what is given is none of the possible things."""
     if isinstance(given, dict):
         (limits, *_) = given.values() or [None]
@@ -58,7 +58,7 @@ def _number_of_values(given: Any) -> int:
     return max(len(given), 1) if isinstance(given, list) else 1
 
 
-def _values(name: str, given: Any) -> np.ndarray:
+def _values(name: str, given: object) -> np.ndarray:
     several = "," in name
     if isinstance(given, dict) and not several:
         return _range(name, given)
@@ -105,7 +105,7 @@ def _range(name: str, given: dict[str, Any]) -> np.ndarray:
     return _RANGES[kind](*ends)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     """Whether it is a number; whole ones of a size that can be computed with."""
     return (
         isinstance(value, (int, float))

@@ -2,11 +2,11 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -69,7 +69,7 @@ def chosen_statistics(dataset: "xarray.Dataset", names: Sequence[str] = ()) -> l
     return list(names)
 
 
-def point_dimensions(dataset: "xarray.Dataset") -> tuple[Any, ...]:
+def point_dimensions(dataset: "xarray.Dataset") -> tuple[Hashable, ...]:
     """The dimensions of the points."""
     return dataset["samples"].dims
 
