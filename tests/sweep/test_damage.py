@@ -5,7 +5,7 @@ from pathlib import Path
 
 import jax
 import pytest
-from support.faults import assert_same, failing, files_in, one_sentence, run, sweep_of
+from support.faults import assert_same, failing, files_in, log_of, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.dataset import read_dataset
@@ -23,18 +23,8 @@ def whole(tmp_path_factory):
     return folder, run(sweep_of(sensitivities=SENSITIVITIES), folder)
 
 
-@pytest.fixture
-def copied(whole, tmp_path):
-    """A copy of it, to be spoilt."""
-    return Path(shutil.copytree(whole[0], tmp_path / "sweep")), whole[1]
-
-
 def batch_in(folder, kind) -> Path:
     return min((folder / "batches").glob(f"*{kind}"))
-
-
-def log_of(folder) -> str:
-    return (folder / "log.txt").read_text()
 
 
 def spoilt_half(data: bytes) -> bytes:

@@ -35,10 +35,7 @@ mu = [0.5, 1.0]
 """
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 def refused(capsys, address: str) -> str:

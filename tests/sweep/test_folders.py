@@ -22,13 +22,6 @@ from stickslip_jax._sweep import dataset as sweep_dataset
 from stickslip_jax._sweep import manifest
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A folder with a finished sweep, and its data set."""
-    folder = tmp_path_factory.mktemp("whole") / "sweep"
-    return folder, run(sweep_of(), folder)
-
-
 def refused(sweep: ss.Sweep, folder: Path, *parts: str) -> str:
     """What is said about a folder in which `sweep` cannot run, and which is as before."""
     before = files_in(folder.parent)

@@ -40,16 +40,10 @@ def test_header_is_of_sweep_name_and_bytes():
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory):
+def whole(tmp_path_factory):
     """A folder with all batches of a sweep, not joined, with two derivatives at both points; and its data set."""
     folder = tmp_path_factory.mktemp("parts") / "sweep"
     return folder, unjoined(sweep_of(sensitivities=SENSITIVITIES), folder)
-
-
-@pytest.fixture
-def copied(parts, tmp_path):
-    """A copy of it, to be spoilt."""
-    return Path(shutil.copytree(parts[0], tmp_path / "sweep")), parts[1]
 
 
 def swap(one: Path, other: Path) -> None:
@@ -138,7 +132,7 @@ def test_derivatives_from_other_samples(copied):
             derivatives_of(wrong, end)
 
 
-def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, parts):
+def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, whole):
     """Noticed when it comes, and done again."""
     perform, wrong = ss._sweep.workers.perform, []
 
@@ -150,7 +144,7 @@ def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, parts):
 
     monkeypatch.setattr("stickslip_jax._sweep.workers.perform", mixed_up)
     sweep = sweep_of(sensitivities=SENSITIVITIES)
-    assert_same(run(sweep, tmp_path / "sweep"), parts[1])
+    assert_same(run(sweep, tmp_path / "sweep"), whole[1])
     assert len(wrong) == 1
     assert "it holds 244 samples from 256 on" in log_of(tmp_path / "sweep")
 
@@ -174,8 +168,8 @@ def move_at_random(folder: Path, chance: random.Random) -> None:
         one.replace(other)
 
 
-def moves_told(parts, tmp_path, number: int) -> None:
-    folder, wanted = parts
+def moves_told(whole, tmp_path, number: int) -> None:
+    folder, wanted = whole
     chance = random.Random(5)
     for at in range(number):
         spoilt = Path(shutil.copytree(folder, tmp_path / str(at)))
@@ -185,13 +179,13 @@ def moves_told(parts, tmp_path, number: int) -> None:
         shutil.rmtree(spoilt)
 
 
-def test_four_batches_moved_at_random(parts, tmp_path):
-    moves_told(parts, tmp_path, 4)
+def test_four_batches_moved_at_random(whole, tmp_path):
+    moves_told(whole, tmp_path, 4)
 
 
 @pytest.mark.slow
-def test_two_hundred_batches_moved_at_random(parts, tmp_path):
-    moves_told(parts, tmp_path, 200)
+def test_two_hundred_batches_moved_at_random(whole, tmp_path):
+    moves_told(whole, tmp_path, 200)
 
 
 def flips_told(copied, number: int) -> None:

@@ -56,11 +56,7 @@ mu = { linspace = [0.5, 2.0, 4] }
 """
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    """The command's settings of the process are left out: the tests share theirs."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 @pytest.fixture(scope="module")
