@@ -33,9 +33,9 @@ EXAMPLES: dict[str, Mapping[str, Any]] = {
 
 
 def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, swept: bool = True) -> dict[str, Any]:
-    over = {"mu": _range_of("linspace", papers.SHARE_FRICTIONS)}
+    over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
     if swept:
-        over["r"] = _range_of("linspace", papers.SHARE_RATIOS)
+        over["r"] = {"linspace": list(papers.SHARE_RATIOS)}
     return {
         "base": law,
         "run": {"samples": samples},
@@ -43,16 +43,12 @@ def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, sw
     }
 
 
-def _range_of(kind: str, limits: tuple[float, float, int]) -> dict[str, list[float | int]]:
-    return {kind: list(limits)}
-
-
 PAPERS: dict[str, Mapping[str, Any]] = {
     "parametric-analysis": {
         "sweep": {
             "over": {
-                "mu": _range_of("linspace", papers.ANALYSIS_FRICTIONS),
-                "rate": _range_of("logspace", papers.ANALYSIS_RATES),
+                "mu": {"linspace": list(papers.ANALYSIS_FRICTIONS)},
+                "rate": {"logspace": list(papers.ANALYSIS_RATES)},
             }
         }
     },

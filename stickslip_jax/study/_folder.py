@@ -5,7 +5,7 @@ import signal
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ._errors import StudyError
@@ -44,7 +44,8 @@ def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
                 shutil.rmtree(staging, ignore_errors=True)
     except BaseException:
         for folder in reversed(made):
-            _remove_if_empty(folder)
+            with suppress(OSError):  # others may have put something there
+                folder.rmdir()
         raise
 
 
@@ -100,13 +101,6 @@ def _publish(staging: Path, directory: Path) -> None:
         for source, target in reversed(moved):
             target.replace(source)
         raise
-
-
-def _remove_if_empty(folder: Path) -> None:
-    try:
-        folder.rmdir()
-    except OSError:
-        return
 
 
 @contextmanager
