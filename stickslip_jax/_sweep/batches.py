@@ -1,4 +1,4 @@
-"""The work of a task, and its result as bytes that are written to a file, or sent from one machine to another."""
+"""What a task simulates, and its result as bytes that can be written to a file, or sent to another machine."""
 
 import dataclasses
 import io
@@ -54,7 +54,7 @@ def perform(plan: Plan, task: Task) -> bytes:
 def _simulated(plan: Plan, task: Task) -> Ensemble:
     run = plan.run_at(task.point)
     fewest = min(plan.samples, plan.batch)
-    # Joined, the batches retain the first sticks of the point, whatever their size; each sample takes one row or more.
+    # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or more.
     retained = max(0, RETAINED - task.first)
     return simulate_batch(run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest)
 
@@ -138,10 +138,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
 
 
 def head_of(data: bytes, first: int, end: int) -> Head:
-    """What the batch of samples ``first .. end - 1`` says of itself: "samples", "status_counts", "run_seconds".
-
-    Raises DamagedBatchError as `unpacked`.
-    """
+    """The head of the batch of samples ``first .. end - 1``. Raises DamagedBatchError as `unpacked`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return _head_in(archive, first, end)
@@ -175,7 +172,7 @@ def unfinished_in(head: Head) -> dict[Status, int]:
 
 
 def joined(batches: list[Ensemble]) -> Ensemble:
-    """Consecutive batches as one, merged one after the other from the first."""
+    """Consecutive batches as one ensemble, merged in their order."""
     first, *_ = batches
     accumulator = EnsembleAccumulator(sum(one.samples for one in batches), first.keep, RETAINED)
     for one in batches:

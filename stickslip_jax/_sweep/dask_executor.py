@@ -31,9 +31,9 @@ _LONG = 10.0  # s without a result, after which it is asked whether the workers 
 class DaskCluster(Executor):
     """The workers of a cluster, to which a ``dask.distributed.Client`` is connected.
 
-    The plan goes to the cluster once, as the result of tasks: where the worker that holds it dies, the scheduler makes
-    it again, and workers that come later get it from others. A task is a few numbers. At most two for each thread of
-    the cluster are submitted at a time, and results are released as soon as they have come.
+    The plan is sent to the cluster once, as arguments of tasks whose result it is. If the worker that holds it dies,
+    the scheduler makes it again, and workers that start later get it from others. A task is a few numbers. At most two
+    tasks for each thread of the cluster are submitted at a time, and results are released as soon as they arrive.
     """
 
     def __init__(self, plan: Plan, client: Any, store: Store, shared_folder: bool):
@@ -42,8 +42,8 @@ class DaskCluster(Executor):
         self._store, self._shared = store, shared_folder
         self._futures: dict[Task, Any] = {}
         self._threads, self._counted = 1, -_COUNTED
-        self._told: set[str] = set()
-        self._came = time.monotonic()
+        self._printed: set[str] = set()
+        self._came = time.monotonic()  # when the last result did
         self._plan = self._send()
 
     def _send(self) -> Any:
@@ -113,7 +113,7 @@ class DaskCluster(Executor):
         return self._store.path_of(self._checked.points.identity(task.point), task, self._checked)
 
     def _check_visible(self, path: Path, size: int) -> None:
-        """Raises SweepError for a file that a worker wrote and that is not here; network folders take a moment."""
+        """Raises SweepError if a file that a worker wrote does not appear here; network folders take a moment."""
         end = time.monotonic() + _VISIBLE
         while True:
             with contextlib.suppress(OSError):
@@ -138,7 +138,7 @@ class DaskCluster(Executor):
             self._count()
 
     def _count(self) -> None:
-        """Count the threads of the cluster, and say where there is none, because the sweep then waits."""
+        """Count the threads of the cluster; print a message if the sweep has to wait for workers."""
         try:
             threads = sum(self._client.nthreads().values())
         except OSError:  # of a connection that is being lost, which the next check tells
@@ -146,19 +146,19 @@ class DaskCluster(Executor):
         finally:
             self._counted = time.monotonic()
         self._threads = max(1, threads)
-        idle = ""
+        message = ""
         if not threads:
             start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
-            idle = f"The cluster has no workers, and the sweep waits for them; {start}"
+            message = f"The cluster has no workers, and the sweep waits for them; {start}"
         elif self._futures and time.monotonic() > self._came + _LONG and self._are_paused():
-            idle = (
+            message = (
                 "The workers of the cluster are paused, because their memory is nearly full, and the sweep waits for "
                 "them; give them more memory, or stop with Ctrl-C."
             )
-        if idle and idle not in self._told:  # once: workers come and go
-            self._told.add(idle)
-            self._store.log(idle.partition(";")[0])
-            print(idle, file=sys.stderr)
+        if message and message not in self._printed:  # once: workers come and go
+            self._printed.add(message)
+            self._store.log(message.partition(";")[0])
+            print(message, file=sys.stderr)
 
     def _are_paused(self) -> bool:
         """Whether every worker has stopped taking tasks: dask does that where their memory is nearly full."""
@@ -169,7 +169,7 @@ class DaskCluster(Executor):
         self._plan = self._send()
 
     def close(self, *, wait: bool) -> None:
-        """The client is the caller's; only what is under way is given up."""
+        """Release what is under way; the client is the caller's, and stays open."""
         if self._client.status == "running":
             for future in (*self._futures.values(), self._plan):
                 future.release()

@@ -47,7 +47,7 @@ class Variables:
     def put(
         self, point: int, name: str, value: object, long_name: str, unit: str = "1", *, dimensions: tuple[str, ...] = ()
     ) -> None:
-        """Put the `value` of a variable at a point; `dimensions`: those that it has beside the points'."""
+        """Put the `value` of a variable at a point; `dimensions`: those that it has besides those of the points."""
         value = np.asarray(value)
         if name not in self._found:
             empty = np.nan if value.dtype.kind == "f" else 0
@@ -69,7 +69,7 @@ class Variables:
 
 
 def dataset_of(work: Work) -> "xarray.Dataset":
-    """All results that are there. Points are looked at twice, one at a time: the bins that all share come first."""
+    """All stored results. Points are read twice, one at a time: first for the bins, which all points share."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
@@ -218,7 +218,7 @@ def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, _Vari
 
 
 def _attributes(plan: Plan, body: Manifest) -> dict[str, object]:
-    """Attributes of the data set; `body`: the manifest in the folder, where numbers may be written otherwise."""
+    """Attributes of the data set; `body`: the manifest in the folder, in which 1 may stand for the 1.0 of the plan."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
     return {

@@ -1,4 +1,4 @@
-"""What does the tasks of a sweep, and the threads of this process, the simplest of them."""
+"""Executors, which do the tasks of a sweep; the simplest is a pool of threads of this process."""
 
 from abc import ABC, abstractmethod
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,13 +9,13 @@ from .workers import Outcome, Performer, attempted
 
 
 class Written(NamedTuple):
-    """What comes back for a batch that the worker has written into the folder of the sweep."""
+    """The result of a task whose worker has written the batch into the folder of the sweep. `size`: in bytes."""
 
     size: int
 
 
 class WorkerDiedError(Exception):
-    """The worker of a task died. `others`: whether all tasks under way are lost with it."""
+    """The worker of a task died. `others`: whether all other tasks under way are lost too."""
 
     def __init__(self, reason: str, *, others: bool):
         super().__init__(reason)
@@ -36,19 +36,20 @@ class Executor(ABC):
 
     @abstractmethod
     def result(self, task: Task, future: Any) -> Outcome | Written:
-        """What came of a future that is done. Raises WorkerDiedError, SweepError where there is no going on, and what
-        went wrong with the task.
+        """The outcome of a future that is done.
+
+        Raises WorkerDiedError, SweepError where the sweep cannot continue, and the error of the task.
         """
 
     @abstractmethod
     def close(self, *, wait: bool) -> None:
-        """End it; what has not begun is cancelled. `wait`: whether to wait for what has."""
+        """Close it; tasks that have not begun are cancelled. `wait`: whether to wait for those that have."""
 
     def restart(self) -> None:  # noqa: B027 - threads have nothing to do
-        """Make it work again after all tasks under way were lost."""
+        """Start it again after all tasks under way were lost."""
 
     def check(self) -> None:  # noqa: B027 - only connections are lost
-        """Raises SweepError if no future can become done any more."""
+        """Raises SweepError if futures can no longer become done."""
 
 
 class Threads(Executor):

@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 class SweepStatus(NamedTuple):
     """How far a sweep has come.
 
-    - `points`, `complete`: of these are done. `samples`: simulated. `most_samples`: wanted, or, where points end at a
-      standard error (`is_adaptive`), at most.
-    - `endings`: how many samples have each status. `seconds`: simulated, summed over threads.
+    - `points`: their number. `complete`: the number of those that are done.
+    - `samples`: how many have been simulated. `most_samples`: how many are wanted; where points end at a standard error
+      (`is_adaptive`), the largest number.
+    - `endings`: how many samples have each status. `seconds`: time spent simulating, summed over threads.
     - `is_running`: whether a run works on it now. `is_finished`: whether its data set is complete.
     """
 

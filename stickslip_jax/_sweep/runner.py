@@ -19,9 +19,9 @@ _DEATHS = 3  # of workers while a task was under way, after which the sweep ends
 def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
     """Do all tasks of `work`, a few at a time, and store each result when it comes.
 
-    Where there was no memory for a task it is done again, with fewer at a time: its size decides the last digits, and
-    so cannot change. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder
-    cannot be written, or the workers keep dying.
+    If there was no memory for a task it is done again, with fewer tasks at a time: a smaller batch would change the
+    last digits. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder cannot be
+    written, or the workers keep dying.
     """
     waiting, under_way = deque(work.tasks()), _UnderWay(executor)
     lost: dict[Task, int] = {}
@@ -75,15 +75,15 @@ def _give_up(work: Work, task: Task, found: NoMemory | Failed) -> None:
 
 
 class _UnderWay:
-    """The tasks that an executor has been given. `began`: when each was. `most`: of them at a time, if not as many as
-    the executor takes.
+    """The tasks that an executor has been given. `began`: when each was. `most`: how many at a time are allowed, if
+    fewer than the executor takes.
     """
 
     def __init__(self, executor: Executor):
         self._executor = executor
         self._futures: dict[Task, Any] = {}
         self._ended: queue.SimpleQueue[tuple[Task, Any]] = queue.SimpleQueue()
-        self._in_company: set[Task] = set()
+        self._not_alone: set[Task] = set()
         self.began: dict[Task, float] = {}
         self.most: int | None = None
         self._narrowed = 0.0
@@ -94,27 +94,28 @@ class _UnderWay:
         return len(self.began) < (self._executor.at_once if self.most is None else self.most)
 
     def narrow(self, began: float) -> None:
-        """Have fewer tasks under way from now on, because there was no memory for one that `began` then.
+        """Allow fewer tasks at a time, because there was no memory for one that `began` then.
 
-        Half as many as were worked on, for each of which one waits; once for all that were under way together.
+        Half of those that were worked on: as many again wait in the executor. Tasks that were under way together
+        narrow it once.
         """
         if began >= self._narrowed:
             self.most, self._narrowed = max(1, (len(self.began) + 1) // 4), time.monotonic()
 
     def is_alone(self, task: Task) -> bool:
         """Whether no other task was under way since this one began."""
-        return task not in self._in_company
+        return task not in self._not_alone
 
     def begin(self, task: Task) -> None:
-        self._in_company.discard(task)
+        self._not_alone.discard(task)
         if self.began:
-            self._in_company |= {task, *self.began}
+            self._not_alone |= {task, *self.began}
         future = self._executor.submit(task)
         self._futures[task], self.began[task] = future, time.monotonic()
         future.add_done_callback(lambda done, task=task: self._ended.put((task, done)))
 
     def next(self) -> Task | None:
-        """A task that is done; None if none is for a moment, so that signals are handled between the waits."""
+        """A task that is done; None if none is within a tenth of a second, so that signals are handled in between."""
         try:
             task, future = self._ended.get(timeout=0.1)
         except queue.Empty:
@@ -122,12 +123,12 @@ class _UnderWay:
         return task if self._futures.get(task) is future else None  # else lost, and begun again
 
     def result(self, task: Task) -> Any:
-        """What came of a task, which is not under way any more."""
+        """The outcome of a task, which is no longer under way."""
         del self.began[task]
         return self._executor.result(task, self._futures.pop(task))
 
     def forget(self) -> list[Task]:
-        """All tasks that are under way, none of which is any more."""
+        """Forget all tasks that are under way, and return them."""
         tasks = list(self.began)
         self.began.clear()
         self._futures.clear()

@@ -1,4 +1,4 @@
-"""Ctrl-C during a sweep: the first stops it after the batches under way, the second at once."""
+"""Ctrl-C during a sweep: the first one stops it after the batches under way, the second one at once."""
 
 import signal
 import sys

@@ -81,7 +81,7 @@ class Store:
         return is_locked(self.folder / LOCK)
 
     def check_kept(self) -> None:
-        """Raises SweepError if the folder that this run holds was removed, or another one is in its place."""
+        """Raises SweepError if the folder was removed or replaced while this program holds its lock."""
         missing = []
         if not any(_file_number(self.folder / name) for name in (MANIFEST, COPY)):
             missing.append(MANIFEST)
@@ -141,9 +141,9 @@ class Store:
             ) from error
 
     def check_batches(self) -> None:
-        """Remove batches that have another name than when they were written: what is to be done depends on names.
+        """Remove batches that have another name than when they were written, as tasks are found by the names.
 
-        Raises SweepError for whole batches of another sweep, and for what is no file: nobody may write over them.
+        Raises SweepError for undamaged batches of another sweep, and for what is no file, which must not be replaced.
         """
         foreign, is_any_ours = None, False
         for batch in (one for batches in self._all().values() for one in batches):
@@ -179,7 +179,7 @@ class Store:
             batch.path.unlink()
 
     def remove_leftovers(self, identities: Iterable[str]) -> None:
-        """Remove batches of these points whose samples are in a longer one too: what an interrupted join leaves."""
+        """Remove batches of these points whose samples are in a longer one too: an interrupted join leaves them."""
         there = self._all()
         for identity in identities:
             for batch in set(there[identity]).difference(_without_overlap(there[identity])):
@@ -212,7 +212,7 @@ class Store:
 
 
 def _names_in(folder: Path) -> set[str]:
-    """The names of what lies where the batches are. Raises SweepError if they cannot be listed."""
+    """The names in the folder of the batches. Raises SweepError if they cannot be listed."""
     try:
         return set(os.listdir(folder / BATCHES))
     except FileNotFoundError:
@@ -236,7 +236,7 @@ def _ids_in(folder: Path) -> set[bytes]:
 
 
 def _file_number(path: Path) -> tuple[int, int] | None:
-    """What tells a file from another one of its name; None if it is not there."""
+    """The numbers by which the system tells a file from a later one of its name; None if it is not there."""
     try:
         found = path.stat()
     except OSError:
@@ -324,7 +324,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _is_begun(path: Path) -> bool:
-    """Whether a file is what `opened` makes before the manifest is whole."""
+    """Whether `opened` makes such a file before the manifest is complete."""
     if path.name == BATCHES:
         return path.is_dir() and not os.listdir(path)
     return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)

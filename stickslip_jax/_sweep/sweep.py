@@ -156,7 +156,7 @@ class Sweep:
         Raises:
             SweepError: For a sweep that was not loaded from a folder.
         """
-        from .looking import stored_dataset  # noqa: PLC0415 - needs an extra
+        from .reading import stored_dataset  # noqa: PLC0415 - needs an extra
 
         if self._folder is None:
             raise SweepError(

@@ -1,4 +1,4 @@
-"""The work of a sweep that is left, and how far it has come."""
+"""The tasks of a sweep that are left, and the batches that are there."""
 
 import contextlib
 from collections.abc import Iterator
@@ -90,7 +90,7 @@ class Work:
         return [Task(point, max(first, after - size), min(after, end)) for after in ends]
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
-        """Store the result of a task, None if the worker has; returns what is to be done next because of it."""
+        """Store the result of a task (None: the worker has stored it); returns the tasks that follow from it."""
         path = self._path_of(task)
         if data is not None:
             self.store.write(path, data)
@@ -116,7 +116,7 @@ class Work:
         return more
 
     def _check(self, task: Task, data: bytes) -> None:
-        """Log the samples of a result that did not reach the end. Raises DamagedBatchError for one of another task."""
+        """Log the samples of a result that did not finish. Raises DamagedBatchError for the result of another task."""
         if task.derivative is not None:
             derivatives_of(data, task.end)
             return
@@ -137,8 +137,8 @@ class Work:
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
-        Batches that are damaged end it; they are removed, unless the store is only read. Who only reads gets the same
-        samples every time, whatever a run does meanwhile.
+        Samples after a damaged batch are left out; the batch is removed, unless the store is only read. A program that
+        only reads gets the same samples every time, also while a run adds batches.
         """
         found, fields = [], self.plan.fields_at(point)
         for batch, data in self._without_gap(point):
@@ -160,7 +160,7 @@ class Work:
         return found
 
     def heads(self, point: int) -> list[Head]:
-        """What the batches of samples of a point say of themselves; see `head_of`."""
+        """The heads of the batches of samples of a point."""
         found = []
         for batch, data in self._read(point, is_gap_allowed=True):
             with self._damage_removed(point, batch):
@@ -183,7 +183,7 @@ class Work:
         return []
 
     def _list_again(self) -> None:
-        """Look for batches where one is gone. For a reader: a run has joined it with others since they were listed."""
+        """List the batches again because one is gone. If this program only reads, a run has joined it with others."""
         self._batches = self.store.batches()
         self.damaged += 1
 
@@ -200,7 +200,7 @@ class Work:
         return found
 
     def _join(self, point: int) -> None:
-        """Make one file of the batches of samples of a point, if there are several; the files take much space."""
+        """Join the files of a point, if there are several: each holds histograms, so that one takes less space."""
         batches = self._of_samples(point)
         if len(batches) < 2 or not self.store.can_write:
             return
@@ -213,7 +213,7 @@ class Work:
         others = [batch for batch in self.batches(point) if batch.derivative]
         self._batches[self._identities[point]] = [Batch(path, 0, whole.samples), *others]
         for batch in batches:
-            with contextlib.suppress(OSError):  # what is left is passed over, and removed at the end
+            with contextlib.suppress(OSError):  # what is left is not used, and removed at the end
                 batch.path.unlink()
 
     def remove_leftovers(self) -> None:

@@ -1,4 +1,4 @@
-"""What does tasks in a process: this one, a worker process of this machine, or a worker of a cluster."""
+"""Doing tasks in a process: this one, a worker process of this machine, or a worker of a cluster."""
 
 import dataclasses
 import errno
@@ -25,17 +25,17 @@ from .task_warnings import warnings_by_thread
 
 
 class UnfitWorkerError(RuntimeError):
-    """A worker that cannot do its share of a sweep; the message is a sentence that says what to do."""
+    """A worker that cannot do tasks of a sweep; the message is a sentence that says what to do."""
 
 
 class Failed(NamedTuple):
-    """What comes back for a point that cannot be simulated."""
+    """The outcome for a point that cannot be simulated."""
 
     reason: str
 
 
 class NoMemory(NamedTuple):
-    """What comes back for a task for which there was no memory."""
+    """The outcome of a task for which there was no memory."""
 
     reason: str
 
@@ -61,7 +61,7 @@ def outcome_of(error: Exception) -> Failed | NoMemory:
 
 
 def attempted(perform: Callable[[Task], bytes], task: Task) -> Outcome:
-    """Do a task. Raises what is neither of its point nor of memory."""
+    """Do a task. Raises errors that have other causes than its point or the memory."""
     try:
         return perform(task)
     except Exception as error:
@@ -108,7 +108,7 @@ class _Device:
 
 
 class Sent(NamedTuple):
-    """A plan on its way to other processes, and what these must have in common with this one.
+    """A plan that is sent to other processes, and what these must have in common with this one.
 
     `caches`: whether compilations are kept here, as they then are there.
     """

@@ -31,12 +31,17 @@ def parameter_sweep(
     Along one parameter a curve with error bars; along two, of which one has at most four values, curves with bands;
     else a map. Parameters that are spaced geometrically have logarithmic axes. Points that are not there yet are gaps.
 
-    - `results`: as `Sweep.run` returns it, with one or two dimensions of points; ``results.isel(...)`` chooses of more.
-    - `names`: of the variables to draw, such as ``["mean_stick_duration"]``.
-    - `level`: of the confidence intervals, as in `curve`.
-    - `axes`: where to draw, one for each name; by default those of a new figure.
+    Args:
+        results: As `Sweep.run` returns it, with one or two dimensions of points; ``results.isel(...)`` chooses of more.
+        names: Those of the variables to draw, such as ``["mean_stick_duration"]``.
+        level: That of the confidence intervals, as in `curve`.
+        axes: Where to draw, one for each name; by default those of a new figure.
 
-    Returns the axes. Raises ValueError for results of other dimensions, and for names that are not in them.
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For results of other dimensions, and for names that are not in them.
     """
     if not is_labeled(results) or not hasattr(results, "data_vars"):
         raise ValueError(f"Argument results must be a Dataset of a Sweep, but {_checks.show(results)} was given.")

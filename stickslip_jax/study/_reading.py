@@ -33,12 +33,19 @@ def read_config(
 ) -> StudyConfig:
     """Read the study described by a TOML file.
 
-    - `path`: the file; files that it names are relative to its folder. By default the default study.
-    - `options`: values that replace those of the file, by the names of `OPTIONS`; None leaves the file's.
-    - `example`: without `path`, the name of one of `EXAMPLES` to read instead.
+    Args:
+        path: The file; files that it names are relative to its folder. By default the default study.
+        options: Values that replace those of the file, by the names of the options of ``stickslip study``; None leaves
+            the file's.
+        example: Without `path`, the name of an example to read instead: "harmonic-base", "base-isolation" or
+            "motor-cart".
 
-    Raises StudyError for a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
-    unsuitable options.
+    Returns:
+        The description of the study.
+
+    Raises:
+        StudyError: For a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
+            unsuitable options.
     """
     return _read(StudyConfig, "study", path, EXAMPLES.get(example or "", {}), options)
 

@@ -27,10 +27,13 @@ from ._store import write_netcdf
 class StoredStudy:
     """A study that was run and stored.
 
-    - `config`: its description. `ensemble`: what was simulated.
-    - `statistics`: by the names of `STATISTICS`.
-    - `first_sticks`: of every sample of a `MotorCart`, if the sticks were kept; else None.
-    - `directory`: the folder of the result. `files`: the names of the files in it.
+    Attributes:
+        config: Its description.
+        ensemble: What was simulated.
+        statistics: By their names.
+        first_sticks: Of every sample of a `MotorCart`, if the sticks were kept; else None.
+        directory: The folder of the result.
+        files: The names of the files in it.
     """
 
     config: StudyConfig
@@ -42,14 +45,20 @@ class StoredStudy:
 
 
 def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None = None) -> StoredStudy:
-    """Simulate the ensemble that `config` describes and store the result in its output directory.
+    """Simulate one ensemble and store the result in its output directory. If it fails, nothing is left behind.
 
-    - `force`: whether to replace a result that is there already, once the new one is complete.
-    - `progress`: whether to show a progress bar, as in `simulate_ensemble`.
+    Args:
+        config: The description of the study.
+        force: Whether to replace a result that is there already, once the new one is complete.
+        progress: Whether to show a progress bar, as in `simulate_ensemble`.
 
-    If it fails, nothing is left behind. Raises StudyError for an output directory that holds a result or cannot be
-    written, for a dtype other than the one JAX is set to, and for what `simulate_ensemble` refuses; OSError if writing
-    fails.
+    Returns:
+        The study and its result.
+
+    Raises:
+        StudyError: For an output directory that holds a result or cannot be written, for a dtype other than the one
+            JAX is set to, and for what `simulate_ensemble` refuses.
+        OSError: If writing fails.
     """
     _check_dtype(config.run)
     directory = Path(config.output.directory).expanduser()
