@@ -11,13 +11,13 @@ from .._inputs.numbers import Path, number_at, paths_of_numbers, shown
 
 
 class Group(NamedTuple):
-    """A dimensionless group: what it is, and where in a setting its value puts a number, and which.
+    """A dimensionless group: its meaning, and what gives the number of a setting that it decides, with its place there.
 
     The value, and with it numbers of the setting, may be arrays, with an entry for each of many points.
     """
 
     meaning: str
-    place: Callable[[Any, Any], tuple[Path, Any]]
+    apply: Callable[[Any, Any], tuple[Path, Any]]
 
 
 _FREQUENCIES: dict[str, Callable[[Any], Any]] = {

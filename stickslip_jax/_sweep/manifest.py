@@ -51,8 +51,8 @@ def manifest_text(plan: Plan) -> str:
         "format_version": FORMAT_VERSION,
         "versions": versions(),
         "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
-        "deciding": {name: _plain(getattr(plan, name)) for name in DECIDING},
-        "asked": {name: _plain(getattr(plan, name)) for name in ASKED},
+        "deciding": {name: _as_json(getattr(plan, name)) for name in DECIDING},
+        "asked": {name: _as_json(getattr(plan, name)) for name in ASKED},
         "dimensions": [
             {"name": one.name, "parameters": list(one.parameters), "values": one.values.tolist()}
             for one in plan.points.dimensions
@@ -166,7 +166,7 @@ def sum_of(body: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _plain(value: object) -> Any:
+def _as_json(value: object) -> Any:
     """`value` in lists, dicts and numbers, as JSON gives it back."""
     return json.loads(json.dumps(value))
 

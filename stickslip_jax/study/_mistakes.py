@@ -115,7 +115,7 @@ def _all_sections(
 
 
 def _demand(problem: Any) -> str:
-    plain = {
+    demands = {
         "float_type": "must be a number",
         "int_type": "must be a whole number",
         "bool_type": "must be true or false",
@@ -124,7 +124,7 @@ def _demand(problem: Any) -> str:
         "string_too_short": "must not be empty",
         "too_short": "must not be empty",
     }
-    demand = plain.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
+    demand = demands.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
     return f"{demand} or {{ low = ..., high = ... }}" if problem["loc"][-1] == NUMBER else demand
 
 

@@ -16,7 +16,7 @@ from .._files import writing
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks, first_stick
 from .._statistics.registry import STATISTICS
-from ._config import RunConfig, StudyConfig
+from ._config import FileConfig, PointConfig, RunConfig, StudyConfig
 from ._errors import StudyError
 from ._figures import draw_figures
 from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
@@ -91,25 +91,28 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
     Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
     refuses, before anything is simulated.
     """
-    run = config.run
+    run, arguments = config.run, arguments_of(config, config.run)
     try:
         return simulate_ensemble(
-            built(config.system, "system"),
-            built(config.base, "base"),
-            t1=run.t1,
-            samples=run.samples,
-            key=jax.random.key(run.seed),
-            y0=run.y0(),
-            method=run.method(),
-            keep=run.keep,
-            orders=run.orders,
-            count_initial_rest=run.count_initial_rest,
-            threads=run.threads,
-            chunk=run.chunk,
-            progress=progress,
-        )
+            **arguments, keep=run.keep, threads=run.threads, chunk=run.chunk, progress=progress
+        )  # fmt: skip
     except ValueError as error:
         raise StudyError(in_words_of_the_file(str(error))) from error
+
+
+def arguments_of(config: FileConfig, run: PointConfig) -> dict[str, Any]:
+    """The arguments that `simulate_ensemble` and `Sweep` have in common. Raises StudyError as `built`."""
+    return {
+        "system": built(config.system, "system"),
+        "law": built(config.base, "base"),
+        "t1": run.t1,
+        "samples": run.samples,
+        "key": jax.random.key(run.seed),
+        "y0": run.y0(),
+        "method": run.method(),
+        "orders": run.orders,
+        "count_initial_rest": run.count_initial_rest,
+    }
 
 
 def built(section: Any, name: str) -> Any:

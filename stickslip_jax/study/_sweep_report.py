@@ -110,14 +110,11 @@ def _title(dataset: "xarray.Dataset") -> str:
 def _coordinates(dataset: "xarray.Dataset") -> tuple[list[str], list[list[str]]]:
     """Heads and columns of the parameters at each point."""
     dimensions = point_dimensions(dataset)
-    shape = dataset["samples"].shape
     heads, columns = [], []
     for dimension in dimensions:
         of_it = [name for name, one in dataset.coords.items() if one.dims == (dimension,) and name != dimension]
         for name in of_it or [dimension]:
-            along = [1] * len(shape)
-            along[dimensions.index(dimension)] = -1
-            values = np.broadcast_to(np.asarray(dataset[name]).reshape(along), shape).reshape(-1)
+            values = dataset[name].broadcast_like(dataset["samples"]).transpose(*dimensions).values.reshape(-1)
             unit = dataset[name].attrs.get("units", "1")
             heads.append(str(name) if unit == "1" else f"{name} ({unit})")
             columns.append([f"{value:.6g}" for value in values])

@@ -11,11 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax
-
 from .._sweep.sweep import Sweep
 from ._errors import StudyError
-from ._run import built, in_words_of_the_file
+from ._run import arguments_of, in_words_of_the_file
 from ._sweep_config import SweepConfig
 
 if TYPE_CHECKING:
@@ -33,23 +31,10 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
         over[full if len(full) > 1 else "".join(full)] = values
     try:
         return Sweep(
-            built(config.system, "system"),
-            built(config.base, "base"),
+            **arguments_of(config, run),
+            **sweep.model_dump(exclude={"over", "sensitivities"}),
             over=over,
-            t1=run.t1,
-            samples=run.samples,
-            key=jax.random.key(run.seed),
-            y0=run.y0(),
-            method=run.method(),
-            keep=sweep.keep,
-            statistics=sweep.statistics,
             sensitivities=[(name, tuple(wrt)) for name, wrt in (sweep.sensitivities or {}).items()],
-            orders=run.orders,
-            count_initial_rest=run.count_initial_rest,
-            independent=sweep.independent,
-            standard_error=sweep.standard_error,
-            realizations=sweep.realizations,
-            batch=sweep.batch,
         )
     except StudyError as error:
         raise StudyError(f"{source}{error}") from error
