@@ -40,22 +40,17 @@ class OverConfig(Section):
         given = self.model_extra or {}
         if not given:
             raise ValueError("a parameter must be given with its values, such as mu = [0.5, 1.0].")
-        points = math.prod(_number_of_values(value) for value in given.values())
-        if points > MOST_POINTS:
-            raise ValueError(
-                f"its parameters must have at most {MOST_POINTS} combinations, but have "
-                f"{points if points < 10**20 else f'about 1e{len(str(points)) - 1}'}; give fewer values."
-            )
-        return {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
+        found = {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
+        _check_number(math.prod(map(len, found.values())))
+        return found
 
 
-def _number_of_values(given: object) -> int:
-    """How many values a parameter has, before there are any; 1 where what is given is none of the possible things."""
-    if isinstance(given, dict):
-        (limits, *_) = given.values() or [None]
-        number = limits[2] if isinstance(limits, list) and len(limits) == 3 else 1
-        return max(number, 1) if isinstance(number, int) else 1
-    return max(len(given), 1) if isinstance(given, list) else 1
+def _check_number(points: int) -> None:
+    if points > MOST_POINTS:
+        raise ValueError(
+            f"its parameters must have at most {MOST_POINTS} combinations, but have "
+            f"{points if points < 10**20 else f'about 1e{len(str(points)) - 1}'}; give fewer values."
+        )
 
 
 def _values(name: str, given: object) -> np.ndarray:
@@ -102,6 +97,7 @@ def _range(name: str, given: dict[str, Any]) -> np.ndarray:
         raise ValueError(
             f"logspace of {name} must go from and to positive numbers, but {shown_value(limits)} was given."
         )
+    _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
 
 
