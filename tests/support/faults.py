@@ -103,7 +103,7 @@ def failing(folder: Path, fail: Callable[[int, str, Any], None]) -> Iterator[Non
         yield
 
 
-def cut(name: str, of: Any) -> None:
+def halve_file(name: str, of: Any) -> None:
     """Leave half of a file that is being written."""
     if name == "fsync" and not os.path.isdir(f"/proc/self/fd/{of}"):
         try:
@@ -135,7 +135,7 @@ def _main(what: str, folder: Path) -> None:
 
     def fail(number: int, name: str, of: Any) -> None:
         if number == int(what):
-            cut(name, of)
+            halve_file(name, of)
             os.kill(os.getpid(), signal.SIGKILL)
 
     with failing(folder, fail):

@@ -6,12 +6,12 @@ import numpy as np
 import stickslip_jax as ss
 
 SAMPLES, BATCH = 3000, 1024
-PLACES = {"mu": [0.5, 1.0], "rate": [0.5, 1.0]}
+POINTS = {"mu": [0.5, 1.0], "rate": [0.5, 1.0]}
 
 
 def small_sweep(**changed) -> ss.Sweep:
     """Four points of a random belt, three batches each."""
-    arguments = {"over": PLACES, "t1": 20.0, "samples": SAMPLES, "batch": BATCH, "key": jax.random.key(1), **changed}
+    arguments = {"over": POINTS, "t1": 20.0, "samples": SAMPLES, "batch": BATCH, "key": jax.random.key(1), **changed}
     return ss.Sweep(
         ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching(2.0, 0.5), **arguments
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from support.faults import log_of, wait_for
-from support.sweep import PLACES, assert_same, small_sweep
+from support.sweep import POINTS, assert_same, small_sweep
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.manifest import versions
@@ -49,7 +49,7 @@ def test_two_threads_give_the_same_bits(undisturbed):
 
 
 def test_order_of_the_points_changes_nothing(undisturbed):
-    over = {name: values[::-1] for name, values in PLACES.items()}
+    over = {name: values[::-1] for name, values in POINTS.items()}
     found = small_sweep(over=over).run(threads=2)
     assert_same(found.sortby(["mu", "rate"]), undisturbed)
 

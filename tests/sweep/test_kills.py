@@ -7,7 +7,7 @@ import time
 
 import pytest
 import xarray as xr
-from support.faults import assert_same, cut, failing, files_in, long_sweep, run, started, sweep_of
+from support.faults import assert_same, failing, files_in, halve_file, long_sweep, run, started, sweep_of
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_dead_at_an_operation_on_the_disk(tmp_path, undisturbed, monkeypatch, ev
 
         def fail(at, name, of, last=number):
             if at == last:
-                cut(name, of)
+                halve_file(name, of)
             if at >= last:
                 raise DeadError
 

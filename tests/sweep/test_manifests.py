@@ -200,7 +200,7 @@ def test_two_manifests_and_no_batches(copied, tmp_path):
 
 @pytest.mark.parametrize("name", MANIFESTS)
 def test_file_of_another_program_beside_a_good_manifest(copied, name):
-    """Looks do without it, and nobody writes over it."""
+    """Reading does without it, and nothing replaces it."""
     folder, dataset = copied
     (folder / name).write_text('{"name": "app", "icons": []}')
     (folder / "sweep.nc").unlink()

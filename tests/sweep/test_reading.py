@@ -1,4 +1,4 @@
-"""Looks at a sweep while a run works on it: each is of one set of batches, and none fails."""
+"""Reading a sweep while a run works on it: each reading is of one set of batches, and none fails."""
 
 import gc
 import os
@@ -34,19 +34,19 @@ def begun(tmp_path):
     return folder, lambda: join(folder)
 
 
-def looked_at(folder) -> list[int]:
-    """The samples of each point, as each of the ways to look tells them."""
+def read_samples(folder) -> list[int]:
+    """The samples of each point, as each of the ways to read them tells."""
     found = stored_dataset(folder)["samples"].values
     assert np.array_equal(ss.Sweep.load(folder).results["samples"].values, found)
     assert status_of(folder).samples == found.sum()
     return found.tolist()
 
 
-def test_all_ways_to_look_see_the_same(begun):
+def test_all_ways_to_read_see_the_same(begun):
     folder, add_and_join = begun
-    assert looked_at(folder) == [256, 256]
+    assert read_samples(folder) == [256, 256]
     add_and_join()
-    assert looked_at(folder) == [500, 500]
+    assert read_samples(folder) == [500, 500]
 
 
 def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
@@ -62,11 +62,11 @@ def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
     monkeypatch.setattr(dataset, "_common_bins", joined_after)
     assert stored_dataset(folder).identical(before)
     assert np.array_equal(before["duration_count_in_bin"].sum("duration_bin") > 0, [True, True])
-    assert looked_at(folder) == [500, 500]
+    assert read_samples(folder) == [500, 500]
 
 
-@pytest.mark.parametrize("look", [status_of, stored_dataset], ids=["status", "show"])
-def test_batches_that_join_after_they_were_listed(begun, monkeypatch, look):
+@pytest.mark.parametrize("read_it", [status_of, stored_dataset], ids=["status", "show"])
+def test_batches_that_join_after_they_were_listed(begun, monkeypatch, read_it):
     folder, add_and_join = begun
     read, calls = store.Store.read, []
 
@@ -77,8 +77,8 @@ def test_batches_that_join_after_they_were_listed(begun, monkeypatch, look):
         return read(self, batch)
 
     monkeypatch.setattr(store.Store, "read", joined_before)
-    found = look(folder)
-    assert (found.samples if look is status_of else int(found["samples"].sum())) == 1000
+    found = read_it(folder)
+    assert (found.samples if read_it is status_of else int(found["samples"].sum())) == 1000
     assert len(calls) > 2
 
 
@@ -175,17 +175,17 @@ def assert_consistent(found) -> None:
 
 
 @pytest.mark.slow
-def test_two_hundred_looks_while_a_sweep_runs(tmp_path, capsys, monkeypatch):
+def test_two_hundred_readings_while_a_sweep_runs(tmp_path, capsys, monkeypatch):
     """As many as run beside it; a run that ends is followed by another one in another folder."""
     monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
-    looks = beside = 0
+    readings = beside = 0
     partial = set()
     jax.config.update("jax_enable_x64", True)
     for number in range(100):
         folder = tmp_path / str(number)
         with running(folder) as process:
             while process.poll() is None and beside < 200:
-                way = looks % 4
+                way = readings % 4
                 if way == 0:
                     found = stored_dataset(folder)
                     assert_consistent(found)
@@ -196,7 +196,7 @@ def test_two_hundred_looks_while_a_sweep_runs(tmp_path, capsys, monkeypatch):
                     assert_consistent(ss.Sweep.load(folder).results)
                 else:
                     assert cli.main(["show", str(folder)]) == 0, capsys.readouterr()
-                looks += 1
+                readings += 1
                 beside += process.poll() is None
             assert process.poll() in (None, 0), process.communicate()
         if beside >= 200:

@@ -165,7 +165,7 @@ def test_manifest_that_is_no_file(copied, name, put, kind):
 
 @pytest.mark.parametrize("put", [put_pipe, put_folder])
 def test_log_and_data_set_that_are_no_files(copied, put):
-    """The log is left out; looks do without the data set."""
+    """The log is left out; reading does without the data set."""
     folder, dataset = copied
     put(folder / "log.txt")
     put(folder / "sweep.nc")

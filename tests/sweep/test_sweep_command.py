@@ -260,7 +260,7 @@ def test_status_and_table_of_a_finished_sweep(capsys, finished):
 
 
 def test_looking_changes_nothing_and_leaves_damaged_batches_out(capsys, finished, tmp_path):
-    """A batch that is cut in half is removed by who resumes, not by who looks; so are unfinished files."""
+    """A batch that is cut in half is removed by resume, not by status or show; so are unfinished files."""
     folder = tmp_path / "copy"
     folder.mkdir()
     (folder / "batches").mkdir()
