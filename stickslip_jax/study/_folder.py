@@ -1,5 +1,6 @@
 """The folder of a result: no file is overwritten without --force, and no result is left incomplete."""
 
+import os
 import shutil
 import signal
 import tempfile
@@ -50,19 +51,12 @@ def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 def _refuse_to_overwrite(directory: Path, force: bool) -> None:
-    found = [name for name in RESULT_FILES if _exists(directory / name)]
+    found = [name for name in RESULT_FILES if os.path.lexists(directory / name)]
     if found and not force:
         raise StudyError(
             f"{directory} holds a result already ({found[-1]}); choose another folder with --out, or replace it with "
             "--force."
         )
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists() or path.is_symlink()
-    except OSError:  # cannot even be looked up; making the folder will raise the error that says why
-        return False
 
 
 def _staging_in(directory: Path, made: list[Path]) -> Path:
@@ -92,10 +86,10 @@ def _publish(staging: Path, directory: Path) -> None:
 
     try:
         for name in reversed(RESULT_FILES):
-            if _exists(directory / name):
+            if os.path.lexists(directory / name):
                 move(directory / name, aside / name)
         for name in RESULT_FILES:
-            if _exists(staging / name):
+            if os.path.lexists(staging / name):
                 move(staging / name, directory / name)
     except BaseException:
         for source, target in reversed(moved):

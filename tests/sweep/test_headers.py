@@ -1,4 +1,4 @@
-"""Batches that were swapped, copied, renamed or shifted, and files with a bit turned: found, logged, and simulated again."""
+"""Batches that were swapped, copied, renamed or shifted, and files with a bit turned: found, and simulated again."""
 
 import random
 import shutil
