@@ -1,4 +1,4 @@
-"""Looking at a sweep without changing its folder, also while a run writes to it."""
+"""Reading a sweep without changing its folder, also while a run writes to it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -48,7 +48,7 @@ def status_of(folder: Path) -> SweepStatus:
             seconds += head["run_seconds"]
             for status, count in zip(Status, head["status_counts"], strict=True):
                 endings[status] += count
-    for _ in work.tasks():  # counts what is done, of the batches that were found to be whole
+    for _ in work.tasks():  # counts what is done, after damaged batches were left out above
         pass
     points = plan.points.number
     return SweepStatus(
@@ -58,8 +58,8 @@ def status_of(folder: Path) -> SweepStatus:
 
 
 def stored_dataset(folder: Path) -> "xarray.Dataset":
-    """The result of the sweep in `folder`, as far as it is there. Raises SweepError if there is no sweep, or one of
-    own classes that is not finished.
+    """The result of the sweep in `folder`, as far as it is stored. Raises SweepError if there is none, or one of classes
+    of your own that is not finished.
     """
     store = Store.reading(folder)
     finished = _finished(store)
@@ -67,7 +67,7 @@ def stored_dataset(folder: Path) -> "xarray.Dataset":
 
 
 def _finished(store: Store) -> "xarray.Dataset | None":
-    """The stored data set, if it is that of what was asked for last."""
+    """The stored data set, if it is the result of what the manifest asks for."""
     try:
         found = read_dataset(store.folder)
     except (SweepError, OSError, ValueError):  # none, or a damaged one, which the batches replace
