@@ -58,8 +58,9 @@ def status_of(folder: Path) -> SweepStatus:
 
 
 def stored_dataset(folder: Path) -> "xarray.Dataset":
-    """The result of the sweep in `folder`, as far as it is stored. Raises SweepError if there is none, or one of classes
-    of your own that is not finished.
+    """The result of the sweep in `folder`, as far as it is stored.
+
+    Raises SweepError if there is none, or one of classes of your own that is not finished.
     """
     store = Store.reading(folder)
     finished = _finished(store)
