@@ -50,13 +50,13 @@ def fit(statistics, observed):
 def main() -> None:
     """Print what docs/sensitivity.md tells."""
     law = ss.PoissonSwitching(1.0, RATE)
-    study = {"t1": T1, "samples": SAMPLES, "key": jax.random.key(0), "y0": START}
+    settings = {"t1": T1, "samples": SAMPLES, "key": jax.random.key(0), "y0": START}
     seen = ss.simulate_ensemble(system(TRUE_MU), law, t1=T1, samples=40_000, key=jax.random.key(9), y0=START)
     observed = OFF * ss.mean_stick_duration(seen).value, ss.stick_fraction(seen).value
     print(f"observed: mean stick duration {observed[0]:.4f} s, stick fraction {observed[1]:.4f}")
 
     corrected = [
-        ss.differentiable(statistic, system(1.2), law, wrt="mu", **study)
+        ss.differentiable(statistic, system(1.2), law, wrt="mu", **settings)
         for statistic in (ss.mean_stick_duration, ss.stick_fraction)
     ]
     for name, statistics in (
@@ -67,7 +67,7 @@ def main() -> None:
         print(f"{name}: mu = {mu:.4f} after {steps} steps, sum of squares {float(misfits @ misfits):.6f}")
 
     limit = 0.1
-    share = ss.differentiable(ss.stick_fraction, system(1.3), law, wrt="speed", **study)
+    share = ss.differentiable(ss.stick_fraction, system(1.3), law, wrt="speed", **settings)
     found = optx.root_find(
         lambda speed, _: share(speed) - limit, optx.Newton(rtol=1e-6, atol=1e-6), jnp.asarray(1.0), throw=False
     )

@@ -218,17 +218,17 @@ print(
 
 # %% [markdown]
 # ## The misfit and the two paths
-# The sum of squares of the misfits, each over its standard error, from a parametric study with the realisations of the
+# The sum of squares of the misfits, each over its standard error, from a parameter sweep with the realisations of the
 # fit, and the paths of both iterations.
 
 # %%
-study = ss.Study(
+sweep = ss.Sweep(
     ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)),
     ss.PoissonSwitching(speed=1.0, rate=1.0),
     over={"mu": np.linspace(0.6, 1.6, 9), "rate": np.linspace(0.3, 1.5, 7), "speed": SPEEDS},
     t1=T1, samples=SAMPLES, key=KEY, y0=START, keep="totals", statistics=["mean_stick_duration"],
 )  # fmt: skip
-grid = study.run(progress=False)
+grid = sweep.run(progress=False)
 misfit = np.zeros((9, 7))
 for at, one in enumerate(map(ss.mean_stick_duration, observed)):
     misfit += ((grid.mean_stick_duration.isel(speed=at).values - one.value) / one.standard_error) ** 2

@@ -40,7 +40,7 @@ start = (ss.Uniform(-0.2, 0.2), 0.0)  # m, m/s: every sample begins at a positio
 runs = {}
 
 
-def study(name, law, method=None):
+def examine(name, law, method=None):
     """Simulate the samples under this base motion, and print the share of time spent sticking with its error."""
     runs[name] = ss.simulate_ensemble(
         system, law, t1=t1, y0=start, samples=SAMPLES, key=key, keep="sticks", method=method or ss.Exact(),
@@ -71,7 +71,7 @@ swell, instants = Swell(), np.linspace(0.1, t1, 601)
 difference = (swell.velocity(instants + 1e-5) - swell.velocity(instants - 1e-5)) / 2e-5
 wrong = np.max(np.abs(swell.acceleration(instants) - difference))
 print(f"velocity and acceleration agree within 1e-8 m/s^2: {wrong < 1e-8}")
-study("function of time", swell, ss.Exact(step=0.05))
+examine("function of time", swell, ss.Exact(step=0.05))
 
 # %% [markdown]
 # ## 2. A sampler in NumPy
@@ -89,7 +89,7 @@ class Bursts:
         return ss.PiecewiseConstant(np.concatenate([[0.0], np.cumsum(durations)[:-1]]), speeds)
 
 
-study("bursts", Bursts())
+examine("bursts", Bursts())
 
 # %% [markdown]
 # ## 3. Intervals between switches of any distribution
@@ -99,7 +99,7 @@ study("bursts", Bursts())
 # %%
 gap = ss.Weibull(scale=1.0, shape=2.0)
 switching = ss.SemiMarkovSwitching(gap=gap, speed=ss.Uniform(0.5, 1.5))
-study("Weibull gaps", switching)
+examine("Weibull gaps", switching)
 keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(jnp.arange(SAMPLES))
 gaps = np.asarray(jax.vmap(lambda one_key: switching.sample(one_key, t1).durations[:30])(keys)).ravel()
 for power, name, unit in ((1, "mean", "s"), (2, "mean square", "s^2")):
@@ -154,7 +154,7 @@ class Ramps(ss.SegmentLaw):
 
 
 ramps = Ramps(speed=1.5, rate=0.7)
-study("ramps", ramps)
+examine("ramps", ramps)
 
 
 def variance(law, exact):
@@ -175,7 +175,7 @@ variance(ramps, 2 * ramps.speed**2 / 9)
 # %%
 frequencies, densities = np.array([0.5, 1.0, 2.0, 3.0]), np.array([0.0, 0.4, 0.1, 0.0])  # rad/s, m^2/s
 sea = ss.GaussianProcess(ss.TabulatedSpectrum(frequencies, densities), cutoff=3.0)
-study("Gaussian process", sea)
+examine("Gaussian process", sea)
 variance(sea, np.trapezoid(densities, frequencies))
 
 # %% [markdown]
@@ -192,7 +192,7 @@ with tempfile.TemporaryDirectory() as folder:
     np.savetxt(path, rows, delimiter=",", header="time in s,velocity in mm/s", comments="", fmt="%.12g")
     print("\n".join(path.read_text().splitlines()[:3]))
     record = ss.read_recorded_csv(path, scale=1e-3)
-study("record", record)
+examine("record", record)
 curvature = jnp.max(jnp.abs(jax.vmap(jax.grad(swell.acceleration))(instants)))
 missed = np.max(np.abs(swell.velocity(instants) - record.value(instants)))
 print(f"the record misses the function by {missed:.1e} m/s, at most {0.02**2 / 8 * curvature:.1e} m/s")

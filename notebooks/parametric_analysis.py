@@ -40,10 +40,10 @@ T1 = 200.0  # s
 # ## 64 points of friction coefficient and rate
 
 # %%
-study = papers.parametric_analysis(samples=SAMPLES, t1=T1)
+sweep = papers.parametric_analysis(samples=SAMPLES, t1=T1)
 began = time.perf_counter()
-results = study.run(progress=False)
-print(study)
+results = sweep.run(progress=False)
+print(sweep)
 print(
     f"{time.perf_counter() - began:.0f} s on this machine; the paper: 55.5 days on sixteen computers, for another grid"
 )
@@ -54,7 +54,7 @@ print(
 
 # %%
 names = ["mean_stick_count", "mean_stick_duration", "stick_fraction", "mean_slip_duration"]
-axes = ss.plot.parameter_study(results, names)
+axes = ss.plot.parameter_sweep(results, names)
 
 # %% [markdown]
 # The means along each parameter: the paper's two sections, on the rate and on friction. The 90 % confidence intervals
@@ -68,7 +68,7 @@ figure, panels = plt.subplots(2, 4, figsize=(15, 7), layout="constrained")
 widest = 0.0
 for row, other in zip(panels, ("mu", "rate"), strict=True):
     some = results.sel({other: middle[other]})
-    ss.plot.parameter_study(some, names, axes=row)
+    ss.plot.parameter_sweep(some, names, axes=row)
     for panel in row:
         panel.get_legend().remove()
     row[0].set_title(f"at {other} = {middle[other]:.3g}{units[other]}", fontsize=10, loc="left")
@@ -95,7 +95,7 @@ COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 
 
 def ensemble_at(point):
-    """The samples of the study at this point, again, with all their distributions."""
+    """The samples of the sweep at this point, again, with all their distributions."""
     return ss.simulate_ensemble(
         papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]), t1=T1,
         samples=SAMPLES, key=jax.random.key(0), y0=(0.0, papers.BELT_SPEED), progress=False,
@@ -114,7 +114,7 @@ def draw_section(along, other):
     ensembles = [ensemble_at(point) for point in points]
     again = [np.isclose(float(results.mean_stick_count.sel(point)), ss.mean_stick_count(one).value)
              for point, one in zip(points, ensembles, strict=True)]  # fmt: skip
-    print(f"along {along}: the study's mean number of sticks again at {sum(again)} of {len(again)} points")
+    print(f"along {along}: the sweep's mean number of sticks again at {sum(again)} of {len(again)} points")
     figure, panels = plt.subplots(3, 5, figsize=(17, 9.5), layout="constrained")
     where = f"{along} (1/s)" if along == "rate" else "friction coefficient mu"
     for column, (name, of) in zip(panels.T, QUANTITIES.items(), strict=True):
@@ -162,7 +162,7 @@ draw_section("rate", "mu")
 draw_section("mu", "rate")
 
 # %% [markdown]
-# The study holds the entropies of all 64 points, of histograms in bins that all points share; of the number of sticks,
+# The sweep holds the entropies of all 64 points, of histograms in bins that all points share; of the number of sticks,
 # one bin for each number.
 
 # %%
@@ -177,7 +177,7 @@ for name in ("stick_count", "duration", "slip_duration"):
 # ## How much each parameter matters
 # Elasticities of the mean stick duration: by how many percent it changes when a parameter grows by one percent. Sticks
 # appear and vanish as parameters change, so these are corrected derivatives, with standard errors. The start is not
-# that of the study, in which the mass rests on the belt where this begins forward: at any other speed of the belt that
+# that of the sweep, in which the mass rests on the belt where this begins forward: at any other speed of the belt that
 # rest, which no mean counts, would be gone, so that there is no derivative by the speed. How little the start matters:
 
 # %%

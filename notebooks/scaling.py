@@ -11,9 +11,9 @@
 # ---
 
 # %% [markdown]
-# # A study that grows
+# # A sweep that grows
 #
-# A parametric study simulates the same ensemble at many values of its parameters and stores every finished piece. So
+# A parameter sweep simulates the same ensemble at many values of its parameters and stores every finished batch. So
 # it can start small, be looked at, get more samples and more points, and move from one machine to several; what is
 # there is used again. Every claim below is checked on the numbers.
 
@@ -33,7 +33,7 @@ jax.config.update("jax_enable_x64", True)
 
 SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "10_000"))
 SAMPLES = -(-SAMPLES // 100) * 100
-PIECE = SAMPLES // 4  # samples that are done, and stored, together
+BATCH = SAMPLES // 4  # samples that are done, and stored, together
 kept = tempfile.TemporaryDirectory()
 FOLDER = Path(kept.name) / "mu_and_rate"
 
@@ -47,18 +47,18 @@ law = ss.PoissonSwitching(speed=1.0, rate=1.0)
 OVER = {"mu": [0.5, 0.8, 1.2, 1.6], "rate": [0.3, 0.6, 1.2, 2.4]}
 
 
-def study(samples, over=OVER, **options):
-    """The study, with a number of samples at each point."""
-    common = {"t1": 100.0, "key": jax.random.key(0), "y0": (0.0, 0.5), "piece": PIECE}
-    return ss.Study(system, law, over=over, samples=samples, **(common | options))
+def sweep(samples, over=OVER, **options):
+    """The sweep, with a number of samples at each point."""
+    common = {"t1": 100.0, "key": jax.random.key(0), "y0": (0.0, 0.5), "batch": BATCH}
+    return ss.Sweep(system, law, over=over, samples=samples, **(common | options))
 
 
-print(study(SAMPLES))
+print(sweep(SAMPLES))
 
 # %% [markdown]
 # ## Half of it now, the rest later
 # The first run takes half the samples. The second one asks for all of them in the same folder and does only what is
-# missing. A third study was never stopped. The numbers are the same, bit for bit; only the time spent differs.
+# missing. A third sweep was never stopped. The numbers are the same, bit for bit; only the time spent differs.
 
 
 # %%
@@ -70,10 +70,10 @@ def same(one, other):
     return sum(int((a | b).sum()) for a, b in zip(equal, missing, strict=True)), sum(a.size for a in equal)
 
 
-half = study(SAMPLES // 2).run(FOLDER, progress=False)
-whole = study(SAMPLES).run(FOLDER, progress=False)
-at_once = study(SAMPLES).run(progress=False)
-print("numbers that are those of a study never stopped: {} of {}".format(*same(whole, at_once)))
+half = sweep(SAMPLES // 2).run(FOLDER, progress=False)
+whole = sweep(SAMPLES).run(FOLDER, progress=False)
+at_once = sweep(SAMPLES).run(progress=False)
+print("numbers that are those of a sweep never stopped: {} of {}".format(*same(whole, at_once)))
 
 
 # %% [markdown]
@@ -82,21 +82,21 @@ print("numbers that are those of a study never stopped: {} of {}".format(*same(w
 
 # %%
 def done(folder):
-    """The first samples of the pieces that each run did, after its log."""
+    """The first samples of the batches that each run did, after its log."""
     runs = (folder / "log.txt").read_text().split("begun")[1:]
     return [[int(first) for first in re.findall(r"samples (\d+) to", run)] for run in runs]
 
 
 for number, firsts in enumerate(done(FOLDER), start=1):
-    print(f"run {number}: {len(firsts)} pieces, the lowest first sample {min(firsts)}")
+    print(f"run {number}: {len(firsts)} batches, the lowest first sample {min(firsts)}")
 assert min(done(FOLDER)[1]) == SAMPLES // 2
 
 # %% [markdown]
 # The same call once more finds nothing to do. Neither does one that knows nothing but the folder.
 
 # %%
-again = ss.Study.load(FOLDER).run(FOLDER, progress=False)
-print(f"pieces done by a third run: {len(done(FOLDER)[2])}")
+again = ss.Sweep.load(FOLDER).run(FOLDER, progress=False)
+print(f"batches done by a third run: {len(done(FOLDER)[2])}")
 print("numbers that a third run left as they were: {} of {}".format(*same(again, whole)))
 
 # %% [markdown]
@@ -104,10 +104,10 @@ print("numbers that a third run left as they were: {} of {}".format(*same(again,
 # A fifth friction coefficient costs its own four points only.
 
 # %%
-finer = study(SAMPLES, over=OVER | {"mu": [0.5, 0.8, 1.0, 1.2, 1.6]}).run(FOLDER, progress=False)
+finer = sweep(SAMPLES, over=OVER | {"mu": [0.5, 0.8, 1.0, 1.2, 1.6]}).run(FOLDER, progress=False)
 shared = finer.sel(mu=OVER["mu"])
 pooled = ["stick_fraction", "mean_stick_count", "mean_stick_duration", "mean_slip_duration"]
-print(f"pieces done for it: {len(done(FOLDER)[3])}; the statistics of the first sixteen points are what they were: "
+print(f"batches done for it: {len(done(FOLDER)[3])}; the statistics of the first sixteen points are what they were: "
       f"{all((shared[name] == whole[name]).all() for name in pooled)}")  # fmt: skip
 print(f"time for a point, on average: {float(finer.run_seconds.mean()):.3f} s")
 
@@ -166,12 +166,12 @@ plt.show()
 
 # %% [markdown]
 # ## As many samples as are needed
-# With `standard_error` each point ends when it has the error asked for, piece by piece. How many samples that takes,
+# With `standard_error` each point ends when it has the error asked for, batch by batch. How many samples that takes,
 # the errors found above foretell: a standard error falls with the square root of the number of samples.
 
 # %%
 WANTED = 0.001  # s
-enough = study(40_000, standard_error={"mean_stick_duration": WANTED}, keep="totals", piece=100).run(progress=False)
+enough = sweep(40_000, standard_error={"mean_stick_duration": WANTED}, keep="totals", batch=100).run(progress=False)
 foretold = SAMPLES * (whole.mean_stick_duration_error / WANTED) ** 2
 for mu in OVER["mu"]:
     pairs = zip(enough.samples.sel(mu=mu).values, foretold.sel(mu=mu).values, strict=True)
@@ -181,13 +181,13 @@ print(f"the largest standard error is below {WANTED} s: {bool((enough.mean_stick
 
 # %% [markdown]
 # ## Threads or processes
-# Where a piece is done makes no difference to its numbers. `workers=2` starts two processes, which compile for
+# Where a batch is done makes no difference to its numbers. `workers=2` starts two processes, which compile for
 # themselves; on a cluster `executor=` takes a dask client, with the same result.
 
 # %%
-small = {"over": {"mu": [0.5, 1.2], "rate": [0.6]}, "piece": 50, "keep": "totals"}
-one_thread = study(200, **small).run(threads=1, progress=False)
-two_processes = study(200, **small).run(workers=2, progress=False)
+small = {"over": {"mu": [0.5, 1.2], "rate": [0.6]}, "batch": 50, "keep": "totals"}
+one_thread = sweep(200, **small).run(threads=1, progress=False)
+two_processes = sweep(200, **small).run(workers=2, progress=False)
 print("numbers of two processes that are those of one thread: {} of {}".format(*same(two_processes, one_thread)))
 kept.cleanup()
 

@@ -69,9 +69,9 @@ mean, fraction, mean_count = jax.jit(means)(MU)
 print(f"mean stick duration {mean:.4f} s, its derivative by automatic differentiation {naive:.4f} s")
 
 # %%
-study = {"t1": T1, "samples": SAMPLES, "key": KEY, "y0": Y0}
+settings = {"t1": T1, "samples": SAMPLES, "key": KEY, "y0": Y0}
 names = ("mu", "normal_force", "mass", "stiffness", "speed", "rate")
-by_mu = ss.sensitivity(ss.mean_stick_duration, oscillator(MU), law, wrt=names, **study)["mu"]
+by_mu = ss.sensitivity(ss.mean_stick_duration, oscillator(MU), law, wrt=names, **settings)["mu"]
 print(by_mu)
 print(f"along the trajectories {by_mu.pathwise:.4f}, by sticks born and lost {by_mu.event:+.4f}")
 print("automatic differentiation gives the first of these two:", np.isclose(naive, by_mu.pathwise, rtol=1e-9))
@@ -143,7 +143,7 @@ fine = np.linspace(mus[0], mus[-1], 2001)
 stick_time, count = jax.jit(jax.vmap(totals, (0, None)))(fine, 0)
 print(f"number of sticks of the realisation: {count[0]} to {count[-1]}, in {np.count_nonzero(np.diff(count))} jumps")
 print(f"derivative of the mean number, {mean_count:.1f}, by automatic differentiation: {by_count[0]:.1f}")
-print(ss.sensitivity(ss.mean_stick_count, oscillator(MU), law, wrt=names, **study)["mu"])
+print(ss.sensitivity(ss.mean_stick_count, oscillator(MU), law, wrt=names, **settings)["mu"])
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained", sharex=True)
@@ -177,7 +177,7 @@ print(f"stick fraction {fraction:.4f}, its derivative by automatic differentiati
 # one pass over the trajectories.
 
 # %%
-found = ss.sensitivity(ss.mean_stick_duration, oscillator(MU), law, wrt=names, elasticity=True, **study)
+found = ss.sensitivity(ss.mean_stick_duration, oscillator(MU), law, wrt=names, elasticity=True, **settings)
 print(found)
 ax = ss.plot.tornado(found)
 

@@ -106,8 +106,8 @@ from ._statistics.totals import (
 )
 from ._statistics.verdicts import HypothesisTest as HypothesisTest, Verdict as Verdict
 from ._status import Ending as Ending, Status as Status
-from ._sweep.errors import StudyError as StudyError
-from ._sweep.study import Study as Study
+from ._sweep.errors import SweepError as SweepError
+from ._sweep.sweep import Sweep as Sweep
 from ._systems.friction import (
     Coulomb as Coulomb,
     FrictionCurve as FrictionCurve,

@@ -12,14 +12,10 @@ import threading
 import weakref
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import jax
-
-from . import _compilation_cache, _starting
-
-if TYPE_CHECKING:
-    from .study._options import StudyCommand
+from . import _starting
+from ._sweep.errors import SweepError
 
 _starting.begin()
 
@@ -57,61 +53,21 @@ def _answer(tokens: Sequence[str]) -> int:
 
 def _run_or_fail(tokens: Sequence[str], left: str) -> int:
     try:
-        from .study import StudyError  # noqa: PLC0415 - needs the extra
+        # Imported only here, so that help and errors in the arguments appear without loading the simulation.
+        from .study._commands import run  # noqa: PLC0415 - needs the extra
+        from .study._errors import StudyError  # noqa: PLC0415
     except ImportError as error:
         return _fail(error, 1)
     try:
-        return _run(tokens)
-    except StudyError as error:
+        run(tokens)
+    except (StudyError, SweepError) as error:
         return _fail(error, 2)
     except MemoryError as error:
         reason = f"MemoryError: {error}" if str(error) else "MemoryError"
         return _fail(f"There is not enough memory ({' '.join(reason.split())}); {left}", 1)
     except OSError as error:
         return _fail(error, 1)
-
-
-def _run(tokens: Sequence[str]) -> int:
-    # Imported only here, so that help and errors in the arguments appear without loading the simulation.
-    from .study._options import StudyCommand, parse  # noqa: PLC0415
-
-    command = parse(tokens)
-    if isinstance(command, StudyCommand):
-        _run_study(command)
-    elif command is not None:
-        from .study._sweep_commands import run_command  # noqa: PLC0415
-
-        run_command(command, _prepare_jax)
     return 0
-
-
-def _run_study(command: "StudyCommand") -> None:
-    from .study._reading import OPTIONS, read_config  # noqa: PLC0415
-
-    options = command.options
-    given = {name: getattr(options, name) for name in OPTIONS}
-    config = read_config(command.config, given, example=options.print_example)
-    if options.print_config or options.print_example is not None:
-        print(config.to_toml(), end="")
-        return
-    _prepare_jax(config.run.dtype)
-
-    from .study._report import as_json, table  # noqa: PLC0415
-    from .study._run import run_study  # noqa: PLC0415
-
-    study = run_study(config, force=options.force, progress=False if options.quiet else options.progress)
-    if not options.quiet:
-        print(table(study), file=sys.stderr if options.json else sys.stdout)
-    if options.json:
-        print(as_json(study))
-
-
-def _prepare_jax(dtype: str) -> None:
-    """Set the precision before JAX starts, and switch the compilation cache on."""
-    jax.config.update("jax_enable_x64", dtype == "float64")
-    problem = _compilation_cache.use()
-    if problem:
-        print("stickslip:", problem, file=sys.stderr)
 
 
 def _fail(reason: Any, code: int) -> int:

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, whenever the program or the machine stops."""
+"""Files: written as a whole or not at all, and read only where they are regular files."""
 
 import contextlib
 import errno
@@ -13,6 +13,8 @@ from typing import IO, Any
 from . import _checks
 
 _UNFINISHED = ".unfinished"
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0)  # opening a named pipe does not wait for its other end
+_BINARY = getattr(os, "O_BINARY", 0)  # on Windows
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 """Numbers of errors that mean that there is no room."""
 _SIGNATURES = {b"\x89HDF\r\n\x1a\n": "a NetCDF or HDF5 file", b"PAR1": "a parquet table", b"\x89PNG": "a figure"}
@@ -48,7 +50,7 @@ def file_to_write(path: Any, endings: tuple[str, ...] = (), *, overwrite: bool =
             f"first (the working folder is {str(Path.cwd())!r})."
         )
     if found is not None and not stat.S_ISREG(found):
-        kind = "a folder" if stat.S_ISDIR(found) else "no ordinary file"
+        kind = _kind_of_mode(found)
         raise ValueError(f"Argument path must be a file name, but {shown} is {kind}; choose another name.")
     if found is not None and not overwrite:
         raise FileExistsError(
@@ -128,6 +130,43 @@ def file_for_user(path: Path) -> Iterator[IO[bytes]]:
     """`whole_file`, whose OSError is a sentence."""
     with writing(path), whole_file(path) as file:
         yield file
+
+
+class NotAFileError(OSError):
+    """Something else than a regular file; ``strerror`` says what."""
+
+
+def read_regular(path: Path, most: int = -1) -> bytes:
+    """The bytes of a file, or the first `most`. Only regular files are read: a named pipe would wait for ever.
+
+    Raises OSError for a file that is not there, and NotAFileError.
+    """
+    with _opened_regular(path, os.O_RDONLY | _BINARY) as handle, open(handle, "rb", closefd=False) as file:
+        return file.read(most)
+
+
+def append_regular(path: Path, text: str) -> None:
+    """Add text to a file, which is made if it is not there. Raises OSError as `read_regular`."""
+    with _opened_regular(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT) as handle:
+        os.write(handle, text.encode())
+
+
+@contextlib.contextmanager
+def _opened_regular(path: Path, flags: int) -> Iterator[int]:
+    handle = os.open(path, flags | _NO_WAIT, 0o666)
+    try:
+        mode = os.fstat(handle).st_mode
+        if not stat.S_ISREG(mode):
+            raise NotAFileError(errno.EINVAL, f"it is {_kind_of_mode(mode)}, not a file", str(path))
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _kind_of_mode(mode: int) -> str:
+    """What something is that is no regular file."""
+    kinds = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a named pipe"), (stat.S_ISCHR, "a device"))
+    return next((name for test, name in kinds if test(mode)), "no ordinary file")
 
 
 def sync_folder(folder: Path) -> None:

@@ -19,7 +19,7 @@ def require_threads_of_jax() -> None:
     if _State.lost:
         raise RuntimeError(
             "JAX cannot run in a fork of a process in which it had started, and would wait for threads that are not "
-            'there; start processes by multiprocessing.get_context("spawn"), or let Study.run(workers=...) do it.'
+            'there; start processes by multiprocessing.get_context("spawn"), or let Sweep.run(workers=...) do it.'
         )
 
 

@@ -1,4 +1,4 @@
-"""The systems, base motions and initial states of published studies, ready to simulate, and two parametric studies.
+"""The systems, base motions and initial states of published studies, ready to simulate, and two parameter sweeps.
 
 All are by Lima and Sampaio: "An electromechanical system with uncertain stick-slip oscillations" (2022; `motor_cart`),
 "Parametric analysis of the statistical model of the stick-slip process" (2017; `parametric_analysis`), "Stick-mode
@@ -22,7 +22,7 @@ from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage
 from ._simulation.call import simulate
-from ._sweep.study import Study
+from ._sweep.sweep import Sweep
 from ._systems.friction import Coulomb
 from ._systems.mass_spring import MassSpring
 from ._systems.motor_cart import MotorCart
@@ -44,10 +44,12 @@ Belt: TypeAlias = Literal["constant", "square", "harmonic", "random"]
 class SetUp(NamedTuple):
     """The first arguments of `simulate` and `simulate_ensemble`.
 
-    - `law`: a random law must be drawn for `simulate`: ``law.sample(key, t1)``.
-    - `t1`: duration, s.
-    - `y0`: initial state: position and velocity, m and m/s; of a `MotorCart` angle, angular velocity and current, rad,
-      rad/s and A. A number, or a `Uniform` distribution of it.
+    Attributes:
+        system: The oscillator.
+        law: The motion of the base or the voltage. A random law must be drawn for `simulate`: ``law.sample(key, t1)``.
+        t1: The duration, s.
+        y0: The initial state: position and velocity, m and m/s; of a `MotorCart` angle, angular velocity and current,
+            rad, rad/s and A. A number, or a `Uniform` distribution of it.
     """
 
     system: System
@@ -59,9 +61,14 @@ class SetUp(NamedTuple):
 def belt_oscillator(mu: Scalar = 1.0) -> MassSpring:
     """The mass on the belt: 1 kg, stiffness 4 N/m, normal force 1 N, mu = 1 (conference paper, section 3).
 
-    - `mu`: the friction coefficient, zero or positive; the 2015 paper varies it.
+    Args:
+        mu: The friction coefficient, zero or positive; the 2015 paper varies it.
 
-    Raises ValueError for another one.
+    Returns:
+        The system.
+
+    Raises:
+        ValueError: For another coefficient.
     """
     return MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=Coulomb(mu=mu))
 
@@ -69,7 +76,14 @@ def belt_oscillator(mu: Scalar = 1.0) -> MassSpring:
 def constant_belt(mu: Scalar = 1.0) -> SetUp:
     """The belt that runs at constant speed (conference paper, figure 2).
 
-    `mu`: the friction coefficient, zero or positive. Raises ValueError for another one.
+    Args:
+        mu: The friction coefficient, zero or positive.
+
+    Returns:
+        The set-up.
+
+    Raises:
+        ValueError: For another coefficient.
     """
     return SetUp(belt_oscillator(mu), Constant(BELT_SPEED), 200.0, (0.0, 1.0))
 
@@ -77,9 +91,15 @@ def constant_belt(mu: Scalar = 1.0) -> SetUp:
 def square_wave_belt(ratio: Scalar, mu: Scalar = 1.0) -> SetUp:
     """The belt that runs backward and forward alternately (conference paper, eq. 4, figures 3 to 6).
 
-    - `ratio`: the frequency ratio r, positive. `mu`: the friction coefficient, zero or positive.
+    Args:
+        ratio: The frequency ratio r, positive.
+        mu: The friction coefficient, zero or positive.
 
-    Raises ValueError for numbers outside these bounds.
+    Returns:
+        The set-up.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
     return SetUp(belt_oscillator(mu), SquareWave(BELT_SPEED, _belt_period(ratio)), 200.0, (0.0, 1.0))
 
@@ -87,11 +107,18 @@ def square_wave_belt(ratio: Scalar, mu: Scalar = 1.0) -> SetUp:
 def harmonic_belt(ratio: Scalar, mu: Scalar = 1.0) -> SetUp:
     """The belt whose velocity is a cosine of the same amplitude and frequency ratio (2015 paper).
 
-    - `ratio`: the frequency ratio r, positive. `mu`: the friction coefficient, zero or positive.
+    In the end the mass sticks without end exactly where ``mu n >= m v0 omega |r - 1 / r|``, with the amplitude v0 of
+    the velocity: the force that a stick needs then never exceeds the limit of friction.
 
-    In the end the mass sticks for ever exactly where ``mu n >= m v0 omega |r - 1 / r|``, with the amplitude v0 of the
-    velocity: a stick can then need a force that never leaves its band. Raises ValueError for numbers outside these
-    bounds.
+    Args:
+        ratio: The frequency ratio r, positive.
+        mu: The friction coefficient, zero or positive.
+
+    Returns:
+        The set-up.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
     law = Harmonic(BELT_SPEED, 2 * math.pi / _belt_period(ratio))
     return SetUp(belt_oscillator(mu), law, 200.0, (0.0, 1.0))
@@ -102,11 +129,17 @@ def random_belt(ratio: Scalar, y0: tuple[float, float] = (0.0, 0.0), mu: Scalar 
 
     It is that of the conference paper, section 4 and figure 7.
 
-    - `ratio`: the frequency ratio r, positive. `mu`: the friction coefficient, zero or positive.
-    - `y0`: initial position and velocity, m and m/s. The paper states zero initial conditions in its conclusions, and
-      ``(0.0, 1.0)`` in section 3.
+    Args:
+        ratio: The frequency ratio r, positive.
+        y0: Initial position and velocity, m and m/s. The paper states zero initial conditions in its conclusions, and
+            ``(0.0, 1.0)`` in section 3.
+        mu: The friction coefficient, zero or positive.
 
-    Raises ValueError for numbers outside these bounds.
+    Returns:
+        The set-up.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
     return SetUp(belt_oscillator(mu), RandomSteps(BELT_SPEED, _belt_period(ratio)), 200.0, y0)
 
@@ -114,12 +147,18 @@ def random_belt(ratio: Scalar, y0: tuple[float, float] = (0.0, 0.0), mu: Scalar 
 def motor_cart(mu: Scalar = 0.2, t1: float = 2.0) -> SetUp:
     """The motor and cart with random phase of the voltage and random initial angle (Lima and Sampaio 2022, section 7).
 
-    - `mu`: the friction coefficient, zero or positive; the paper runs 10,000 samples at 0.2 and at 0.5.
-    - `t1`: duration, s, positive. The paper does not give it. After 2 s nearly all first sticks that end have
-      ended.
+    The paper does not give the initial angular velocity and current; both are 0 here.
 
-    The paper does not give the initial angular velocity and current either; both are 0 here. Raises ValueError for
-    numbers outside these bounds.
+    Args:
+        mu: The friction coefficient, zero or positive; the paper runs 10,000 samples at 0.2 and at 0.5.
+        t1: The duration, s, positive. The paper does not give it. After 2 s nearly all first sticks that end have
+            ended.
+
+    Returns:
+        The set-up.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
     _checks.positive("t1", t1, "s")
     return SetUp(MotorCart(mu=mu), RandomPhase(SourceVoltage()), t1, (Uniform(0.0, 2 * math.pi), 0.0, 0.0))
@@ -131,10 +170,15 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     It is that of the last of `periods` periods, exact for that period. After 400 periods it no longer changes from
     period to period for the ratios of the figure. Use ``jax.vmap`` for many ratios.
 
-    - `ratio`: the frequency ratio r, positive.
-    - `periods`: how many to simulate, a whole number of at least 1.
+    Args:
+        ratio: The frequency ratio r, positive.
+        periods: How many to simulate, a whole number of at least 1.
 
-    Raises ValueError for arguments outside these bounds.
+    Returns:
+        The fraction.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
 
     >>> print(f"{100 * ss.papers.steady_stick_share(1.2):.2f} %")
     36.43 %
@@ -150,19 +194,26 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     return jnp.sum(jnp.maximum(end - jnp.maximum(start, t1 - period), 0)) / period
 
 
-def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int = 0) -> Study:
+def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int = 0) -> Sweep:
     """Stick-slip statistics over the friction coefficient and the rate of a Poisson switching base (2017 paper).
 
-    The paper varies the two one after the other; its values are missing in the text that this is made from. The grid of
-    64 points, the oscillator (that of the conference paper) and its start are this package's choice.
+    The paper varies the two one after the other; its values were not available. The grid of 64 points, the oscillator
+    (that of the conference paper) and its start are this package's choice.
 
-    - `samples`: at each point. `t1`: duration, s. `seed`: of the random numbers.
+    Args:
+        samples: Number of samples at each point.
+        t1: The duration, s.
+        seed: Of the random numbers.
 
-    Raises ValueError for arguments that `Study` refuses.
+    Returns:
+        The sweep, which has not been run.
+
+    Raises:
+        ValueError: For arguments that `Sweep` refuses.
     """
     over = {"mu": np.linspace(*ANALYSIS_FRICTIONS), "rate": np.geomspace(*ANALYSIS_RATES)}
     law = PoissonSwitching(speed=BELT_SPEED, rate=1.0)
-    return Study(belt_oscillator(), law, over=over, t1=t1, samples=samples, key=_key(seed), y0=(0.0, BELT_SPEED))
+    return Sweep(belt_oscillator(), law, over=over, t1=t1, samples=samples, key=_key(seed), y0=(0.0, BELT_SPEED))
 
 
 def stick_share_map(
@@ -173,19 +224,27 @@ def stick_share_map(
     samples: int | None = None,
     t1: float = 200.0,
     seed: int = 0,
-) -> Study:
-    """The share of time spent sticking over friction coefficient and frequency ratio r (2015 and conference papers).
+) -> Sweep:
+    """The fraction of time spent sticking over friction coefficient and frequency ratio (2015 and conference papers).
 
-    It is the share of all of ``[0, t1]``, the beginning included; that of a steady period of the square wave is
-    `steady_stick_share`. The values of the 2015 paper are missing in the text that this is made from: the grid is this
-    package's choice, all else is of the conference paper.
+    It is the fraction of all of ``[0, t1]``, the beginning included; that of a steady period of the square wave is
+    `steady_stick_share`. The values of the 2015 paper were not available: the grid is this package's choice, all else
+    is of the conference paper.
 
-    - `belt`: "constant", which has no frequency, so that only `mu` varies; "square"; "harmonic", ``cos`` with the
-      amplitude of the others; or "random", a new direction in each interval of ``1 / f_b``.
-    - `mu`, `ratios`: friction coefficients and frequency ratios; by default 20 of 0.1 to 2, and 25 of 0.1 to 2.5.
-    - `samples`: at each point; by default 1000 of the random belt, else 1. `t1`: s. `seed`: of the random numbers.
+    Args:
+        belt: "constant", which has no frequency, so that only `mu` varies; "square"; "harmonic", ``cos`` with the
+            amplitude of the others; or "random", a new direction in each interval of ``1 / f_b``.
+        mu: Friction coefficients; by default 20 from 0.1 to 2.
+        ratios: Frequency ratios; by default 25 from 0.1 to 2.5.
+        samples: Number of samples at each point; by default 1000 with the random belt, else 1.
+        t1: The duration, s.
+        seed: Of the random numbers.
 
-    Raises ValueError for another belt, and for arguments that `Study` refuses.
+    Returns:
+        The sweep, which has not been run.
+
+    Raises:
+        ValueError: For another belt, and for arguments that `Sweep` refuses.
     """
     _checks.chosen("belt", belt, get_args(Belt))
     laws = {
@@ -198,7 +257,7 @@ def stick_share_map(
     if belt != "constant":
         over["r"] = np.linspace(*SHARE_RATIOS) if ratios is None else ratios
     usual = SHARE_SAMPLES if belt == "random" else 1
-    return Study(
+    return Sweep(
         belt_oscillator(), laws[belt], over=over, t1=t1, samples=usual if samples is None else samples,
         key=_key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
         statistics=["stick_fraction"],

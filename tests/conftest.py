@@ -52,3 +52,10 @@ def _compiled_code_is_let_go(request):
     maps = Path("/proc/self/maps")
     if request.node.get_closest_marker("slow") and maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
         jax.clear_caches()
+
+
+@pytest.fixture
+def in_an_empty_folder(tmp_path, monkeypatch):
+    """Let the command work in an empty folder, without settings of its own: all tests of a process share theirs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)

@@ -1,6 +1,6 @@
 """The parts of the benchmarks: each measures (`measure`) and writes its table (`table`)."""
 
-from . import compiling, composed, derivatives, intervals, motor_cart, regularized, sensitivity, stepping, studies
+from . import compiling, composed, derivatives, intervals, motor_cart, regularized, sensitivity, stepping, sweeps
 
 PARTS = {
     "intervals": intervals,
@@ -11,5 +11,5 @@ PARTS = {
     "motor cart": motor_cart,
     "regularised": regularized,
     "sensitivity": sensitivity,
-    "studies": studies,
+    "sweeps": sweeps,
 }

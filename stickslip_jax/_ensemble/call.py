@@ -149,13 +149,13 @@ def _extended(
 Ensemble._extend = staticmethod(_extended)
 
 
-def simulate_piece(
+def simulate_batch(
     setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int
 ) -> Ensemble:
     """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
 
-    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any piece of the whole
-    has; programs compiled for one piece fit all others with the same `fewest`.
+    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
+    has; programs compiled for one batch fit all others with the same `fewest`.
     """
     adaptive = isinstance(setup.engine, AdaptiveBatch)
     plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)

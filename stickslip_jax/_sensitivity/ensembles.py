@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from .._ensemble.call import simulate_piece
+from .._ensemble.call import simulate_batch
 from .._ensemble.parts import RETAINED
 from .._ensemble.setup import EnsembleSetup
 from .._events.sticks import FlatSticks
@@ -48,7 +48,7 @@ def simulated(problem: Problem, model: Model) -> Callable[[int, int], tuple[np.n
     run = EnsembleSetup.checked(model, problem.t1, *options)
 
     def values(first: int, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        many = simulate_piece(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
+        many = simulate_batch(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
         totals = many.totals
         assert totals is not None
         status = np.where(totals.status == Status.FINISHED, totals.status, np.maximum(totals.status, 1)).astype(int)

@@ -28,9 +28,9 @@ class Sensitivity:
       trajectories the number of sticks differs). `relative_bandwidth`: width of the kernel as a relative change of the
       parameter (for finite differences: the step).
 
-    >>> law, study = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 200.0, "samples": 2000, "y0": (0.0, 0.5)}
+    >>> law, settings = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 200.0, "samples": 2000, "y0": (0.0, 0.5)}
     >>> found = ss.sensitivity(
-    ...     ss.mean_stick_duration, ss.papers.belt_oscillator(0.9), law, wrt="mu", key=jax.random.key(0), **study
+    ...     ss.mean_stick_duration, ss.papers.belt_oscillator(0.9), law, wrt="mu", key=jax.random.key(0), **settings
     ... )
     >>> print(found)
     d / d mu of mean stick duration (pooled): 0.2980 +- 0.0053

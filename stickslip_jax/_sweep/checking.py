@@ -1,4 +1,4 @@
-"""Checks of all points of a study at once: arrays of values in place of the numbers of one point."""
+"""Checks of all points of a sweep at once: arrays of values in place of the numbers of one point."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,22 +10,22 @@ from .._uncertainty.numbers import Path, number_at, with_numbers
 from .points import Points
 from .setting import Setter, Setting
 
-_AT_ONCE = 1 << 16
+_POINTS_AT_ONCE = 1 << 16
 
 
 def check_points(setter: Setter, points: Points, setting_at: Callable[[int], Setting]) -> None:
     """Check every point as constructors do. Raises the ValueError of `setting_at` for the first that they refuse.
 
-    Points are looked at in arrays, which shows which of them may not fit; only these are made one by one.
+    Points are checked in arrays first; only those that may be refused are then made one by one.
     """
     setting_at(0)  # what does not fit at any point
-    for first, values in points.blocks(_AT_ONCE):
+    for first, values in points.blocks(_POINTS_AT_ONCE):
         for number in np.flatnonzero(_suspicious(setter, values)):
             setting_at(first + int(number))
 
 
 def _suspicious(setter: Setter, values: np.ndarray) -> np.ndarray:
-    """Which of the points with these `values`, (points, parameters), constructors may refuse, (points,)."""
+    """Which of the points with these `values`, (points, parameters), constructors might refuse, (points,)."""
     try:
         with np.errstate(all="ignore"):
             columns, changed = setter.columns(values)
@@ -49,22 +49,19 @@ def _suspicious(setter: Setter, values: np.ndarray) -> np.ndarray:
     return wrong
 
 
-def _unrelated(module: Checked, plain: Checked, inside: dict[Path, np.ndarray]) -> np.ndarray:
-    """For which points the numbers of `module` do not fit together; `plain`: the module of the setting."""
-    fits = np.zeros(len(next(iter(inside.values()))), bool)
+def _unrelated(module: Checked, single: Checked, inside: dict[Path, np.ndarray]) -> np.ndarray:
+    """For which points the numbers of `module` do not fit together; `single`: the module of the setting."""
     kind = type(module)
-    if kind.__check_init__ is Checked.__check_init__:
-        if kind.check_relations is Checked.check_relations:
-            return fits
-        if any(varies(getattr(plain, name), about) for name, about in described(kind).items()):
-            return fits  # checked for what is drawn
+    if kind.__check_init__ is not Checked.__check_init__:
+        return _refused(single, inside)
+    # What is drawn anew for every sample is checked when it is drawn.
+    if not any(varies(getattr(single, name), about) for name, about in described(kind).items()):
         try:
             with np.errstate(all="ignore"):
                 kind.check_relations(module)  # made for single numbers, but comparisons may hold for arrays
         except (TypeError, ValueError):
-            return _refused(plain, inside)
-        return fits
-    return _refused(plain, inside)
+            return _refused(single, inside)
+    return np.zeros(len(next(iter(inside.values()))), bool)
 
 
 def _refused(module: Any, inside: dict[Path, np.ndarray]) -> np.ndarray:

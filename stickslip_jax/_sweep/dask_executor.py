@@ -13,13 +13,13 @@ from typing import Any
 
 from .. import _checks
 from .._files import write_whole
-from .errors import StudyError
+from .errors import SweepError
 from .executors import Executor, WorkerDiedError, Written
+from .header import with_header
 from .locking import cannot_write
 from .plan import Plan, Task
-from .sealing import sealed
 from .store import Store
-from .workers import Failed, NoMemory, Sent, UnfitWorkerError, perform_sent, sent
+from .workers import Failed, NoMemory, Outcome, Sent, UnfitWorkerError, perform_sent, sent
 
 _RETRIES = 3  # of a task that failed for another reason than its point
 _PART = 4 * 2**20  # bytes: dask warns about tasks that hold 10 MB
@@ -31,31 +31,31 @@ _LONG = 10.0  # s without a result, after which it is asked whether the workers 
 class DaskCluster(Executor):
     """The workers of a cluster, to which a ``dask.distributed.Client`` is connected.
 
-    The plan goes to the cluster once, as the result of tasks: where the worker that holds it dies, the scheduler makes
-    it again, and workers that come later get it from others. A task is a few numbers. At most two for each thread of
-    the cluster are submitted at a time, and results are released as soon as they have come.
+    The plan is sent to the cluster once, as arguments of tasks whose result it is. If the worker that holds it dies,
+    the scheduler makes it again, and workers that start later get it from others. A task is a few numbers. At most two
+    tasks for each thread of the cluster are submitted at a time, and results are released as soon as they arrive.
     """
 
     def __init__(self, plan: Plan, client: Any, store: Store, shared_folder: bool):
         _check_client(client)
-        self._client, self._checked, self._study = client, plan, sent(plan)
+        self._client, self._checked, self._sent = client, plan, sent(plan)
         self._store, self._shared = store, shared_folder
         self._futures: dict[Task, Any] = {}
         self._threads, self._counted = 1, -_COUNTED
-        self._told: set[str] = set()
-        self._came = time.monotonic()
+        self._printed: set[str] = set()
+        self._came = time.monotonic()  # when the last result did
         self._plan = self._send()
 
     def _send(self) -> Any:
         """The future of the plan in the cluster."""
         self.check()
-        name, data = f"stickslip-plan-{uuid.uuid4().hex[:8]}", self._study.plan
+        name, data = f"stickslip-plan-{uuid.uuid4().hex[:8]}", self._sent.plan
         submit = functools.partial(self._client.submit, pure=False, retries=_RETRIES)
         parts = [
             submit(bytes, data[at : at + _PART], key=f"{name}-{number}")
             for number, at in enumerate(range(0, len(data), _PART))
         ]
-        return submit(_assembled, parts, self._study._replace(plan=b"")._asdict(), key=name)
+        return submit(_assembled, parts, self._sent._replace(plan=b"")._asdict(), key=name)
 
     @property
     def at_once(self) -> int:
@@ -69,13 +69,13 @@ class DaskCluster(Executor):
         submit = functools.partial(self._client.submit, key=key, pure=False, retries=_RETRIES)
         if self._shared:
             path = str(self._path_of(task).resolve())
-            future = submit(_perform_and_write, self._plan, tuple(task), path, self._store.mark)
+            future = submit(_perform_and_write, self._plan, tuple(task), path, self._store.sweep_id)
         else:
             future = submit(_perform, self._plan, tuple(task))
         self._futures[task] = future
         return future
 
-    def result(self, task: Task, future: Any) -> bytes | Written | Failed | NoMemory:
+    def result(self, task: Task, future: Any) -> Outcome | Written:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
         self._futures.pop(task, None)
@@ -83,13 +83,13 @@ class DaskCluster(Executor):
         try:
             found = future.result()
         except KilledWorker as error:
-            raise StudyError(
-                f"Workers of the cluster died {error.allowed_failures + 1} times with the same piece, the last "
+            raise SweepError(
+                f"Workers of the cluster died {error.allowed_failures + 1} times with the same batch, the last "
                 f"{error.last_worker.address}; what is done is kept. Perhaps memory ran out: give the workers more, or "
                 "fewer threads, and run again."
             ) from error
         except UnfitWorkerError as error:
-            raise StudyError(str(error)) from error
+            raise SweepError(str(error)) from error
         except CancelledError as error:  # by a restart of the cluster, with all others
             self.check()
             raise WorkerDiedError(f"the cluster cancelled its tasks: {error}", others=True) from error
@@ -99,8 +99,8 @@ class DaskCluster(Executor):
         except RuntimeError as error:
             if "deserialization" not in str(error):
                 raise
-            raise StudyError(
-                f"The scheduler of the cluster cannot read the study ({str(error).partition('.')[0]}); install "
+            raise SweepError(
+                f"The scheduler of the cluster cannot read the sweep ({str(error).partition('.')[0]}); install "
                 "stickslip_jax, dask and distributed in the same versions there."
             ) from error
         finally:
@@ -113,7 +113,7 @@ class DaskCluster(Executor):
         return self._store.path_of(self._checked.points.identity(task.point), task, self._checked)
 
     def _check_visible(self, path: Path, size: int) -> None:
-        """Raises StudyError for a file that a worker wrote and that is not here; network folders take a moment."""
+        """Raises SweepError if a file that a worker wrote does not appear here; network folders take a moment."""
         end = time.monotonic() + _VISIBLE
         while True:
             with contextlib.suppress(OSError):
@@ -122,7 +122,7 @@ class DaskCluster(Executor):
                     return
             self._store.check_kept()
             if time.monotonic() > end:
-                raise StudyError(
+                raise SweepError(
                     f"{path.name}, which a worker has written, is not in {path.parent}; the folder is not the same "
                     "everywhere: leave shared_folder out, and run again."
                 )
@@ -130,15 +130,15 @@ class DaskCluster(Executor):
 
     def check(self) -> None:
         if self._client.status != "running":
-            raise StudyError(
-                "The connection to the cluster was lost; the pieces that came before are kept in "
+            raise SweepError(
+                "The connection to the cluster was lost; the batches that came before are kept in "
                 f"{self._store.folder}. Connect a new client: the same call with it goes on from there."
             )
         if time.monotonic() >= self._counted + _COUNTED:
             self._count()
 
     def _count(self) -> None:
-        """Count the threads of the cluster, and say where there is none, because the study then waits."""
+        """Count the threads of the cluster; print a message if the sweep has to wait for workers."""
         try:
             threads = sum(self._client.nthreads().values())
         except OSError:  # of a connection that is being lost, which the next check tells
@@ -146,19 +146,19 @@ class DaskCluster(Executor):
         finally:
             self._counted = time.monotonic()
         self._threads = max(1, threads)
-        idle = ""
+        message = ""
         if not threads:
             start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
-            idle = f"The cluster has no workers, and the study waits for them; {start}"
+            message = f"The cluster has no workers, and the sweep waits for them; {start}"
         elif self._futures and time.monotonic() > self._came + _LONG and self._are_paused():
-            idle = (
-                "The workers of the cluster are paused, because their memory is nearly full, and the study waits for "
+            message = (
+                "The workers of the cluster are paused, because their memory is nearly full, and the sweep waits for "
                 "them; give them more memory, or stop with Ctrl-C."
             )
-        if idle and idle not in self._told:  # once: workers come and go
-            self._told.add(idle)
-            self._store.log(idle.partition(";")[0])
-            print(idle, file=sys.stderr)
+        if message and message not in self._printed:  # once: workers come and go
+            self._printed.add(message)
+            self._store.log(message.partition(";")[0])
+            print(message, file=sys.stderr)
 
     def _are_paused(self) -> bool:
         """Whether every worker has stopped taking tasks: dask does that where their memory is nearly full."""
@@ -169,7 +169,7 @@ class DaskCluster(Executor):
         self._plan = self._send()
 
     def close(self, *, wait: bool) -> None:
-        """The client is the caller's; only what is under way is given up."""
+        """Release what is under way; the client is the caller's, and stays open."""
         if self._client.status == "running":
             for future in (*self._futures.values(), self._plan):
                 future.release()
@@ -196,17 +196,17 @@ def _assembled(parts: list[bytes], others: dict[str, Any]) -> Sent:
     return Sent(**{**others, "plan": b"".join(parts)})
 
 
-def _perform(study: Sent, task: tuple) -> bytes | Failed | NoMemory:
-    return perform_sent(study, Task(*task))
+def _perform(plan: Sent, task: tuple) -> Outcome:
+    return perform_sent(plan, Task(*task))
 
 
-def _perform_and_write(study: Sent, task: tuple, path: str, mark: bytes) -> Written | Failed | NoMemory:
-    """Do a task, and write its piece into the folder of the study. Raises UnfitWorkerError where that is not here."""
-    _check_shared(Path(path).parents[1], mark)
-    found = perform_sent(study, Task(*task))
+def _perform_and_write(plan: Sent, task: tuple, path: str, sweep_id: bytes) -> Written | Failed | NoMemory:
+    """Do a task, and write its batch into the folder of the sweep. Raises UnfitWorkerError where that is not here."""
+    _check_shared(Path(path).parents[1], sweep_id)
+    found = perform_sent(plan, Task(*task))
     if not isinstance(found, bytes):
         return found
-    whole = sealed(mark, Path(path).name, found)
+    whole = with_header(sweep_id, Path(path).name, found)
     try:
         write_whole(Path(path), whole)
     except OSError as error:
@@ -215,12 +215,12 @@ def _perform_and_write(study: Sent, task: tuple, path: str, mark: bytes) -> Writ
 
 
 @functools.lru_cache(maxsize=4)
-def _check_shared(folder: Path, mark: bytes) -> None:
+def _check_shared(folder: Path, sweep_id: bytes) -> None:
     try:
-        if Store.reading(folder).mark == mark:
+        if Store.reading(folder).sweep_id == sweep_id:
             return
-        reason = "holds another study"
-    except StudyError as error:
+        reason = "holds another sweep"
+    except SweepError as error:
         reason = f"cannot be used ({error})"
     raise UnfitWorkerError(
         f"{_where()}: {folder} {reason} there; leave shared_folder out unless the folder is the same everywhere."

@@ -1,9 +1,9 @@
-"""The result of a study as one labelled data set."""
+"""The result of a sweep as one labelled data set."""
 
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -18,12 +18,12 @@ from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._status import Status
 from .._systems.system import require_system
-from .errors import StudyError
+from .errors import SweepError
 from .groups import GROUPS
 from .locking import cannot_write
-from .manifest import sum_of
+from .manifest import Manifest, sum_of
 from .plan import Plan
-from .points import POINT, Axis
+from .points import POINT
 from .setting import label_of, unit_of
 from .store import DATA, Store, derivative_name
 from .work import Work
@@ -31,22 +31,24 @@ from .work import Work
 if TYPE_CHECKING:
     import xarray
 
-SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of quantiles
+_Variable: TypeAlias = tuple[str | tuple[str, ...], np.ndarray | list[float], dict[str, str]]
+"""Dimensions, values and attributes, as xarray takes them."""
 _BY_NAME: dict[str, SampledQuantity] = {quantity.name: quantity for quantity in DISTRIBUTIONS}
 
 
-class Columns:
-    """Variables of the data set that are filled in point by point; NaN, or 0 for counts, where nothing is yet."""
+class Variables:
+    """The variables of the data set, filled in point by point; NaN, or 0 for counts, where nothing is yet."""
 
     def __init__(self, plan: Plan):
         self._number, self._shape = plan.points.number, plan.points.shape
-        self._dimensions = tuple(axis.name for axis in plan.points.axes)
-        self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, Any]]] = {}
+        self._dimensions = tuple(one.name for one in plan.points.dimensions)
+        self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
 
     def put(
-        self, point: int, name: str, value: Any, long_name: str, unit: str = "1", *, dimensions: tuple[str, ...] = ()
+        self, point: int, name: str, value: object, long_name: str, unit: str = "1", *, dimensions: tuple[str, ...] = ()
     ) -> None:
-        """Put the `value` of a variable at a point; `dimensions`: those that it has beside the points'."""
+        """Put the `value` of a variable at a point; `dimensions`: those that it has besides those of the points."""
         value = np.asarray(value)
         if name not in self._found:
             empty = np.nan if value.dtype.kind == "f" else 0
@@ -60,7 +62,7 @@ class Columns:
         self.put(point, name, float(estimate.value), long_name or estimate.name, unit)
         self.put(point, f"{name}_error", float(estimate.standard_error), f"standard error of {name}", unit)
 
-    def variables(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    def entries(self) -> Iterator[tuple[str, _Variable]]:
         """Names and entries, as xarray takes them."""
         for name, (dimensions, array, attributes) in self._found.items():
             values = array.reshape(*self._shape, *array.shape[1:])
@@ -68,21 +70,21 @@ class Columns:
 
 
 def dataset_of(work: Work) -> "xarray.Dataset":
-    """All results that are there. Points are looked at twice, one at a time: the bins that all share come first."""
+    """All stored results. Points are read twice, one at a time: first for the bins, which all points share."""
     try:
         import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
-        raise ImportError("Studies need xarray: pip install 'stickslip_jax[study]'.") from None
-    plan, columns = work.plan, Columns(work.plan)
+        raise ImportError("Sweeps need xarray: pip install 'stickslip_jax[study]'.") from None
+    plan, variables = work.plan, Variables(work.plan)
     bins = _common_bins(work)
     for point in range(plan.points.number):
         ensemble = work.ensemble(point)
-        _put_counts(columns, point, ensemble)
+        _put_counts(variables, point, ensemble)
         if ensemble is not None:
-            _put_statistics(columns, point, ensemble, plan, bins)
-        _put_derivatives(columns, point, work)
-    coordinates = {**_axes(plan), **_bin_coordinates(plan, bins)}
-    return xr.Dataset(dict(columns.variables()), coordinates, _attributes(plan, work.store.body))
+            _put_statistics(variables, point, ensemble, plan, bins)
+        _put_derivatives(variables, point, work)
+    coordinates = {**_point_coordinates(plan), **_bin_coordinates(plan, bins)}
+    return xr.Dataset(dict(variables.entries()), coordinates, _attributes(plan, work.store.body))
 
 
 def _common_bins(work: Work) -> dict[str, CommonBins]:
@@ -101,60 +103,62 @@ def _common_bins(work: Work) -> dict[str, CommonBins]:
     return {name: bins for name, bins in found.items() if bins is not None}
 
 
-def _put_counts(columns: Columns, point: int, ensemble: Ensemble | None) -> None:
-    columns.put(point, "samples", 0 if ensemble is None else ensemble.samples, "number of samples")
+def _put_counts(variables: Variables, point: int, ensemble: Ensemble | None) -> None:
+    variables.put(point, "samples", 0 if ensemble is None else ensemble.samples, "number of samples")
     for status in Status:
         count = 0 if ensemble is None else ensemble.status_counts[status]
-        columns.put(point, f"samples_{status.name.lower()}", count, f"number of samples with status {status.name}")
+        variables.put(point, f"samples_{status.name.lower()}", count, f"number of samples with status {status.name}")
     near = 0 if ensemble is None else ensemble.near_grazing_samples
-    columns.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
+    variables.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
     spent = np.nan if ensemble is None else ensemble.run_seconds
-    columns.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
+    variables.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
 
 
-def _put_statistics(columns: Columns, point: int, ensemble: Ensemble, plan: Plan, bins: dict[str, CommonBins]) -> None:
+def _put_statistics(
+    variables: Variables, point: int, ensemble: Ensemble, plan: Plan, bins: dict[str, CommonBins]
+) -> None:  # fmt: skip
     for name in plan.statistics:
         if name in STATISTICS:
-            columns.estimate(point, name, STATISTICS[name](ensemble))
+            variables.estimate(point, name, STATISTICS[name](ensemble))
         if name in bins:
-            _put_distribution(columns, point, name, ensemble, bins[name])
+            _put_distribution(variables, point, name, ensemble, bins[name])
     if plan.keep != "totals":
-        _put_orders(columns, point, ensemble)
+        _put_orders(variables, point, ensemble)
         if plan.realizations:
-            _put_realizations(columns, point, ensemble, plan.realizations)
+            _put_realizations(variables, point, ensemble, plan.realizations)
 
 
-def _put_distribution(columns: Columns, point: int, name: str, ensemble: Ensemble, bins: CommonBins) -> None:
+def _put_distribution(variables: Variables, point: int, name: str, ensemble: Ensemble, bins: CommonBins) -> None:
     of = getattr(ensemble.statistics, name)
     label, unit, dimension = of.name, of.unit, f"{name}_bin"
-    columns.estimate(point, f"{name}_mean", of.mean, f"mean of {label}")
-    columns.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
-    columns.estimate(point, f"{name}_skewness", of.skewness)
-    quantiles = [float(of.quantile(share).value) for share in SHARES]
-    columns.put(point, f"{name}_quantile", quantiles, f"quantile of {label}", unit, dimensions=("quantile",))
-    columns.estimate(point, f"{name}_entropy", of.entropy(bins), f"entropy of the histogram of {label} in common bins")
-    histogram = of.histogram(bins)
+    variables.estimate(point, f"{name}_mean", of.mean, f"mean of {label}")
+    variables.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
+    variables.estimate(point, f"{name}_skewness", of.skewness)
+    quantiles = [float(of.quantile(level).value) for level in LEVELS]
+    variables.put(point, f"{name}_quantile", quantiles, f"quantile of {label}", unit, dimensions=("quantile",))
+    entropy, histogram = of.entropy(bins), of.histogram(bins)
+    variables.estimate(point, f"{name}_entropy", entropy, f"entropy of the histogram of {label} in common bins")
     per = "1" if unit == "1" else f"{unit}-1"
-    columns.put(
+    variables.put(
         point, f"{name}_count_in_bin", histogram.counts, f"number of values of {label}", dimensions=(dimension,)
     )
-    columns.put(point, f"{name}_density", histogram.density, f"density of {label}", per, dimensions=(dimension,))
+    variables.put(point, f"{name}_density", histogram.density, f"density of {label}", per, dimensions=(dimension,))
 
 
-def _put_orders(columns: Columns, point: int, ensemble: Ensemble) -> None:
+def _put_orders(variables: Variables, point: int, ensemble: Ensemble) -> None:
     orders = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
     shares = [float(one.share.value) for one in orders]
-    columns.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
+    variables.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
     for name in orders[0].distributions:
         means = [one.distributions[name].mean for one in orders]
         label = f"mean {STICK_BY_NAME[name].label} by order"
         values, errors = ([float(getattr(mean, part)) for mean in means] for part in ("value", "standard_error"))
         unit = means[0].unit
-        columns.put(point, f"{name}_of_order", values, label, unit, dimensions=("order",))
-        columns.put(point, f"{name}_of_order_error", errors, f"standard error of {label}", unit, dimensions=("order",))
+        for put, entry, text in ((values, "", label), (errors, "_error", f"standard error of {label}")):
+            variables.put(point, f"{name}_of_order{entry}", put, text, unit, dimensions=("order",))
 
 
-def _put_realizations(columns: Columns, point: int, ensemble: Ensemble, number: int) -> None:
+def _put_realizations(variables: Variables, point: int, ensemble: Ensemble, number: int) -> None:
     """Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held."""
     sticks, held = ensemble.finished_sticks(), 256
     for name in ("start", "end"):
@@ -163,19 +167,19 @@ def _put_realizations(columns: Columns, point: int, ensemble: Ensemble, number: 
             own = getattr(sticks, name)[sticks.first[sample] :][: sticks.count[sample]][:held]
             times[sample, : len(own)] = own
         label = f"{name} of the first {held} sticks of some samples"
-        columns.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
+        variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
 
 
-def _put_derivatives(columns: Columns, point: int, work: Work) -> None:
+def _put_derivatives(variables: Variables, point: int, work: Work) -> None:
     plan, found = work.plan, work.derivatives(point)
     for number, (statistic, _) in enumerate(plan.derivatives):
         result = found.get(derivative_name(plan, number))
         for wrt, numbers in (result["by"] if result else {}).items():
             name, unit = f"d_{statistic}_by_{wrt}", _unit_of_derivative(plan, statistic, wrt)
-            columns.put(point, name, numbers["derivative"], f"derivative of {statistic} by {wrt}", unit)
-            columns.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
+            variables.put(point, name, numbers["derivative"], f"derivative of {statistic} by {wrt}", unit)
+            variables.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
             corrected = int(numbers["estimator"] == "corrected")
-            columns.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
+            variables.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
 
 
 def _unit_of_derivative(plan: Plan, statistic: str, wrt: str) -> str:
@@ -185,27 +189,24 @@ def _unit_of_derivative(plan: Plan, statistic: str, wrt: str) -> str:
     return of if by == "1" else f"{of} ({by})-1"
 
 
-def _axes(plan: Plan) -> dict[str, Any]:
+def _point_coordinates(plan: Plan) -> dict[str, _Variable]:
     """The coordinates of the points."""
-    found: dict[str, Any] = {}
-    for axis in plan.points.axes:
-        for name, values in zip(axis.parameters, axis.values.T, strict=True):
+    found: dict[str, _Variable] = {}
+    for one in plan.points.dimensions:
+        for name, values in zip(one.parameters, one.values.T, strict=True):
             meaning = f"{name}, {GROUPS[name].meaning}" if name in GROUPS else label_of(plan.setting, name)
-            found[name] = (axis.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
-        if axis.name not in found:
-            found[axis.name] = (axis.name, np.arange(len(axis.values)), {"long_name": _number_of(axis)})
+            found[name] = (one.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
+        if one.name not in found:
+            entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
+            found[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
     return found
 
 
-def _number_of(axis: Axis) -> str:
-    return "number of the point" if axis.name == POINT else f"number of the entry of {', '.join(axis.parameters)}"
-
-
-def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, _Variable]:
+    found: dict[str, _Variable] = {}
     position = require_system(plan.setting.system).stick_position.unit
     if bins:
-        found["quantile"] = ("quantile", list(SHARES), {"long_name": "share of values", "units": "1"})
+        found["quantile"] = ("quantile", list(LEVELS), {"long_name": "share of values", "units": "1"})
     for name, common in bins.items():
         edges = common.edges
         about = {"long_name": _BY_NAME[name].label, "units": _BY_NAME[name].unit or position}
@@ -217,8 +218,8 @@ def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, Any]:
     return found
 
 
-def _attributes(plan: Plan, body: dict[str, Any]) -> dict[str, Any]:
-    """Attributes of the data set; `body`: the manifest in the folder, where numbers may be written otherwise."""
+def _attributes(plan: Plan, body: Manifest) -> dict[str, object]:
+    """Attributes of the data set; `body`: the manifest in the folder, in which 1 may stand for the 1.0 of the plan."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
     return {
@@ -231,7 +232,7 @@ def _attributes(plan: Plan, body: dict[str, Any]) -> dict[str, Any]:
         "t1": plan.t1,
         "keep": plan.keep,
         "dtype": plan.dtype,
-        "piece": plan.piece,
+        "batch": plan.batch,
         "common_random_numbers": int(not plan.independent),
         "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
         "entropies are of these histograms",
@@ -239,7 +240,7 @@ def _attributes(plan: Plan, body: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
-    """Write the data set to the folder of the study, as a whole. Raises StudyError if that fails."""
+    """Write the data set to the folder of the sweep, as a whole. Raises SweepError if that fails."""
     path = store.folder / DATA
     try:
         packing = {name: {"zlib": True, "complevel": 1} for name in dataset.variables if dataset[name].size > 1024}
@@ -247,16 +248,16 @@ def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
     except OSError as error:
         raise cannot_write(store.folder, error) from error
     except ImportError:
-        raise ImportError("Studies need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+        raise ImportError("Sweeps need h5netcdf: pip install 'stickslip_jax[study]'.") from None
     return path
 
 
 def read_dataset(folder: Path) -> "xarray.Dataset":
-    """The data set of a finished study. Raises StudyError if there is none, or a damaged one."""
+    """The data set of a finished sweep. Raises SweepError if there is none, or a damaged one."""
     path = folder / DATA
     if not path.is_file():  # a named pipe would wait for ever
-        raise StudyError(f"{folder} holds no finished study; run it, or resume it, first.")
+        raise SweepError(f"{folder} holds no finished sweep; run it, or resume it, first.")
     try:
         return verified(read_netcdf(path))
     except DamagedFileError as error:
-        raise StudyError(f"{path} cannot be read ({error}); run the study again, which writes it anew.") from error
+        raise SweepError(f"{path} cannot be read ({error}); run the sweep again, which writes it anew.") from error

@@ -1,15 +1,15 @@
-"""The exceptions of studies."""
+"""The exceptions of sweeps."""
 
 
-class StudyError(ValueError):
-    """A study that cannot run: bad input in its file or options, a folder that cannot be used, points that failed.
+class SweepError(ValueError):
+    """A sweep that cannot run, or not to its end: a folder that cannot be used, points that failed, no memory.
 
     The message is one sentence, which says what to do.
     """
 
 
-class DamagedPieceError(ValueError):
-    """The bytes of a piece are not what was written. It is removed and done again."""
+class DamagedBatchError(ValueError):
+    """The bytes of a batch are not what was written. It is removed and done again."""
 
 
 class UnreadableError(ValueError):

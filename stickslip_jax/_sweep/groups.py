@@ -1,26 +1,29 @@
-"""Dimensionless groups by which the papers sweep, as parameters of a study."""
+"""Dimensionless groups that the papers vary, as parameters of a sweep."""
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from .. import _checks
 from .._uncertainty.numbers import Path, number_at, paths_of_numbers, shown
 
+_Value: TypeAlias = float | np.ndarray
+"""Of a parameter at one point, or at many."""
+
 
 class Group(NamedTuple):
-    """A dimensionless group: what it is, and where in a setting its value puts a number, and which.
+    """A dimensionless group: its meaning, and what gives the number of a setting that it decides, with its place there.
 
-    The value, and with it numbers of the setting, may be arrays, with an entry for each of many points.
+    The value, and with it numbers of the setting, may be arrays with an entry for each of many points.
     """
 
     meaning: str
-    place: Callable[[Any, Any], tuple[Path, Any]]
+    apply: Callable[[Any, _Value], tuple[Path, _Value]]
 
 
-_FREQUENCIES: dict[str, Callable[[Any], Any]] = {
+_FREQUENCIES: dict[str, Callable[[_Value], _Value]] = {
     "period": lambda frequency: 1 / frequency,
     "interval": lambda frequency: 1 / frequency,
     "angular_frequency": lambda frequency: 2 * math.pi * frequency,
@@ -28,7 +31,7 @@ _FREQUENCIES: dict[str, Callable[[Any], Any]] = {
 """What a law's field of this name is at a frequency in Hz."""
 
 
-def _by_frequency_ratio(setting: Any, ratio: Any) -> tuple[Path, Any]:
+def _by_frequency_ratio(setting: Any, ratio: _Value) -> tuple[Path, _Value]:
     """``r = f_b / (omega / 2 pi)`` (Lima and Sampaio's conference paper, section 3), both in Hz."""
     if not np.ndim(ratio):
         _checks.positive("over['r']", ratio)
@@ -37,7 +40,7 @@ def _by_frequency_ratio(setting: Any, ratio: Any) -> tuple[Path, Any]:
     return path, _FREQUENCIES[str(path[-1])](ratio * omega / (2 * math.pi))
 
 
-def _by_dimensionless_speed(setting: Any, w: Any) -> tuple[Path, Any]:
+def _by_dimensionless_speed(setting: Any, w: _Value) -> tuple[Path, _Value]:
     """``w = v / (omega a)`` with the half-width ``a = mu n / k`` of the stick band."""
     wanted = "a natural frequency and a stick band, as those of a MassSpring with Coulomb friction"
     omega = _number_of(setting.system, "natural_frequency", "w", wanted, w)
@@ -54,7 +57,7 @@ GROUPS = {
 """The groups by name. Each sets a number of the law; the numbers of the system are set before."""
 
 
-def _number_of(system: Any, name: str, group: str, wanted: str, many: Any) -> Any:
+def _number_of(system: Any, name: str, group: str, wanted: str, many: _Value) -> _Value:
     """A number of the system; where the group's value `many` is an array, also an array with an entry for each."""
     value = getattr(system, name, None)
     if value is not None and np.shape(value) == np.shape(many):

@@ -1,4 +1,4 @@
-"""Locks that let one program at a time write to the folder of a study."""
+"""Locks that let one program at a time write to the folder of a sweep."""
 
 import contextlib
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from .._files import FULL
-from .errors import StudyError
+from .errors import SweepError
 
 _LOCK_SECONDS = 0.3  # to wait for a lock: `is_locked` holds it for a moment
 
@@ -16,17 +16,17 @@ _LOCK_SECONDS = 0.3  # to wait for a lock: `is_locked` holds it for a moment
 def locked(path: Path, said: str) -> Iterator[None]:
     """Hold the lock `path`, which the system takes back when this program ends, however it ends.
 
-    Raises StudyError with `said` if another program holds it.
+    Raises SweepError with `said` if another program holds it.
     """
     lock = FileLock(path, timeout=_LOCK_SECONDS)
     try:
         lock.acquire()
     except Timeout:
-        raise StudyError(said) from None
+        raise SweepError(said) from None
     except OSError as error:
         raise cannot_write(path.parent, error) from error
     except NotImplementedError:  # two runs could not notice each other
-        raise StudyError(f"{path.parent} is on a disk whose files cannot be locked; choose another folder.") from None
+        raise SweepError(f"{path.parent} is on a disk whose files cannot be locked; choose another folder.") from None
     try:
         yield
     finally:
@@ -46,9 +46,9 @@ def is_locked(path: Path) -> bool:
         return False
 
 
-def cannot_write(folder: Path, error: OSError) -> StudyError:
+def cannot_write(folder: Path, error: OSError) -> SweepError:
     """The error about a folder that cannot be written."""
     todo = "choose another folder, or make it writable"
     if error.errno in FULL:
         todo = "make room, and run again: what is done is kept"
-    return StudyError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")
+    return SweepError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")

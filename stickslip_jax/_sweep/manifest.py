@@ -1,45 +1,61 @@
-"""The manifest of a study's folder: everything that decides its numbers, and what was asked for."""
+"""The manifest of a sweep's folder: everything that decides its numbers, and what was asked for."""
 
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, TypedDict, cast, get_origin
 
 import jax
 import jax.lib
 
 from .._ensemble.encoding import Encoder
-from .errors import OtherProgramError, StudyError, UnreadableError
+from .errors import OtherProgramError, SweepError, UnreadableError
 from .plan import Plan
 
-FORMAT, FORMAT_VERSION = "stickslip_jax study", 2  # 1 had pieces whose check sums did not tell which piece they are
+FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 3
+_OLDER_FORMAT = "stickslip_jax study"  # of versions 1 and 2
 OBJECTS = ("system", "law", "y0", "method")
-DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "piece", "dtype")
+DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "batch", "dtype")
 _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
 _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest"}
 """What the user calls it, where that is another name."""
 ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
-_PARTS = {
-    "format": str, "format_version": int, "versions": dict, "objects": dict, "deciding": dict, "asked": dict,
-    "axes": list, "floats": list, "integers": list,
-}  # fmt: skip
 _DEEPEST = 64  # levels of parts within parts; ours have some ten
 
 
+class Manifest(TypedDict):
+    """What a manifest holds.
+
+    - `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
+    - `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
+    - `dimensions`: of the points: name, parameters, values.
+    """
+
+    format: str
+    format_version: int
+    versions: dict[str, str]
+    objects: dict[str, Any]
+    deciding: dict[str, Any]
+    asked: dict[str, Any]
+    dimensions: list[dict[str, Any]]
+    floats: list[str]
+    integers: list[int]
+
+
 def manifest_text(plan: Plan) -> str:
-    """The manifest of a study as JSON."""
+    """The manifest of a sweep as JSON."""
     encoder = Encoder()
-    body = {
+    body: Manifest = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "versions": versions(),
         "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
-        "deciding": {name: _plain(getattr(plan, name)) for name in DECIDING},
-        "asked": {name: _plain(getattr(plan, name)) for name in ASKED},
-        "axes": [
-            {"name": axis.name, "parameters": list(axis.parameters), "values": axis.values.tolist()}
-            for axis in plan.points.axes
+        "deciding": {name: _as_json(getattr(plan, name)) for name in DECIDING},
+        "asked": {name: _as_json(getattr(plan, name)) for name in ASKED},
+        "dimensions": [
+            {"name": one.name, "parameters": list(one.parameters), "values": one.values.tolist()}
+            for one in plan.points.dimensions
         ],
         "floats": [float(value).hex() for value in encoder.floats],
         "integers": encoder.integers.tolist(),
@@ -47,22 +63,22 @@ def manifest_text(plan: Plan) -> str:
     return _text(body)
 
 
-def extended(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """The manifest of a study that adds to another: what decides the numbers as it is written there.
+def extended(stored: Mapping[str, object], new: Mapping[str, object]) -> str:
+    """The text of the `new` manifest, with what decides the numbers written as in the `stored` one.
 
-    Numbers may be equal and written otherwise, 1 and 1.0, and the pieces bear the fingerprint of what is there.
+    Numbers may be equal and written otherwise, 1 and 1.0, and the batches bear the fingerprint of what is stored.
     """
-    return _text({**here, **{name: there[name] for name in _FINGERPRINT}})
+    return _text({**new, **{name: stored[name] for name in _FINGERPRINT}})
 
 
-def _text(body: dict[str, Any]) -> str:
+def _text(body: Mapping[str, object]) -> str:
     return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
 
 
-def body_of(text: str) -> dict[str, Any]:
+def body_of(text: str) -> Manifest:
     """The manifest in a text.
 
-    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and StudyError for
+    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and SweepError for
     another format.
     """
     try:
@@ -74,30 +90,30 @@ def body_of(text: str) -> dict[str, Any]:
     body = whole.get("body")
     if not isinstance(body, dict) or _depth(body) > _DEEPEST or sum_of(body) != whole.get("sha256"):
         raise UnreadableError("its check sum is wrong")
-    if body.get("format") != FORMAT:
+    if body.get("format") not in (FORMAT, _OLDER_FORMAT):
         raise OtherProgramError("it is of another program")
     _check_format(body)
     _check_parts(body)
-    return body
+    return cast(Manifest, body)
 
 
 def _check_format(body: dict[str, Any]) -> None:
-    """Raises StudyError for a manifest of another format than this version writes."""
+    """Raises SweepError for a manifest of another format than this version writes."""
     version = body.get("format_version")
     if version == FORMAT_VERSION or not isinstance(version, int):
         return
     versions_there = body.get("versions")
     writer = versions_there.get("stickslip_jax") if isinstance(versions_there, dict) else "of an unknown version"
-    todo = "install that version or a newer one" if version > FORMAT_VERSION else "run the study into another folder"
-    raise StudyError(
+    todo = "install that version or a newer one" if version > FORMAT_VERSION else "run the sweep into another folder"
+    raise SweepError(
         f"it has format {version}, written by stickslip_jax {writer}, and this version reads {FORMAT_VERSION}; {todo}."
     )
 
 
 def _check_parts(body: dict[str, Any]) -> None:
     """Raises UnreadableError for a manifest in which a part is missing, or is of another kind."""
-    for name, kind in _PARTS.items():
-        if type(body.get(name)) is not kind:
+    for name, kind in Manifest.__annotations__.items():
+        if type(body.get(name)) is not (get_origin(kind) or kind):
             raise UnreadableError(f"its {name} is missing")
     wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
@@ -105,7 +121,7 @@ def _check_parts(body: dict[str, Any]) -> None:
             raise UnreadableError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
 
 
-def _depth(value: Any) -> int:
+def _depth(value: object) -> int:
     """How many levels of parts within parts there are, counted up to a little more than are allowed."""
     level, depth = [value], 0
     while level and depth <= _DEEPEST:
@@ -115,24 +131,24 @@ def _depth(value: Any) -> int:
     return depth
 
 
-def differences(there: dict[str, Any], here: dict[str, Any]) -> list[str]:
+def differences(stored: Manifest, new: Manifest) -> list[str]:
     """What decides the numbers and differs between two manifests, each "name: ... there, ... here".
 
-    Points, samples, statistics and sensitivities may differ: they add to what is there.
+    Points, samples, statistics and sensitivities are not compared: other ones are added to what is stored.
     """
-    parameters = [{name for axis in body["axes"] for name in axis["parameters"]} for body in (there, here)]
+    parameters = [{name for one in body["dimensions"] for name in one["parameters"]} for body in (stored, new)]
     found = []
     if parameters[0] != parameters[1]:
         found.append(f"parameters: {', '.join(sorted(parameters[0]))} there, {', '.join(sorted(parameters[1]))} here")
     for part in ("objects", "deciding", "versions"):
-        for path, old, new in _different(there[part], here[part], ()):
-            found.append(f"{_named(path)}: {_brief(old)} there, {_brief(new)} here")
-    if not found and (there["floats"], there["integers"]) != (here["floats"], here["integers"]):
+        for path, there, here in _different(stored[part], new[part], ()):
+            found.append(f"{_named(path)}: {_brief(there)} there, {_brief(here)} here")
+    if not found and any(stored[part] != new[part] for part in ("floats", "integers")):
         found.append("an array of the system or law differs")
     return found
 
 
-def fingerprint(body: dict[str, Any]) -> str:
+def fingerprint(body: Mapping[str, object]) -> str:
     """A sum of everything that decides the numbers at a point."""
     return sum_of({name: body[name] for name in _FINGERPRINT})
 
@@ -145,17 +161,17 @@ def versions() -> dict[str, str]:
     return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib}
 
 
-def sum_of(body: dict[str, Any]) -> str:
+def sum_of(body: Mapping[str, object]) -> str:
     """The check sum of a manifest, or of a part of one."""
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def _as_json(value: object) -> Any:
     """`value` in lists, dicts and numbers, as JSON gives it back."""
     return json.loads(json.dumps(value))
 
 
-def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+def _different(old: object, new: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
     both = isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys()
     if both and old.get("class") == new.get("class"):
         for name in old:
@@ -169,7 +185,7 @@ def _named(path: tuple[str, ...]) -> str:
     return ".".join(part for part in parts if part not in ("fields", "class", "values", "tuple")) or "object"
 
 
-def _brief(value: Any) -> str:
+def _brief(value: object) -> str:
     if isinstance(value, dict) and "class" in value:
         fields = value["fields"]
         return fields["text"] or fields["name"] if value["class"] == "Unknown" else str(value["class"])
@@ -177,6 +193,6 @@ def _brief(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def with_piece(plan: Plan, body: dict[str, Any]) -> Plan:
-    """`plan` cut into pieces as the study of a manifest."""
-    return dataclasses.replace(plan, piece=body["deciding"]["piece"])
+def with_batch(plan: Plan, body: Manifest) -> Plan:
+    """`plan` with the batches of the sweep of a manifest."""
+    return dataclasses.replace(plan, batch=body["deciding"]["batch"])

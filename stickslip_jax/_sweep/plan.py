@@ -1,7 +1,7 @@
-"""What a study simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
+"""What a sweep simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, get_args
 
@@ -13,9 +13,10 @@ from .. import _checks
 from .._ensemble.data import Keep
 from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._numerics.random_bits import key_data_of
-from .._statistics.accumulator import Numbering
+from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
+from .._types import Array
 from .._uncertainty.numbers import parameters_of
 from .checking import check_points
 from .points import Points
@@ -24,13 +25,13 @@ from .setting import Setter, Setting, setter_of
 Derivative = tuple[str, tuple[str, ...]]
 """A statistic, and the parameters by which it is differentiated."""
 
-_SMALLEST_PIECE, _LARGEST_PIECE, _PIECES = 1024, 16_384, 64
+_SMALLEST_BATCH, _LARGEST_BATCH, _BATCHES = 1024, 16_384, 64
 RETAINED = 20_000
 """The most sticks of a point that are kept for standard errors."""
 
 
 class Task(NamedTuple):
-    """A piece of the work, done by one thread: samples ``first .. end - 1`` of a point; or, where `derivative` is not
+    """A part of the work, done by one thread: samples ``first .. end - 1`` of a point; or, where `derivative` is not
     None, the derivatives of that number at the point, from all its samples.
     """
 
@@ -47,7 +48,7 @@ class Task(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """The checked arguments of a `Study`, which every worker needs."""
+    """The checked arguments of a `Sweep`, which every worker needs."""
 
     setting: Setting
     points: Points
@@ -61,8 +62,51 @@ class Plan:
     independent: bool
     standard_errors: dict[str, float]
     realizations: int
-    piece: int
+    batch: int
     dtype: str
+
+    @classmethod
+    def checked(
+        cls,
+        setting: Setting,
+        points: Points,
+        *,
+        t1: Any,
+        samples: object,
+        key_data: tuple[int, ...] | None,
+        keep: object,
+        numbering: Sequence[object],
+        statistics: object,
+        derivatives: object,
+        independent: object,
+        standard_errors: object,
+        realizations: object,
+        batch: object,
+        dtype: str,
+    ) -> "Plan":
+        """The plan with these fields. Raises ValueError, with the names of the arguments of `Sweep`, for others."""
+        orders, count_initial_rest = numbering
+        _checks.truth("count_initial_rest", count_initial_rest)
+        _checks.truth("independent", independent)
+        _checks.positive("t1", t1, "s")
+        keep = checked_keep(keep)
+        names = checked_statistics(statistics, keep)
+        return cls(
+            setting=setting,
+            points=points,
+            t1=float(t1),
+            samples=checked_samples(samples),
+            key_data=key_data,
+            keep=keep,
+            numbering=Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest)),
+            statistics=names,
+            derivatives=checked_derivatives(derivatives),
+            independent=bool(independent),
+            standard_errors=checked_errors(standard_errors, names),
+            realizations=_checks.whole_number("realizations", realizations, minimum=0),
+            batch=_checks.whole_number("batch", batch, maximum=MOST_SAMPLES),
+            dtype=dtype,
+        )
 
     @cached_property
     def _with_values(self) -> Setter:
@@ -72,8 +116,8 @@ class Plan:
         """What is simulated at a point."""
         return self._with_values(self.points.values(point))
 
-    def key_at(self, point: int) -> Any:
-        """The key of a point: the study's, or one that depends on the values of the parameters there too."""
+    def key_at(self, point: int) -> Array | None:
+        """The key of a point: the sweep's, or one that depends on the values of the parameters there too."""
         if self.key_data is None:
             return None
         key = jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
@@ -119,13 +163,13 @@ class Plan:
         return bool(self.standard_errors)
 
 
-def usual_piece(points: int, samples: int) -> int:
-    """How many samples make a piece: few pieces are too coarse for several threads, many cost time for each."""
-    fair = -(-points * samples // (_PIECES * 256)) * 256
-    return min(max(fair, _SMALLEST_PIECE), _LARGEST_PIECE)
+def usual_batch(points: int, samples: int) -> int:
+    """How many samples make a batch: few batches are too coarse for several threads, many cost time for each."""
+    fair = -(-points * samples // (_BATCHES * 256)) * 256
+    return min(max(fair, _SMALLEST_BATCH), _LARGEST_BATCH)
 
 
-def checked_statistics(statistics: Any, keep: Keep) -> tuple[str, ...]:
+def checked_statistics(statistics: object, keep: Keep) -> tuple[str, ...]:
     """The names of what is estimated; None for all that `keep` allows. Raises ValueError for other names."""
     more = [] if keep == "totals" else [quantity.name for quantity in DISTRIBUTIONS]
     known = list(dict.fromkeys([*STATISTICS, *more]))  # the stick fraction has a distribution too
@@ -165,7 +209,7 @@ def checked_derivatives(sensitivities: Any) -> tuple[Derivative, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def checked_errors(standard_error: Any, statistics: tuple[str, ...]) -> dict[str, float]:
+def checked_errors(standard_error: object, statistics: tuple[str, ...]) -> dict[str, float]:
     """The wanted standard errors by statistic. Raises ValueError for anything else."""
     if standard_error is None:
         return {}
@@ -184,26 +228,23 @@ def checked_errors(standard_error: Any, statistics: tuple[str, ...]) -> dict[str
     return {name: float(value) for name, value in standard_error.items()}
 
 
-def checked_keep(keep: Any) -> Keep:
+def checked_keep(keep: object) -> Keep:
     """`keep`, "statistics" or "totals". Raises ValueError for anything else."""
     allowed = [name for name in get_args(Keep) if name != "sticks"]
-    if not _is_word(keep, allowed):
-        raise ValueError(
-            f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
-            "stick of a point comes from study.ensemble_at(mu=...)."
-        )
-    return keep
+    for name in allowed:
+        if isinstance(keep, str) and keep == name:
+            return name
+    raise ValueError(
+        f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {_checks.show(keep)} was given; every "
+        "stick of a point comes from sweep.ensemble_at(mu=...)."
+    )
 
 
-def _is_word(value: Any, words: Iterable[str]) -> bool:
-    return isinstance(value, str) and value in words
-
-
-def checked_samples(samples: Any) -> int:
+def checked_samples(samples: object) -> int:
     """`samples`, a whole number of at least 1. Raises ValueError for anything else."""
     return _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
 
 
-def key_data_in(key: Any) -> tuple[int, ...] | None:
+def key_data_in(key: Array | None) -> tuple[int, ...] | None:
     """The numbers of `key`; None where there is none."""
     return None if key is None else tuple(int(word) for word in np.asarray(key_data_of(key)))

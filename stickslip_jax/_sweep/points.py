@@ -1,9 +1,9 @@
-"""The points of a parametric study: values of some parameters, on a grid, zipped, or from a design."""
+"""The points of a parameter sweep: values of some parameters, on a grid, zipped, or from a design."""
 
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from .. import _checks
 from .._uncertainty.design import Design, given_twice
 
 POINT = "point"
-"""The dimension of the points of a design."""
+"""The name of the dimension of a design's points."""
 MOST_POINTS = 10_000_000
-"""Of a study, at most: each has a file of its own."""
+"""Of a sweep, at most: each has a file of its own."""
 
 
-class Axis(NamedTuple):
+class Dimension(NamedTuple):
     """One dimension of the points: parameters that change together. `values`: (length, parameters)."""
 
     name: str
@@ -28,19 +28,19 @@ class Axis(NamedTuple):
 
 
 class Points(NamedTuple):
-    """All points: every combination of an entry of each axis, the last axis running fastest."""
+    """All points: every combination of an entry of each dimension, the last dimension running fastest."""
 
-    axes: tuple[Axis, ...]
+    dimensions: tuple[Dimension, ...]
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """The names of all parameters."""
-        return tuple(name for axis in self.axes for name in axis.parameters)
+        return tuple(name for one in self.dimensions for name in one.parameters)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The length of each axis."""
-        return tuple(len(axis.values) for axis in self.axes)
+        """The length of each dimension."""
+        return tuple(map(len, self.dimensions))
 
     @property
     def number(self) -> int:
@@ -49,31 +49,29 @@ class Points(NamedTuple):
 
     def values(self, number: int) -> tuple[float, ...]:
         """The values of all parameters at point `number`."""
-        places = np.unravel_index(number, self.shape)
-        return tuple(
-            float(value) for axis, place in zip(self.axes, places, strict=True) for value in axis.values[place]
-        )
+        return tuple(self._rows(number).tolist())
+
+    def _rows(self, numbers: int | np.ndarray) -> np.ndarray:
+        """The values at points with these numbers, (..., parameters)."""
+        indices = np.unravel_index(numbers, self.shape)
+        rows = [one.values[index] for one, index in zip(self.dimensions, indices, strict=True)]
+        return np.concatenate(rows, axis=-1, dtype=np.float64)
 
     def blocks(self, size: int) -> Iterator[tuple[int, np.ndarray]]:
         """The values at all points, `size` at a time: the number of the first, and an array (points, parameters)."""
         for first in range(0, self.number, size):
-            numbers = np.arange(first, min(first + size, self.number))
-            places = np.unravel_index(numbers, self.shape)
-            yield (
-                first,
-                np.concatenate([axis.values[place] for axis, place in zip(self.axes, places, strict=True)], axis=1),
-            )
+            yield first, self._rows(np.arange(first, min(first + size, self.number)))
 
     def number_of(self, values: Mapping[str, float]) -> int | None:
         """The first point with these values of all parameters, equal but for round-off; None if there is none."""
-        places = []
-        for axis in self.axes:
-            wanted = np.array([values[name] for name in axis.parameters])
-            fits = np.flatnonzero(np.all(near(axis.values, wanted[None]), axis=1))
+        indices = []
+        for one in self.dimensions:
+            wanted = np.array([values[name] for name in one.parameters])
+            fits = np.flatnonzero(np.all(nearly_equal(one.values, wanted[None]), axis=1))
             if not len(fits):
                 return None
-            places.append(int(fits[0]))
-        return int(np.ravel_multi_index(places, self.shape))
+            indices.append(int(fits[0]))
+        return int(np.ravel_multi_index(indices, self.shape))
 
     def described(self, number: int) -> str:
         """Point `number` as text: "mu = 0.5, rate = 2"."""
@@ -86,7 +84,7 @@ class Points(NamedTuple):
         return identity_of(dict(zip(self.parameters, self.values(number), strict=True)))
 
 
-def near(values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def nearly_equal(values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Which numbers are equal but for round-off of how they were written."""
     return np.abs(values - wanted) <= 1e-9 * np.maximum(np.abs(values), np.abs(wanted))
 
@@ -97,17 +95,17 @@ def identity_of(values: Mapping[str, float]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def points_of(over: Any) -> Points:
-    """The points that `over` describes; see `Study`. Raises ValueError for anything else."""
+def points_of(over: object) -> Points:
+    """The points that `over` describes; see `Sweep`. Raises ValueError for anything else."""
     if isinstance(over, Design):
-        return Points((_axis_of_design(over),))
+        return Points((_dimension_of_design(over),))
     if not isinstance(over, Mapping) or not over:
         raise ValueError(
             "Argument over must be a dict from names of parameters to their values, such as {'mu': [0.5, 1.0]}, or a "
             f"design with values, but {_checks.show(over)} was given."
         )
-    axes = tuple(_axis(names, values) for names, values in over.items())
-    points = Points(axes)
+    dimensions = tuple(_dimension(names, values) for names, values in over.items())
+    points = Points(dimensions)
     twice = given_twice(points.parameters)
     if twice is not None:
         raise ValueError(f"Argument over must name every parameter once, but {twice!r} was given twice.")
@@ -123,17 +121,17 @@ def _check_number(label: str, number: int) -> None:
         )
 
 
-def _axis_of_design(design: Design) -> Axis:
+def _dimension_of_design(design: Design) -> Dimension:
     if design.values is None or design.names is None:
         raise ValueError(
             "Argument over must be a design with the values of named parameters, such as design.table or design.grid, "
             f"but {design!r} was given, which has uniform numbers; make values of them first."
         )
     _check_number("over", len(design))
-    return _distinct(Axis(POINT, design.names, np.asarray(design.values)), "over")
+    return _distinct(Dimension(POINT, design.names, np.asarray(design.values)), "over")
 
 
-def _axis(names: Any, values: Any) -> Axis:
+def _dimension(names: object, values: object) -> Dimension:
     several = isinstance(names, tuple)
     parameters = names if isinstance(names, tuple) else (names,)
     if not parameters or not all(isinstance(name, str) and name for name in parameters):
@@ -154,21 +152,21 @@ def _axis(names: Any, values: Any) -> Axis:
     if not np.all(np.isfinite(array)):
         wrong = array[~np.isfinite(array)][0]
         raise ValueError(f"Argument {label} must hold finite numbers, but {wrong} was given.")
-    return _distinct(Axis("_and_".join(parameters), parameters, array.reshape(len(array), -1)), label)
+    return _distinct(Dimension("_and_".join(parameters), parameters, array.reshape(len(array), -1)), label)
 
 
-def _distinct(axis: Axis, label: str) -> Axis:
-    """`axis`. Raises ValueError if two of its entries are the same point."""
-    _check_number(label, len(axis))
-    order = np.lexsort(axis.values.T[::-1])  # stable: of equal entries the first comes first
-    repeats = np.zeros(len(axis), bool)
-    repeats[1:] = np.all(axis.values[order[1:]] == axis.values[order[:-1]], axis=1)
+def _distinct(dimension: Dimension, label: str) -> Dimension:
+    """`dimension`. Raises ValueError if two of its entries are the same point."""
+    _check_number(label, len(dimension))
+    order = np.lexsort(dimension.values.T[::-1])  # stable: of equal entries the first comes first
+    repeats = np.zeros(len(dimension), bool)
+    repeats[1:] = np.all(dimension.values[order[1:]] == dimension.values[order[:-1]], axis=1)
     if np.any(repeats):
         again = int(np.min(order[repeats]))
-        row = axis.values[again]
-        first = int(np.argmax(np.all(axis.values == row[None], axis=1)))
+        row = dimension.values[again]
+        first = int(np.argmax(np.all(dimension.values == row[None], axis=1)))
         shown = float(row[0]) if len(row) == 1 else tuple(row.tolist())
         raise ValueError(
             f"Argument {label} must hold every point once, but entries {first} and {again} are both {shown}."
         )
-    return axis
+    return dimension

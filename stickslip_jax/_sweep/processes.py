@@ -6,10 +6,10 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future
 from contextlib import contextmanager
 from typing import Any
 
-from .errors import StudyError
+from .errors import SweepError
 from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
-from .workers import Failed, NoMemory, UnfitWorkerError, perform_in_process, prepare_process, start_of_process
+from .workers import Outcome, UnfitWorkerError, perform_in_process, prepare_process, start_of_process
 
 # loky ends workers that have grown, as ours do when they compile for another task; they do not go on growing.
 _ENVIRONMENT = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e15"}
@@ -38,23 +38,23 @@ class Processes(Executor):
             self._workers, initializer=prepare_process, initargs=self._start, env=_ENVIRONMENT
         )  # fmt: skip
 
-    def submit(self, task: Task) -> Future[bytes | Failed | NoMemory]:
+    def submit(self, task: Task) -> Future[Outcome]:
         try:
             with _no_interrupts():
                 return self._pool.submit(perform_in_process, task)
         except BrokenExecutor as error:  # a worker died while there was nothing to do
-            future: Future[bytes | Failed | NoMemory] = Future()
+            future: Future[Outcome] = Future()
             future.set_exception(error)
             return future
 
-    def result(self, task: Task, future: Future[bytes | Failed | NoMemory]) -> bytes | Failed | NoMemory:
+    def result(self, task: Task, future: Future[Outcome]) -> Outcome:
         try:
             return future.result()
         except (BrokenExecutor, CancelledError) as error:
             reason = str(error).partition("\n")[0]
             raise WorkerDiedError(reason, others=True) from error  # the whole pool breaks
         except UnfitWorkerError as error:
-            raise StudyError(str(error)) from error
+            raise SweepError(str(error)) from error
 
     def restart(self) -> None:
         self._pool.shutdown(wait=True, kill_workers=True)

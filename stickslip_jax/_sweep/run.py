@@ -1,4 +1,4 @@
-"""Running a study in a folder: what is left to do is done and stored, then all is put together."""
+"""Running a sweep in a folder: what is left to do is done and stored, then all is put together."""
 
 import warnings
 from pathlib import Path
@@ -9,45 +9,45 @@ import jax.numpy as jnp
 
 from .._ensemble.progress import progress_bar
 from .dataset import dataset_of, write_dataset
-from .errors import StudyError
-from .places import Where, executor_for
+from .errors import SweepError
+from .executor_choice import ExecutorChoice
 from .plan import Plan
 from .runner import described, run_tasks
 from .stopping import stoppable
 from .store import LOG, opened
-from .warned import collecting
+from .task_warnings import warnings_by_thread
 from .work import Work
 
 if TYPE_CHECKING:
     import xarray
 
-_ROUNDS = 3  # after which pieces that keep coming back damaged are an error of the disk
+_ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
-def run_study(plan: Plan, folder: Path | None, where: Where, progress: bool | None) -> "xarray.Dataset":
-    """Do what is left of a study, and return its result; see `Study.run`."""
+def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
+    """Do what is left of a sweep, and return its result; see `Sweep.run`."""
     _check_dtype(plan)
     if folder is None:
-        with TemporaryDirectory(prefix="stickslip-study-") as temporary:
-            return _run_in(Path(temporary), False, plan, where, progress)
-    return _run_in(folder, True, plan, where, progress)
+        with TemporaryDirectory(prefix="stickslip-sweep-") as temporary:
+            return _run_in(Path(temporary), False, plan, choice, progress)
+    return _run_in(folder, True, plan, choice, progress)
 
 
-def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool | None) -> "xarray.Dataset":
-    """`run_study` in a folder; `kept`: whether it is the user's."""
-    with opened(folder, plan) as (store, cut), stoppable() as stopping, collecting():
-        store.log(f"begun: {cut.points.number} points, {cut.samples} samples each")
+def _run_in(folder: Path, kept: bool, asked: Plan, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
+    """`run_sweep` in a folder; `kept`: whether it is the user's."""
+    with opened(folder, asked) as (store, plan), stoppable() as stopping, warnings_by_thread():
+        store.log(f"begun: {plan.points.number} points, {plan.samples} samples each")
         for _ in range(_ROUNDS):
-            work = Work(cut, store)
+            work = Work(plan, store)
             with (
-                executor_for(cut, store, where) as chosen,
-                progress_bar(progress, cut.points.number * cut.samples) as bar,
+                choice.opened(plan, store) as chosen,
+                progress_bar(progress, plan.points.number * plan.samples) as bar,
             ):
                 run_tasks(work, chosen, stopping, bar)
             if stopping.requested:
                 _stop(work, kept)
-            if work.starved:
-                _raise_starved(work, kept)
+            if work.without_memory:
+                _raise_no_memory(work, kept)
             dataset = dataset_of(work)
             if work.damaged:
                 continue
@@ -58,7 +58,7 @@ def _run_in(folder: Path, kept: bool, plan: Plan, where: Where, progress: bool |
                 _raise_failed(work, path, kept)
             store.log("finished")
             return dataset
-        raise StudyError(f"{folder} gives back other bytes than were written; check the disk, and run again.")
+        raise SweepError(f"{folder} gives back other bytes than were written; check the disk, and run again.")
 
 
 def _stop(work: Work, kept: bool) -> None:
@@ -70,19 +70,19 @@ def _stop(work: Work, kept: bool) -> None:
     )
 
 
-def _raise_starved(work: Work, kept: bool) -> None:
-    task = min(work.starved)
-    points = len({one.point for one in work.starved})
-    what = f"There was no memory for pieces of {points} of {work.plan.points.number} points, even one at a time"
+def _raise_no_memory(work: Work, kept: bool) -> None:
+    task = min(work.without_memory)
+    points = len({one.point for one in work.without_memory})
+    what = f"There was no memory for batches of {points} of {work.plan.points.number} points, even one at a time"
     work.store.log(f"stopped: {what}")
-    raise StudyError(
-        f"{what}, first {described(work.plan, task)} ({work.starved[task]}); "
+    raise SweepError(
+        f"{what}, first {described(work.plan, task)} ({work.without_memory[task]}); "
         + (
-            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the study in "
-            "smaller pieces (piece) into another folder."
+            f"what is done is kept in {work.store.folder}: run again where there is more memory, or run the sweep with "
+            "a smaller batch into another folder."
             if kept
-            else "run it in smaller pieces (piece), or where there is more memory, and give a folder, which keeps what "
-            "is done."
+            else "run it with a smaller batch, or where there is more memory, and give a folder, which keeps what is "
+            "done."
         )
     )
 
@@ -91,7 +91,7 @@ def _raise_failed(work: Work, path: Path, kept: bool) -> None:
     point = min(work.failed)
     failed = f"{len(work.failed)} of {work.plan.points.number} points failed"
     work.store.log(f"finished, but {failed}")
-    raise StudyError(
+    raise SweepError(
         f"{failed}, first {work.plan.points.described(point)}: {work.failed[point].rstrip('.')}; "
         + (
             f"{path} has the results of the others, and {work.store.folder / LOG} all reasons."
@@ -103,9 +103,9 @@ def _raise_failed(work: Work, path: Path, kept: bool) -> None:
 
 def _check_dtype(plan: Plan) -> None:
     if str(jnp.result_type(float)) != plan.dtype:
-        raise StudyError(
-            f"This study is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "
+        raise SweepError(
+            f"This sweep is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "
             f"jax.config.update('jax_enable_x64', {plan.dtype == 'float64'}) before anything else."
         )
     if plan.dtype == "float32":
-        warnings.warn("This study runs in float32.", stacklevel=5)
+        warnings.warn("This sweep runs in float32.", stacklevel=5)

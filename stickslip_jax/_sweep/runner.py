@@ -1,4 +1,4 @@
-"""The loop that does the tasks of a study."""
+"""The loop that does the tasks of a sweep."""
 
 import queue
 import time
@@ -6,22 +6,22 @@ from collections import deque
 from typing import Any
 
 from .._ensemble.progress import Progress
-from .errors import StudyError
+from .errors import SweepError
 from .executors import Executor, WorkerDiedError
 from .plan import Plan, Task
 from .stopping import Stopping
 from .work import Work
 from .workers import Failed, NoMemory, outcome_of
 
-_DEATHS = 3  # of workers while a task was under way, after which the study ends
+_DEATHS = 3  # of workers while a task was under way, after which the sweep ends
 
 
 def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
     """Do all tasks of `work`, a few at a time, and store each result when it comes.
 
-    Where there was no memory for a task it is done again, with fewer at a time: its size decides the last digits, and
-    so cannot change. Stops after the tasks under way when `stopping` asks for it. Raises StudyError if the folder
-    cannot be written, or the workers keep dying.
+    If there was no memory for a task it is done again, with fewer tasks at a time: a smaller batch would change the
+    last digits. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder cannot be
+    written, or the workers keep dying.
     """
     waiting, under_way = deque(work.tasks()), _UnderWay(executor)
     lost: dict[Task, int] = {}
@@ -44,7 +44,7 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
                 executor.restart()
             waiting.extendleft(reversed(again))
             continue
-        except StudyError:
+        except SweepError:
             raise
         except Exception as error:
             found = outcome_of(error)
@@ -67,23 +67,23 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
 def _give_up(work: Work, task: Task, found: NoMemory | Failed) -> None:
     """Note why a task is not done in this run."""
     if isinstance(found, Failed):
-        work.fail(task, found.reason)
+        work.failed[task.point] = found.reason  # the other tasks of the point go on
         work.store.log(f"FAILED {described(work.plan, task)}: {found.reason}")
     else:
-        work.starve(task, found.reason)
+        work.without_memory[task] = found.reason
         work.store.log(f"no memory for {described(work.plan, task)}, even alone: {found.reason}")
 
 
 class _UnderWay:
-    """The tasks that an executor has been given. `began`: when each was. `most`: of them at a time, if not as many as
-    the executor takes.
+    """The tasks that an executor has been given. `began`: when each was. `most`: how many at a time are allowed, if
+    fewer than the executor takes.
     """
 
     def __init__(self, executor: Executor):
         self._executor = executor
         self._futures: dict[Task, Any] = {}
         self._ended: queue.SimpleQueue[tuple[Task, Any]] = queue.SimpleQueue()
-        self._in_company: set[Task] = set()
+        self._not_alone: set[Task] = set()
         self.began: dict[Task, float] = {}
         self.most: int | None = None
         self._narrowed = 0.0
@@ -94,27 +94,28 @@ class _UnderWay:
         return len(self.began) < (self._executor.at_once if self.most is None else self.most)
 
     def narrow(self, began: float) -> None:
-        """Have fewer tasks under way from now on, because there was no memory for one that `began` then.
+        """Allow fewer tasks at a time, because there was no memory for one that `began` then.
 
-        Half as many as were worked on, for each of which one waits; once for all that were under way together.
+        Half of those that were worked on: as many again wait in the executor. Tasks that were under way together
+        narrow it once.
         """
         if began >= self._narrowed:
             self.most, self._narrowed = max(1, (len(self.began) + 1) // 4), time.monotonic()
 
     def is_alone(self, task: Task) -> bool:
         """Whether no other task was under way since this one began."""
-        return task not in self._in_company
+        return task not in self._not_alone
 
     def begin(self, task: Task) -> None:
-        self._in_company.discard(task)
+        self._not_alone.discard(task)
         if self.began:
-            self._in_company |= {task, *self.began}
+            self._not_alone |= {task, *self.began}
         future = self._executor.submit(task)
         self._futures[task], self.began[task] = future, time.monotonic()
         future.add_done_callback(lambda done, task=task: self._ended.put((task, done)))
 
     def next(self) -> Task | None:
-        """A task that is done; None if none is for a moment, so that signals are handled between the waits."""
+        """A task that is done; None if none is within a tenth of a second, so that signals are handled in between."""
         try:
             task, future = self._ended.get(timeout=0.1)
         except queue.Empty:
@@ -122,12 +123,12 @@ class _UnderWay:
         return task if self._futures.get(task) is future else None  # else lost, and begun again
 
     def result(self, task: Task) -> Any:
-        """What came of a task, which is not under way any more."""
+        """The outcome of a task, which is no longer under way."""
         del self.began[task]
         return self._executor.result(task, self._futures.pop(task))
 
     def forget(self) -> list[Task]:
-        """All tasks that are under way, none of which is any more."""
+        """Forget all tasks that are under way, and return them."""
         tasks = list(self.began)
         self.began.clear()
         self._futures.clear()
@@ -135,13 +136,13 @@ class _UnderWay:
 
 
 def _note_lost(work: Work, again: list[Task], lost: dict[Task, int], error: WorkerDiedError) -> int:
-    """Log that tasks are done again; how often one of them has been lost. Raises StudyError if that is too often."""
+    """Log that tasks are done again; how often one of them has been lost. Raises SweepError if that is too often."""
     for task in again:
         lost[task] = lost.get(task, 0) + 1
     worst = max(again, key=lambda task: lost[task])
-    work.store.log(f"a worker died ({error}); {len(again)} pieces are done again")
+    work.store.log(f"a worker died ({error}); {len(again)} batches are done again")
     if lost[worst] > _DEATHS:
-        raise StudyError(
+        raise SweepError(
             f"A worker died {lost[worst]} times while it simulated {described(work.plan, worst)} ({error}); what is "
             "done is kept. Perhaps memory ran out: take fewer workers, and run again."
         ) from error

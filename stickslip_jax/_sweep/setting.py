@@ -1,4 +1,4 @@
-"""What a study simulates at a point: the setting with the values of its parameters."""
+"""What a sweep simulates at a point: the setting with the values of its parameters."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -66,7 +66,7 @@ class Setter(NamedTuple):
                 check_numbers(part)
         except ValueError as error:
             point = ", ".join(f"{name} = {value:.6g}" for name, value in by_name.items())
-            raise ValueError(f"The point {point} of the study cannot be simulated: {error}") from error
+            raise ValueError(f"The point {point} of the sweep cannot be simulated: {error}") from error
         return changed
 
     def columns(self, values: np.ndarray) -> tuple[dict[Path, np.ndarray], Setting]:
@@ -80,7 +80,7 @@ class Setter(NamedTuple):
         found = {path: by_name[name] for name, path in self.paths.items()}
         changed = with_numbers(self.setting, tuple(found), list(found.values()))
         for name in self.groups:
-            path, value = GROUPS[name].place(changed, by_name[name])
+            path, value = GROUPS[name].apply(changed, by_name[name])
             found[path] = value
             changed = with_numbers(changed, (path,), [value])
         return found, changed
@@ -92,8 +92,8 @@ def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Setter:
     Raises ValueError for a name that fits no number, or several.
     """
     known = list(paths_of_numbers(setting._asdict()))
-    plain = [name for name in parameters if name not in GROUPS or _fits(name, known)]
-    paths = {name: known[matching("over", name, known)] for name in plain}
+    numbers = [name for name in parameters if name not in GROUPS or _fits(name, known)]
+    paths = {name: known[matching("over", name, known)] for name in numbers}
     _check_different(paths)
     return Setter(setting, parameters, paths, tuple(name for name in parameters if name not in paths))
 

@@ -1,27 +1,27 @@
-"""Ctrl-C during a study: the first stops it after the pieces under way, the second at once."""
+"""Ctrl-C during a sweep: the first one stops it after the batches under way, the second one at once."""
 
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from types import FrameType
 
 
 class Stopping:
-    """Whether the study is to stop. `requested`: after the pieces under way."""
+    """Whether the sweep is to stop. `requested`: after the batches under way."""
 
     def __init__(self) -> None:
         self.requested = False
 
-    def request(self, number: int, frame: Any) -> None:
+    def request(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal: the first time ask to stop, the second time raise KeyboardInterrupt."""
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        # In one piece: a second Ctrl-C comes between the parts that print would write.
+        # In one write: a second Ctrl-C comes between the parts that print would write.
         sys.stderr.write(
-            "\nStopping after the pieces under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
+            "\nStopping after the batches under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
         )
 
 

@@ -1,4 +1,4 @@
-"""The folder of a study: its manifest, the pieces that are done, the data set, and a log."""
+"""The folder of a sweep: its manifest, the batches that are done, the data set, and a log."""
 
 import contextlib
 import hashlib
@@ -8,26 +8,33 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from .._files import finished_name, remove_unfinished, sync_folder, write_whole
-from .errors import DamagedPieceError, StudyError
+from .._files import (
+    NotAFileError,
+    append_regular,
+    finished_name,
+    read_regular,
+    remove_unfinished,
+    sync_folder,
+    write_whole,
+)
+from .errors import DamagedBatchError, SweepError
+from .header import ID_LENGTH, LONGEST_HEADER, ForeignBatchError, id_and_name, with_header, without_header
 from .locking import cannot_write, is_locked, locked
-from .manifest import body_of, differences, extended, manifest_text, with_piece
-from .manifest_files import COPY, MANIFEST, body_in, has_manifest, mark_of
+from .manifest import Manifest, body_of, differences, extended, manifest_text, with_batch
+from .manifest_files import COPY, MANIFEST, body_in, has_manifest, sweep_id_of
 from .plan import Plan, Task
-from .regular import NotAFileError, append_regular, read_regular
-from .sealing import BEGINNING, MARK, ForeignPieceError, claims_of, sealed, unsealed
 from .stored_plan import plan_in
 
-PIECES, DATA, LOG, LOCK = "pieces", "study.nc", "log.txt", ".lock"
+BATCHES, DATA, LOG, LOCK = "batches", "sweep.nc", "log.txt", ".lock"
 _LONGEST_NAME = 100  # of a derivative in the name of a file
 
 
 _NAME = re.compile(r"(?P<point>[0-9a-f]{16})-(?P<first>\d+)-(?P<end>\d+)(\.zip|-(?P<name>.+)\.json)")
 
 
-class Piece(NamedTuple):
+class Batch(NamedTuple):
     """A file of samples ``first .. end - 1`` of a point, or of the derivatives with this name from samples
     ``0 .. end - 1``.
     """
@@ -39,29 +46,34 @@ class Piece(NamedTuple):
 
 
 class Store:
-    """The folder of a study, opened for reading; `opened` is for writing.
+    """The folder of a sweep, opened for reading; `opened` is for writing.
 
-    A piece is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
-    values of the parameters only, so that a point keeps its pieces when others come. It is sealed with a mark of its
-    study and this name. `held`: whether this program holds the lock, and may change the folder.
+    A batch is a file ``POINT-FIRST-END.zip`` (derivatives: ``POINT-FIRST-END-NAME.json``), where POINT depends on the
+    values of the parameters only, so that a point keeps its batches when others come. Its header has the identity of
+    the sweep and this name. `can_write`: whether this program holds the lock, and may change the folder.
     """
 
-    def __init__(self, folder: Path, body: dict[str, Any], *, held: bool = False):
-        self.folder, self.body, self.held = folder, body, held
-        self.mark = mark_of(body)
-        self._lock = _file_number(folder / LOCK) if held else None
+    def __init__(self, folder: Path, body: Manifest, *, can_write: bool = False):
+        self.folder, self.body, self.can_write = folder, body, can_write
+        self.sweep_id = sweep_id_of(body)
+        self._lock = _file_number(folder / LOCK) if can_write else None
 
     @classmethod
     def reading(cls, folder: Path) -> "Store":
-        """The store in a folder. Raises StudyError if there is none, or none that this version can read."""
-        return cls(folder, body_in(folder, lambda: _marks_in(folder)))
+        """The store in a folder. Raises SweepError if there is none, or none that this version can read."""
+        return cls(folder, body_in(folder, lambda: _ids_in(folder)))
 
     def plan(self, *, to_run: bool = True, every_point: bool = False) -> Plan:
-        """The study that is stored; see `plan_in`. Raises StudyError with the name of the folder."""
+        """The sweep that is stored; see `plan_in`. Raises SweepError with the name of the folder."""
         try:
             return plan_in(self.body, to_run=to_run, every_point=every_point)
-        except StudyError as error:
-            raise StudyError(f"{self.folder}: {error}") from error.__cause__
+        except SweepError as error:
+            raise SweepError(f"{self.folder}: {error}") from error.__cause__
+
+    @property
+    def dtype(self) -> str:
+        """The precision of the sweep, "float64" or "float32"."""
+        return self.body["deciding"]["dtype"]
 
     @property
     def is_in_use(self) -> bool:
@@ -69,123 +81,123 @@ class Store:
         return is_locked(self.folder / LOCK)
 
     def check_kept(self) -> None:
-        """Raises StudyError if the folder that this run holds was removed, or another one is in its place."""
+        """Raises SweepError if the folder was removed or replaced while this program holds its lock."""
         missing = []
         if not any(_file_number(self.folder / name) for name in (MANIFEST, COPY)):
             missing.append(MANIFEST)
         if _file_number(self.folder / LOCK) != self._lock:
             missing.append(LOCK)
-        if not (self.folder / PIECES).is_dir():
-            missing.append(PIECES)
+        if not (self.folder / BATCHES).is_dir():
+            missing.append(BATCHES)
         if missing:
             raise self._taken_away(missing[0])
 
-    def _taken_away(self, name: str) -> StudyError:
-        return StudyError(
-            f"{self.folder} was removed, or changed, while the study ran in it ({name} is gone); run it again, in a "
+    def _taken_away(self, name: str) -> SweepError:
+        return SweepError(
+            f"{self.folder} was removed, or changed, while the sweep ran in it ({name} is gone); run it again, in a "
             "folder that is left alone until it ends."
         )
 
-    # --- pieces
+    # --- batches
 
-    def pieces(self) -> dict[str, list[Piece]]:
-        """All pieces by the identity of their point: those of samples in order, none with samples of another."""
-        return {identity: _without_overlap(pieces) for identity, pieces in self._all().items()}
+    def batches(self) -> dict[str, list[Batch]]:
+        """All batches by the identity of their point: those of samples in order, none with samples of another."""
+        return {identity: _without_overlap(batches) for identity, batches in self._all().items()}
 
-    def _all(self) -> dict[str, list[Piece]]:
-        """All pieces by the identity of their point, in the order of their names.
+    def _all(self) -> dict[str, list[Batch]]:
+        """All batches by the identity of their point, in the order of their names.
 
-        A listing while a run joins pieces may have neither the parts nor the whole of them, but then the next one has
-        the whole: who only looks lists twice.
+        A listing while a run joins batches may have neither the parts nor the whole of them, but then the next one has
+        the whole: a program that only reads lists twice.
         """
         names = _names_in(self.folder)
-        if not self.held:
+        if not self.can_write:
             names |= _names_in(self.folder)
-        found: dict[str, list[Piece]] = defaultdict(list)
+        found: dict[str, list[Batch]] = defaultdict(list)
         for file in sorted(names):
             parts = _NAME.fullmatch(file)
             if parts is not None:
                 identity, first, end, name = parts.group("point", "first", "end", "name")
-                found[identity].append(Piece(self.folder / PIECES / file, int(first), int(end), name or ""))
+                found[identity].append(Batch(self.folder / BATCHES / file, int(first), int(end), name or ""))
         return found
 
-    def read(self, piece: Piece) -> bytes:
-        """The bytes of a piece.
+    def read(self, batch: Batch) -> bytes:
+        """The bytes of a batch.
 
-        Raises DamagedPieceError unless they are as they were written under this name, FileNotFoundError for a piece
-        that is gone, and StudyError for one of another study and one that cannot be read.
+        Raises DamagedBatchError unless they are as they were written under this name, FileNotFoundError for a batch
+        that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
-            return unsealed(self.mark, piece.path.name, read_regular(piece.path))
+            return without_header(self.sweep_id, batch.path.name, read_regular(batch.path))
         except FileNotFoundError:
             raise
-        except ForeignPieceError:
-            raise StudyError(f"{piece.path} is a piece of another study; move it elsewhere, and run again.") from None
+        except ForeignBatchError:
+            raise SweepError(f"{batch.path} is a batch of another sweep; move it elsewhere, and run again.") from None
         except NotAFileError as error:
-            raise StudyError(f"{piece.path} cannot be read ({error.strerror}); remove it, and run again.") from error
+            raise SweepError(f"{batch.path} cannot be read ({error.strerror}); remove it, and run again.") from error
         except OSError as error:
-            raise StudyError(
-                f"{piece.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
+            raise SweepError(
+                f"{batch.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
             ) from error
 
-    def check_pieces(self) -> None:
-        """Remove pieces that have another name than when they were written: what is to be done depends on names.
+    def check_batches(self) -> None:
+        """Remove batches that have another name than when they were written, as tasks are found by the names.
 
-        Raises StudyError for whole pieces of another study, and for what is no file: nobody may write over them.
+        Raises SweepError for undamaged batches of another sweep, and for what is no file, which must not be replaced.
         """
-        foreign, ours = None, 0
-        for piece in (one for pieces in self._all().values() for one in pieces):
+        foreign, is_any_ours = None, False
+        for batch in (one for batches in self._all().values() for one in batches):
             try:
-                mark, claims = claims_of(read_regular(piece.path, BEGINNING))
-                if mark == self.mark:
-                    ours += 1
-                    if claims != piece.path.name:
-                        self.remove(piece, f"it is {claims}, under another name")
+                sweep_id, name = id_and_name(read_regular(batch.path, LONGEST_HEADER))
+                if sweep_id == self.sweep_id:
+                    is_any_ours = True
+                    if name != batch.path.name:
+                        self.remove(batch, f"it is {name}, under another name")
                     continue
             except NotAFileError:
-                self.read(piece)  # says so
+                self.read(batch)  # says so
             except OSError:
                 continue
             try:
-                self.read(piece)
-            except (DamagedPieceError, FileNotFoundError):
+                self.read(batch)
+            except (DamagedBatchError, FileNotFoundError):
                 continue
-            except StudyError as error:
+            except SweepError as error:
                 foreign = foreign or error
-        if foreign is not None and not ours:
-            raise StudyError(
-                f"{self.folder} has pieces of another study than its {MANIFEST}; put the manifest of the pieces back, "
-                "or choose another folder."
+        if foreign is not None and not is_any_ours:
+            raise SweepError(
+                f"{self.folder} has batches of another sweep than its {MANIFEST}; put their manifest back, or choose "
+                "another folder."
             )
         if foreign is not None:
             raise foreign
 
-    def remove(self, piece: Piece, reason: str) -> None:
-        """Remove a piece that is damaged, and log that."""
-        self.log(f"damaged, to be done again: {piece.path.name} ({reason})")
-        with contextlib.suppress(OSError):  # the new piece replaces it
-            piece.path.unlink()
+    def remove(self, batch: Batch, reason: str) -> None:
+        """Remove a batch that is damaged, and log that."""
+        self.log(f"damaged, to be done again: {batch.path.name} ({reason})")
+        with contextlib.suppress(OSError):  # the new batch replaces it
+            batch.path.unlink()
 
     def remove_leftovers(self, identities: Iterable[str]) -> None:
-        """Remove pieces of these points whose samples are in a longer one too: what an interrupted join leaves."""
+        """Remove batches of these points whose samples are in a longer one too: an interrupted join leaves them."""
         there = self._all()
         for identity in identities:
-            for piece in set(there[identity]).difference(_without_overlap(there[identity])):
+            for batch in set(there[identity]).difference(_without_overlap(there[identity])):
                 with contextlib.suppress(OSError):  # they do no harm
-                    piece.path.unlink()
+                    batch.path.unlink()
 
     def path_of(self, identity: str, task: Task, plan: Plan) -> Path:
         """The file of the result of a task."""
         name = f"{identity}-{task.first}-{task.end}"
         if task.derivative is None:
-            return self.folder / PIECES / f"{name}.zip"
-        return self.folder / PIECES / f"{name}-{derivative_name(plan, task.derivative)}.json"
+            return self.folder / BATCHES / f"{name}.zip"
+        return self.folder / BATCHES / f"{name}-{derivative_name(plan, task.derivative)}.json"
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write the bytes of a piece. Raises StudyError if that fails."""
+        """Write the bytes of a batch. Raises SweepError if that fails."""
         self.check_kept()
         try:
-            write_whole(path, sealed(self.mark, path.name, data))
+            write_whole(path, with_header(self.sweep_id, path.name, data))
         except FileNotFoundError as error:  # while the folder is being removed, the rest may still be there
             self.check_kept()
             raise self._taken_away(path.name) from error
@@ -200,31 +212,31 @@ class Store:
 
 
 def _names_in(folder: Path) -> set[str]:
-    """The names of what lies where the pieces are. Raises StudyError if they cannot be listed."""
+    """The names in the folder of the batches. Raises SweepError if they cannot be listed."""
     try:
-        return set(os.listdir(folder / PIECES))
+        return set(os.listdir(folder / BATCHES))
     except FileNotFoundError:
         return set()
     except NotADirectoryError:
-        raise StudyError(
-            f"{folder / PIECES} must be a folder, for the pieces of the study, but is a file; move it elsewhere, and "
+        raise SweepError(
+            f"{folder / BATCHES} must be a folder, for the batches of the sweep, but is a file; move it elsewhere, and "
             "run again."
         ) from None
     except OSError as error:
-        raise StudyError(f"{folder / PIECES} cannot be read ({error.strerror}); make it readable.") from error
+        raise SweepError(f"{folder / BATCHES} cannot be read ({error.strerror}); make it readable.") from error
 
 
-def _marks_in(folder: Path) -> set[bytes]:
-    """The marks with which the pieces begin."""
+def _ids_in(folder: Path) -> set[bytes]:
+    """The identities of sweeps with which the batches begin."""
     found = set()
     for name in filter(_NAME.fullmatch, _names_in(folder)):
         with contextlib.suppress(OSError):
-            found.add(read_regular(folder / PIECES / name, MARK))
+            found.add(read_regular(folder / BATCHES / name, ID_LENGTH))
     return found
 
 
 def _file_number(path: Path) -> tuple[int, int] | None:
-    """What tells a file from another one of its name; None if it is not there."""
+    """The numbers by which the system tells a file from a later one of its name; None if it is not there."""
     try:
         found = path.stat()
     except OSError:
@@ -243,28 +255,28 @@ def derivative_name(plan: Plan, number: int) -> str:
 
 @contextlib.contextmanager
 def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
-    """The store for `plan` in `folder`, held for writing, and the plan cut into pieces as the store is.
+    """The store for `plan` in `folder`, locked for writing, and the plan with the batches of the store.
 
-    A folder without a study must be empty or missing. A manifest that differs in what decides the numbers is refused;
-    what may differ replaces it. Raises StudyError otherwise.
+    A folder without a sweep must be empty or missing. If the folder has a manifest with the same numbers, the new one
+    replaces it. Raises SweepError for a manifest with other numbers, and for other folders.
     """
-    _make(folder)
+    _make_folder(folder)
     with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
         text = manifest_text(plan)
         if has_manifest(folder):
-            there = body_in(folder, lambda: _marks_in(folder), to_write=True)
-            plan = with_piece(plan, there)
-            here = body_of(manifest_text(plan))
-            _check_extends(folder, there, here)
-            text = extended(there, here)
-        store = Store(folder, body_of(text), held=True)
-        store.check_pieces()
+            stored = body_in(folder, lambda: _ids_in(folder), to_write=True)
+            plan = with_batch(plan, stored)
+            new = body_of(manifest_text(plan))
+            _check_extends(folder, stored, new)
+            text = extended(stored, new)
+        store = Store(folder, body_of(text), can_write=True)
+        store.check_batches()
         try:
             remove_unfinished(folder)
-            remove_unfinished(folder / PIECES)
-            (folder / PIECES).mkdir(exist_ok=True)
+            remove_unfinished(folder / BATCHES)
+            (folder / BATCHES).mkdir(exist_ok=True)
             for name in (MANIFEST, COPY):
-                if not _holds(folder / name, text):
+                if not _has_text(folder / name, text):
                     write_whole(folder / name, text.encode())
             sync_folder(folder.parent)
         except OSError as error:
@@ -272,57 +284,57 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         yield store, plan
 
 
-def _check_extends(folder: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
-    """Raises StudyError unless the study of the manifest `here` adds to that `there`, which the folder holds."""
-    found = differences(there, here)
+def _check_extends(folder: Path, stored: Manifest, new: Manifest) -> None:
+    """Raises SweepError unless the sweep of the `new` manifest only adds to that of the `stored` one."""
+    found = differences(stored, new)
     if found:
-        raise StudyError(
-            f"{folder} holds a study with other numbers ({'; '.join(found[:5])}); choose another folder, or "
-            "change the study back."
+        raise SweepError(
+            f"{folder} holds a sweep with other numbers ({'; '.join(found[:5])}); choose another folder, or "
+            "change the sweep back."
         )
-    if there["asked"]["samples"] > here["asked"]["samples"]:
-        raise StudyError(
-            f"{folder} holds {there['asked']['samples']} samples of each point; ask for at least as many, or "
+    if stored["asked"]["samples"] > new["asked"]["samples"]:
+        raise SweepError(
+            f"{folder} holds {stored['asked']['samples']} samples of each point; ask for at least as many, or "
             "choose another folder."
         )
 
 
-def _holds(path: Path, text: str) -> bool:
+def _has_text(path: Path, text: str) -> bool:
     with contextlib.suppress(FileNotFoundError):
         return read_regular(path) == text.encode()
     return False
 
 
-def _make(folder: Path) -> None:
-    """Make the folder. Raises StudyError for one that holds something else, or cannot be made."""
+def _make_folder(folder: Path) -> None:
+    """Make the folder. Raises SweepError for one that holds something else, or cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         others = sorted(entry.name for entry in os.scandir(folder) if not _is_begun(Path(entry.path)))
-        has_study = has_manifest(folder)
+        has_sweep = has_manifest(folder)
     except FileExistsError:
-        raise StudyError(f"{folder} cannot hold a study, because it is a file; choose another folder.") from None
+        raise SweepError(f"{folder} cannot hold a sweep, because it is a file; choose another folder.") from None
     except NotADirectoryError:
-        raise StudyError(f"{folder} cannot hold a study, because it lies below a file; choose another.") from None
+        raise SweepError(f"{folder} cannot hold a sweep, because it lies below a file; choose another.") from None
     except OSError as error:
         raise cannot_write(folder, error) from error
-    if others and not has_study:
-        raise StudyError(
-            f"{folder} is not empty and holds no study (it has {others[0]}); choose an empty or a new folder."
+    if others and not has_sweep:
+        raise SweepError(
+            f"{folder} is not empty and holds no sweep (it has {others[0]}); choose an empty or a new folder."
         )
 
 
 def _is_begun(path: Path) -> bool:
-    """Whether a file is what `opened` makes before the manifest is whole."""
-    if path.name == PIECES:
+    """Whether `opened` makes such a file before the manifest is complete."""
+    if path.name == BATCHES:
         return path.is_dir() and not os.listdir(path)
     return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)
 
 
-def _without_overlap(pieces: list[Piece]) -> list[Piece]:
-    """Pieces of samples in order, of which none has samples of another, the longest first; then the others."""
+def _without_overlap(batches: list[Batch]) -> list[Batch]:
+    """Batches of samples in order, of which none has samples of another, the longest first; then the others."""
     chosen, at = [], 0
-    for piece in sorted((one for one in pieces if not one.derivative), key=lambda one: (one.first, -one.end)):
-        if piece.first >= at:
-            chosen.append(piece)
-            at = piece.end
-    return chosen + [one for one in pieces if one.derivative]
+    for batch in sorted((one for one in batches if not one.derivative), key=lambda one: (one.first, -one.end)):
+        if batch.first >= at:
+            chosen.append(batch)
+            at = batch.end
+    return chosen + [one for one in batches if one.derivative]

@@ -1,6 +1,7 @@
-"""The study that a manifest describes: checked as a `Study` checks its arguments, for a file may have been edited."""
+"""The sweep that a manifest describes: checked as a `Sweep` checks its arguments, for a file may have been edited."""
 
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,20 +10,19 @@ from .. import _checks
 from .._dynamics.validation import check_method
 from .._ensemble.encoding import Decoder
 from .._ensemble.unknown import Unknown
-from .._statistics.accumulator import MOST_ORDERS, Numbering
-from .errors import StudyError
-from .manifest import OBJECTS
-from .plan import Plan, checked_derivatives, checked_errors, checked_keep, checked_samples, checked_statistics
-from .points import Axis, Points
+from .errors import SweepError
+from .manifest import OBJECTS, Manifest
+from .plan import Plan, checked_derivatives, checked_keep, checked_statistics
+from .points import Dimension, Points
 from .setting import Setting, setting_of
 
 _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
-def plan_in(body: dict[str, Any], *, to_run: bool = True, every_point: bool = False) -> Plan:
-    """The study that a manifest describes; `every_point`: whether each is checked, as by `Study`, or the first.
+def plan_in(body: Manifest, *, to_run: bool = True, every_point: bool = False) -> Plan:
+    """The sweep that a manifest describes; `every_point`: whether each is checked, as by `Sweep`, or the first.
 
-    Raises StudyError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these are
+    Raises SweepError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these are
     left as they are stored), and for what does not fit together. Statistics and derivatives that this version does not
     know are left out, with a warning.
     """
@@ -33,43 +33,37 @@ def plan_in(body: dict[str, Any], *, to_run: bool = True, every_point: bool = Fa
         elif to_run:
             plan.setting_at(0)
         return plan
-    except StudyError:
+    except SweepError:
         raise
     except _UNFIT as error:
         reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise StudyError(f"its manifest cannot be used ({reason}); run the study into another folder.") from error
+        raise SweepError(f"its manifest cannot be used ({reason}); run the sweep into another folder.") from error
 
 
-def _plan(body: dict[str, Any], to_run: bool) -> Plan:
-    deciding, asked = dict(body["deciding"]), dict(body["asked"])
-    keep = checked_keep(deciding["keep"])
-    orders, count_initial_rest = deciding["numbering"]
-    _checks.whole_number("orders", orders, maximum=MOST_ORDERS)
-    _checks.truth("count_initial_rest", count_initial_rest)
-    _checks.truth("independent", deciding["independent"])
-    _checks.positive("t1", deciding["t1"], "s")
-    _checks.whole_number("piece", deciding["piece"])
-    _checks.whole_number("realizations", asked["realizations"], minimum=0)
-    if deciding["dtype"] not in ("float64", "float32"):
-        raise ValueError(f"dtype is {_checks.show(deciding['dtype'])}")
-    deciding["numbering"] = Numbering(orders, count_initial_rest)
-    deciding["key_data"] = _key_data(deciding["key_data"])
-    asked["samples"] = checked_samples(asked["samples"])
-    asked["statistics"] = _known(asked["statistics"], lambda name: checked_statistics([name], keep))
-    derivatives = [(name, tuple(wrt)) for name, wrt in asked["derivatives"]]
-    asked["derivatives"] = _known(derivatives, lambda one: checked_derivatives([one]))
-    asked["standard_errors"] = checked_errors(asked["standard_errors"] or None, asked["statistics"])
-    return Plan(_setting(body, to_run), _points(body["axes"]), **deciding, **asked)
+def _plan(body: Manifest, to_run: bool) -> Plan:
+    fields = body["deciding"] | body["asked"]
+    if fields["dtype"] not in ("float64", "float32"):
+        raise ValueError(f"dtype is {_checks.show(fields['dtype'])}")
+    keep = checked_keep(fields["keep"])
+    derivatives = [(name, tuple(wrt)) for name, wrt in fields["derivatives"]]
+    fields |= {
+        "numbering": tuple(fields["numbering"]),
+        "key_data": _key_data(fields["key_data"]),
+        "statistics": _known(fields["statistics"], lambda name: checked_statistics([name], keep)),
+        "derivatives": _known(derivatives, lambda one: checked_derivatives([one])),
+        "standard_errors": fields["standard_errors"] or None,
+    }
+    return Plan.checked(_setting(body, to_run), _points(body["dimensions"]), **fields)
 
 
-def _setting(body: dict[str, Any], to_run: bool) -> Setting:
+def _setting(body: Manifest, to_run: bool) -> Setting:
     floats = np.array([float.fromhex(value) for value in body["floats"]])
     decoder = Decoder(floats, np.array(body["integers"], np.int64))
     objects = {name: decoder.decoded(body["objects"][name]) for name in OBJECTS}
     for name, value in objects.items():
         for one in value if isinstance(value, tuple) else (value,):
             if to_run and isinstance(one, Unknown):
-                raise StudyError(
+                raise SweepError(
                     f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again "
                     "with the same folder, which goes on from here."
                 )
@@ -79,21 +73,21 @@ def _setting(body: dict[str, Any], to_run: bool) -> Setting:
     return setting_of(**objects)
 
 
-def _points(axes: list[Any]) -> Points:
+def _points(dimensions: list[Any]) -> Points:
     found = []
-    for one in axes:
+    for one in dimensions:
         parameters, values = tuple(one["parameters"]), np.array(one["values"], float)
         if not parameters or values.ndim != 2 or values.shape[1] != len(parameters) or not len(values):
             raise ValueError(f"the values of {', '.join(map(str, parameters))} are no points")
         if not np.all(np.isfinite(values)):
             raise ValueError(f"a value of {', '.join(map(str, parameters))} is not finite")
-        found.append(Axis(one["name"], parameters, values))
+        found.append(Dimension(one["name"], parameters, values))
     if not found:
         raise ValueError("it has no points")
     return Points(tuple(found))
 
 
-def _key_data(words: Any) -> tuple[int, ...] | None:
+def _key_data(words: object) -> tuple[int, ...] | None:
     if words is None:
         return None
     if not isinstance(words, list) or not all(type(word) is int and 0 <= word < 2**32 for word in words):
@@ -101,7 +95,7 @@ def _key_data(words: Any) -> tuple[int, ...] | None:
     return tuple(words)
 
 
-def _known(names: Any, check: Any) -> tuple[Any, ...]:
+def _known(names: object, check: Callable[[Any], tuple[Any, ...]]) -> tuple[Any, ...]:
     """Those of the `names` that this version knows; a warning tells of the others."""
     if not isinstance(names, list):
         raise TypeError(f"statistics are {_checks.show(names)}")
@@ -112,7 +106,7 @@ def _known(names: Any, check: Any) -> tuple[Any, ...]:
         except ValueError:
             shown = name if isinstance(name, str) else name[0]
             warnings.warn(
-                f"The study asks for {_checks.show(shown)}, which this version of stickslip_jax does not know; it is "
+                f"The sweep asks for {_checks.show(shown)}, which this version of stickslip_jax does not know; it is "
                 "left out.",
                 stacklevel=2,
             )

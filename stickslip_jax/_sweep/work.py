@@ -1,56 +1,60 @@
-"""The work of a study that is left, and how far it has come."""
+"""The tasks of a sweep that are left, and the batches that are there."""
 
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
 
 from .._ensemble.result import Ensemble
 from .._statistics.totals import STATISTICS
-from .errors import DamagedPieceError
-from .pieces import derivatives_of, head_of, joined, packed, unfinished_in, unpacked
+from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unfinished_in, unpacked
+from .errors import DamagedBatchError
 from .plan import Plan, Task
-from .spool import Spool
-from .store import Piece, Store, derivative_name
+from .read_cache import ReadCache
+from .store import Batch, Store, derivative_name
 
-_LISTINGS = 5  # of the folder at most, where a run that is under way has joined pieces since the last
+_LISTINGS = 5  # of the folder at most, where a run that is under way has joined batches since the last
 
 
 @dataclass
 class Work:
-    """The tasks of a study that are left, in order of the points.
+    """The tasks of a sweep that are left, in order of the points.
 
-    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `starved`: tasks for which
-    there was no memory, and the error. `complete`: points with nothing left to do. `damaged`: pieces that could not be
-    read, and were removed.
+    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `without_memory`: tasks for
+    which there was no memory, and the error; a later run does them. `complete`: points with nothing left to do.
+    `damaged`: batches that could not be read, and were removed.
     """
 
     plan: Plan
     store: Store
     done: list[int] = field(default_factory=list)
     failed: dict[int, str] = field(default_factory=dict)
-    starved: dict[Task, str] = field(default_factory=dict)
+    without_memory: dict[Task, str] = field(default_factory=dict)
     complete: int = 0
     damaged: int = 0
 
     def __post_init__(self) -> None:
         self._identities = [self.plan.points.identity(point) for point in range(self.plan.points.number)]
-        self._pieces = self.store.pieces()
+        self._batches = self.store.batches()
         self._left: dict[int, int] = {}  # tasks of a point that are not done
         self.done = [0] * self.plan.points.number
-        # A run may join pieces while somebody looks: what was read once is kept, so that it is the same a second time.
-        self._spool = None if self.store.held else Spool()
+        # A run may join batches while they are read here: what was read once is kept, so that it stays the same.
+        self._cache = None if self.store.can_write else ReadCache()
 
-    def pieces(self, point: int) -> list[Piece]:
-        """The pieces of a point that are there."""
-        return self._pieces.get(self._identities[point], [])
+    def batches(self, point: int) -> list[Batch]:
+        """The batches of a point that are there."""
+        return self._batches.get(self._identities[point], [])
 
-    def path_of(self, task: Task) -> Any:
+    def _of_samples(self, point: int) -> list[Batch]:
+        """The batches of samples of a point, without those of derivatives."""
+        return [batch for batch in self.batches(point) if not batch.derivative]
+
+    def _path_of(self, task: Task) -> Path:
         """The file for the result of a task."""
         return self.store.path_of(self._identities[task.point], task, self.plan)
 
     def tasks(self) -> Iterator[Task]:
-        """What is left to do. With wanted standard errors, the next piece of each point that misses them."""
+        """What is left to do. With wanted standard errors, the next batch of each point that misses them."""
         for point in range(self.plan.points.number):
             tasks = self._tasks_at(point)
             self._left[point] = len(tasks)
@@ -60,10 +64,9 @@ class Work:
             yield from tasks
 
     def _tasks_at(self, point: int) -> list[Task]:
-        pieces = self.pieces(point)
-        self.done[point] = sum(piece.end - piece.first for piece in pieces if not piece.derivative)
+        self.done[point] = sum(batch.end - batch.first for batch in self._of_samples(point))
         tasks = self._missing(point)
-        there = {(piece.derivative, piece.end) for piece in pieces}
+        there = {(batch.derivative, batch.end) for batch in self.batches(point)}
         for number in range(len(self.plan.derivatives)):
             if (derivative_name(self.plan, number), self.plan.samples) not in there:
                 tasks.append(Task(point, 0, self.plan.samples, number))
@@ -72,37 +75,34 @@ class Work:
     def _missing(self, point: int) -> list[Task]:
         """The tasks for samples of a point that are not there; with wanted standard errors, the first of them."""
         gaps, at = [], 0
-        for piece in (one for one in self.pieces(point) if not one.derivative):
-            gaps += self._cut(point, at, piece.first)
-            at = piece.end
-        gaps += self._cut(point, at, self.plan.samples)
+        for batch in self._of_samples(point):
+            gaps += self._tasks_between(point, at, batch.first)
+            at = batch.end
+        gaps += self._tasks_between(point, at, self.plan.samples)
         if self.plan.is_adaptive and gaps:
             return [] if self._is_precise(point) else gaps[:1]
         return gaps
 
-    def _cut(self, point: int, first: int, end: int) -> list[Task]:
-        """The tasks of samples ``first .. end - 1``, which end at multiples of the piece."""
-        tasks, piece = [], self.plan.piece
-        while first < end:
-            after = min(end, (first // piece + 1) * piece)
-            tasks.append(Task(point, first, after))
-            first = after
-        return tasks
+    def _tasks_between(self, point: int, first: int, end: int) -> list[Task]:
+        """The tasks of samples ``first .. end - 1``, which end at multiples of the size of a batch."""
+        size = self.plan.batch
+        ends = range((first // size + 1) * size, end + size, size) if first < end else ()
+        return [Task(point, max(first, after - size), min(after, end)) for after in ends]
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
-        """Store the result of a task, None if the worker has; returns what is to be done next because of it."""
-        path = self.path_of(task)
+        """Store the result of a task (None: the worker has stored it); returns the tasks that follow from it."""
+        path = self._path_of(task)
         if data is not None:
             self.store.write(path, data)
         name = "" if task.derivative is None else derivative_name(self.plan, task.derivative)
-        pieces = self._pieces.setdefault(self._identities[task.point], [])
-        piece = Piece(path, task.first, task.end, name)
-        pieces.append(piece)
-        pieces.sort(key=lambda piece: (piece.derivative, piece.first))
+        batches = self._batches.setdefault(self._identities[task.point], [])
+        batch = Batch(path, task.first, task.end, name)
+        batches.append(batch)
+        batches.sort(key=lambda batch: (batch.derivative, batch.first))
         try:
-            self._check(task, self.store.read(piece) if data is None else data)
-        except DamagedPieceError as error:
-            self._remove(task.point, piece, str(error))
+            self._check(task, self.store.read(batch) if data is None else data)
+        except DamagedBatchError as error:
+            self._remove(task.point, batch, str(error))
             return []
         self._left[task.point] -= 1
         more = []
@@ -116,7 +116,7 @@ class Work:
         return more
 
     def _check(self, task: Task, data: bytes) -> None:
-        """Log the samples of a result that did not reach the end. Raises DamagedPieceError for one of another task."""
+        """Log the samples of a result that did not finish. Raises DamagedBatchError for the result of another task."""
         if task.derivative is not None:
             derivatives_of(data, task.end)
             return
@@ -134,111 +134,103 @@ class Work:
         wanted = self.plan.standard_errors.items()
         return all(STATISTICS[name](ensemble).standard_error <= most for name, most in wanted)  # NaN: not yet
 
-    def fail(self, task: Task, reason: str) -> None:
-        """Note that a task failed; the others of its point go on."""
-        self.failed[task.point] = reason
-
-    def starve(self, task: Task, reason: str) -> None:
-        """Note that there was no memory for a task; a later run does it."""
-        self.starved[task] = reason
-
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
-        Pieces that are damaged end it; they are removed, unless the store is only read. Who only reads gets the same
-        samples every time, whatever a run does meanwhile.
+        Samples after a damaged batch are left out; the batch is removed, unless the store is only read. A program that
+        only reads gets the same samples every time, also while a run adds batches.
         """
         found, fields = [], self.plan.fields_at(point)
-        for piece, data in self._in_a_row(point):
+        for batch, data in self._without_gap(point):
             try:
-                found.append(unpacked(data, fields, piece.first, piece.end))
-            except DamagedPieceError as error:
-                self._remove(point, piece, str(error))
+                found.append(unpacked(data, fields, batch.first, batch.end))
+            except DamagedBatchError as error:
+                self._remove(point, batch, str(error))
                 break
         return joined(found) if len(found) > 1 else found[0] if found else None
 
-    def _in_a_row(self, point: int) -> list[tuple[Piece, bytes]]:
-        """The pieces of samples of a point from the first on that are there without a gap."""
-        kept = None if self._spool is None else self._spool.kept(point)
-        if kept is not None:
-            return kept
-        found = self._read(point, is_gap_allowed=False)
-        if self._spool is not None:
-            self._spool.keep(point, found)
+    def _without_gap(self, point: int) -> list[tuple[Batch, bytes]]:
+        """The batches of samples of a point from the first on that are there without a gap."""
+        if self._cache is None:
+            return self._read(point, is_gap_allowed=False)
+        found = self._cache.get(point)
+        if found is None:
+            found = self._read(point, is_gap_allowed=False)
+            self._cache.put(point, found)
         return found
 
-    def heads(self, point: int) -> list[dict[str, Any]]:
-        """What the pieces of samples of a point say of themselves; see `head_of`."""
+    def heads(self, point: int) -> list[Head]:
+        """The heads of the batches of samples of a point."""
         found = []
-        for piece, data in self._read(point, is_gap_allowed=True):
-            try:
-                found.append(head_of(data, piece.first, piece.end))
-            except DamagedPieceError as error:
-                self._remove(point, piece, str(error))
+        for batch, data in self._read(point, is_gap_allowed=True):
+            with self._damage_removed(point, batch):
+                found.append(head_of(data, batch.first, batch.end))
         return found
 
-    def _read(self, point: int, *, is_gap_allowed: bool) -> list[tuple[Piece, bytes]]:
-        """The pieces of samples of a point that are there, with their bytes."""
+    def _read(self, point: int, *, is_gap_allowed: bool) -> list[tuple[Batch, bytes]]:
+        """The batches of samples of a point that are there, with their bytes."""
         for _ in range(_LISTINGS):
             found, at = [], 0
             try:
-                for piece in [one for one in self.pieces(point) if not one.derivative]:
-                    if piece.first != at and not is_gap_allowed:
-                        continue
-                    try:
-                        found.append((piece, self.store.read(piece)))
-                    except DamagedPieceError as error:
-                        self._remove(point, piece, str(error))
-                        if not is_gap_allowed:
-                            break
-                    at = piece.end
+                for batch in self._of_samples(point):
+                    if batch.first == at or is_gap_allowed:
+                        with self._damage_removed(point, batch):
+                            found.append((batch, self.store.read(batch)))
+                            at = batch.end  # where it is damaged, all that follow come after a gap
                 return found
             except FileNotFoundError:
                 self._list_again()
         return []
 
     def _list_again(self) -> None:
-        """Look for pieces where one is gone. For a reader: a run has joined it with others since they were listed."""
-        self._pieces = self.store.pieces()
+        """List the batches again because one is gone. If this program only reads, a run has joined it with others."""
+        self._batches = self.store.batches()
         self.damaged += 1
 
-    def derivatives(self, point: int) -> dict[str, dict[str, Any]]:
+    def derivatives(self, point: int) -> dict[str, Derivatives]:
         """The results of the derivatives of a point that are there, by name."""
         found, names = {}, {derivative_name(self.plan, number) for number in range(len(self.plan.derivatives))}
-        for piece in list(self.pieces(point)):
-            if piece.derivative in names and piece.end == self.plan.samples:
+        for batch in list(self.batches(point)):
+            if batch.derivative in names and batch.end == self.plan.samples:
                 try:
-                    found[piece.derivative] = derivatives_of(self.store.read(piece), piece.end)
-                except DamagedPieceError as error:
-                    self._remove(point, piece, str(error))
+                    with self._damage_removed(point, batch):
+                        found[batch.derivative] = derivatives_of(self.store.read(batch), batch.end)
                 except FileNotFoundError:
                     self._list_again()
         return found
 
     def _join(self, point: int) -> None:
-        """Make one file of the pieces of samples of a point, if there are several; the files take much space."""
-        pieces = [piece for piece in self.pieces(point) if not piece.derivative]
-        if len(pieces) < 2 or not self.store.held:
+        """Join the files of a point, if there are several: each holds histograms, so that one takes less space."""
+        batches = self._of_samples(point)
+        if len(batches) < 2 or not self.store.can_write:
             return
         whole = self.ensemble(point)
-        if whole is None or whole.samples != pieces[-1].end:  # a damaged piece, which is done again
+        if whole is None or whole.samples != batches[-1].end:  # a damaged batch, which is done again
             return
         task = Task(point, 0, whole.samples)
-        path = self.path_of(task)
+        path = self._path_of(task)
         self.store.write(path, packed(whole))
-        others = [piece for piece in self.pieces(point) if piece.derivative]
-        self._pieces[self._identities[point]] = [Piece(path, 0, whole.samples), *others]
-        for piece in pieces:
-            with contextlib.suppress(OSError):  # what is left is passed over, and removed at the end
-                piece.path.unlink()
+        others = [batch for batch in self.batches(point) if batch.derivative]
+        self._batches[self._identities[point]] = [Batch(path, 0, whole.samples), *others]
+        for batch in batches:
+            with contextlib.suppress(OSError):  # what is left is not used, and removed at the end
+                batch.path.unlink()
 
     def remove_leftovers(self) -> None:
-        """Remove pieces whose samples are in a longer one too. For when all of those have been read."""
+        """Remove batches whose samples are in a longer one too. For when all of those have been read."""
         self.store.remove_leftovers(self._identities)
 
-    def _remove(self, point: int, piece: Piece, reason: str) -> None:
+    @contextlib.contextmanager
+    def _damage_removed(self, point: int, batch: Batch) -> Iterator[None]:
+        """Remove a batch in which the block finds damage."""
+        try:
+            yield
+        except DamagedBatchError as error:
+            self._remove(point, batch, str(error))
+
+    def _remove(self, point: int, batch: Batch, reason: str) -> None:
         with contextlib.suppress(ValueError):  # the folder was listed again since it was read
-            self.pieces(point).remove(piece)
+            self.batches(point).remove(batch)
         self.damaged += 1
-        if self.store.held:
-            self.store.remove(piece, reason)
+        if self.store.can_write:
+            self.store.remove(batch, reason)

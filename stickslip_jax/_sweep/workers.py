@@ -1,4 +1,4 @@
-"""What does tasks in a process: this one, a worker process of this machine, or a worker of a cluster."""
+"""Doing tasks in a process: this one, a worker process of this machine, or a worker of a cluster."""
 
 import dataclasses
 import errno
@@ -13,31 +13,35 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 
 from .. import _compilation_cache
+from .batches import perform
 from .manifest import versions
-from .pieces import perform
 from .plan import Plan, Task
-from .warned import collecting
+from .task_warnings import warnings_by_thread
 
 
 class UnfitWorkerError(RuntimeError):
-    """A worker that cannot do its share of a study; the message is a sentence that says what to do."""
+    """A worker that cannot do tasks of a sweep; the message is a sentence that says what to do."""
 
 
 class Failed(NamedTuple):
-    """What comes back for a point that cannot be simulated."""
+    """The outcome for a point that cannot be simulated."""
 
     reason: str
 
 
 class NoMemory(NamedTuple):
-    """What comes back for a task for which there was no memory."""
+    """The outcome of a task for which there was no memory."""
 
     reason: str
+
+
+Outcome: TypeAlias = bytes | Failed | NoMemory
+"""What comes of a task: its result, or why there is none."""
 
 
 _NO_MEMORY = ("RESOURCE_EXHAUSTED", "std::bad_alloc", "MemoryError", "can't start new thread")
@@ -56,8 +60,8 @@ def outcome_of(error: Exception) -> Failed | NoMemory:
     return Failed(said)
 
 
-def attempted(perform: Callable[[Task], bytes], task: Task) -> bytes | Failed | NoMemory:
-    """Do a task. Raises what is neither of its point nor of memory."""
+def attempted(perform: Callable[[Task], bytes], task: Task) -> Outcome:
+    """Do a task. Raises errors that have other causes than its point or the memory."""
     try:
         return perform(task)
     except Exception as error:
@@ -95,7 +99,7 @@ class Performer:
 
 @dataclasses.dataclass
 class _Device:
-    device: Any
+    device: jax.Device
     compiling: threading.Lock = dataclasses.field(default_factory=threading.Lock)
     compiled: bool = False
 
@@ -104,7 +108,7 @@ class _Device:
 
 
 class Sent(NamedTuple):
-    """A plan on its way to other processes, and what these must have in common with this one.
+    """A plan that is sent to other processes, and what these must have in common with this one.
 
     `caches`: whether compilations are kept here, as they then are there.
     """
@@ -131,27 +135,27 @@ def _dumps(plan: Plan) -> bytes:
         ) from error
 
 
-def _pickler() -> Callable[[Any], bytes]:
+def _pickler() -> Callable[[object], bytes]:
     if importlib.util.find_spec("cloudpickle") is None:
         return pickle.dumps
     return importlib.import_module("cloudpickle").dumps  # comes with loky and dask; sends the classes of notebooks too
 
 
-def perform_sent(study: Sent, task: Task) -> bytes | Failed | NoMemory:
+def perform_sent(plan: Sent, task: Task) -> Outcome:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
-    with _precision.of(study.double), collecting():
-        return attempted(_performer(study).perform, task)
+    with _precision.of(plan.double), warnings_by_thread():
+        return attempted(_performer(plan).perform, task)
 
 
 _reading = threading.Lock()
 
 
-def _performer(study: Sent) -> Performer:
+def _performer(sent: Sent) -> Performer:
     with _reading:  # one for all threads, whose compilations they share
-        return _new_performer(study.plan, tuple(sorted(study.versions.items())), study.caches)
+        return _new_performer(sent.plan, tuple(sorted(sent.versions.items())), sent.caches)
 
 
-@functools.lru_cache(maxsize=4)  # studies that run at once on one worker do not throw out each other
+@functools.lru_cache(maxsize=4)  # sweeps that run at once on one worker do not throw out each other
 def _new_performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: bool) -> Performer:
     if caches:
         _compilation_cache.use()
@@ -165,7 +169,7 @@ def _new_performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: boo
         return Performer(pickle.loads(plan))
     except Exception as error:  # unpickling a user's object may raise anything
         raise UnfitWorkerError(
-            f"A worker cannot read the study ({error}); the modules that define its system and law must be installed "
+            f"A worker cannot read the sweep ({error}); the modules that define its system and law must be installed "
             "where the workers run."
         ) from error
 
@@ -204,21 +208,21 @@ _SETTINGS = (
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
 )
-_study_of_process: list[Sent] = []
+_plan_of_process: list[Sent] = []
 
 
-def start_of_process(plan: Plan) -> tuple[Sent, dict[str, Any], int]:
+def start_of_process(plan: Plan) -> tuple[Sent, dict[str, object], int]:
     """The arguments of `prepare_process`. Raises ValueError for a plan that cannot be sent."""
     return sent(plan), {name: getattr(jax.config, name) for name in _SETTINGS}, os.getpid()
 
 
-def prepare_process(study: Sent, settings: dict[str, Any], parent: int) -> None:
+def prepare_process(plan: Sent, settings: dict[str, object], parent: int) -> None:
     """Set JAX as in the main process; once in every worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the main one decides
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     for name, value in settings.items():
         jax.config.update(name, value)
-    _study_of_process[:] = [study]
+    _plan_of_process[:] = [plan]
 
 
 def _end_with(parent: int) -> None:
@@ -228,6 +232,6 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def perform_in_process(task: Task) -> bytes | Failed | NoMemory:
-    """Do a task of the study that the process was started for."""
-    return perform_sent(_study_of_process[0], task)
+def perform_in_process(task: Task) -> Outcome:
+    """Do a task of the sweep that the process was started for."""
+    return perform_sent(_plan_of_process[0], task)

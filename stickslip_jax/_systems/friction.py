@@ -246,7 +246,7 @@ def _static_at_least(
     """Check that the `static` coefficient, if given, is at least the `kinetic` one, called `of`, but for `slack`."""
     if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):
         return
-    if np.any(static < kinetic * (1 - slack)):  # of many points of a study at once, too
+    if np.any(static < kinetic * (1 - slack)):  # of many points of a sweep at once, too
         raise ValueError(
             f"{name} must be at least {of} = {kinetic}, but {static} was given: a stick holds at least as well as a "
             "slip."

@@ -1,4 +1,4 @@
-"""The interface of a system, which engines, statistics, sensitivities, studies and figures use."""
+"""The interface of a system, which engines, statistics, sensitivities, sweeps and figures use."""
 
 import abc
 import math

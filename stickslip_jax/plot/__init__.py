@@ -23,7 +23,7 @@ from ._histories import time_history
 from ._joint_histograms import joint_histogram
 from ._orders import means_by_order
 from ._parameter_maps import parameter_map
-from ._parameter_studies import parameter_study
+from ._parameter_sweeps import parameter_sweep
 from ._portraits import phase_portrait
 from ._rasters import stick_raster
 from ._saving import save
@@ -39,7 +39,7 @@ __all__ = [
     "joint_histogram",
     "means_by_order",
     "parameter_map",
-    "parameter_study",
+    "parameter_sweep",
     "phase_portrait",
     "save",
     "sensitivity_curve",

@@ -12,7 +12,7 @@ Importing this module raises ImportError if the extra ``study`` is not installed
 from importlib import import_module
 from importlib.util import find_spec
 
-from .._sweep.errors import StudyError as StudyError
+from ._errors import StudyError as StudyError
 
 _missing = [name for name in ("pydantic", "cyclopts", "xarray", "h5netcdf", "h5py") if find_spec(name) is None]
 if _missing:

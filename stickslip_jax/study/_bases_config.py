@@ -1,10 +1,10 @@
 """Section ``[base]`` of a study's file: the excitation.
 
 One class for each law, chosen by the key ``law``. The keys are the fields of the law, with their bounds, units and
-defaults. To offer another law, add its class here and to the union.
+defaults. To offer another law, add its class here and to one of the unions.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 from pydantic import Field, model_validator
@@ -60,7 +60,7 @@ class _Phased(DescribedSection):
 
     @model_validator(mode="before")
     @classmethod
-    def _given_phase_is_not_random(cls, table: Any) -> Any:
+    def _given_phase_is_not_random(cls, table: object) -> object:
         if not isinstance(table, dict) or all(table.get(key) is None for key in ("phase", "phases")):
             return table
         return {"random_phase": False, **table}
@@ -109,19 +109,17 @@ class KanaiTajimiConfig(section_of(KanaiTajimi, "law")):
     """Section ``[base]`` with the law `KanaiTajimi`."""
 
 
-_JumpsConfig = Annotated[
+_Jumps = (
     PoissonSwitchingConfig
     | SemiMarkovSwitchingConfig
     | SquareWaveConfig
     | RandomStepsConfig
     | ConstantConfig
-    | PiecewiseConstantConfig,
-    Field(discriminator="law"),
-    default_tag("law", "PoissonSwitching"),
-]
-_MotionConfig = Annotated[
-    HarmonicConfig | SumOfHarmonicsConfig | GaussianProcessConfig | RecordedConfig, Field(discriminator="law")
-]
+    | PiecewiseConstantConfig
+)
+_Motions = HarmonicConfig | SumOfHarmonicsConfig | GaussianProcessConfig | RecordedConfig
+_JumpsConfig = Annotated[_Jumps, Field(discriminator="law"), default_tag("law", "PoissonSwitching")]
+_MotionConfig = Annotated[_Motions, Field(discriminator="law")]
 
 
 class WithJumpsConfig(Section):
@@ -144,19 +142,6 @@ class WithJumpsConfig(Section):
 
 
 BaseConfig = Annotated[
-    PoissonSwitchingConfig
-    | SemiMarkovSwitchingConfig
-    | SquareWaveConfig
-    | RandomStepsConfig
-    | ConstantConfig
-    | PiecewiseConstantConfig
-    | HarmonicConfig
-    | SumOfHarmonicsConfig
-    | GaussianProcessConfig
-    | RecordedConfig
-    | WithJumpsConfig
-    | GroundAccelerationConfig
-    | KanaiTajimiConfig
-    | SourceVoltageConfig,
+    _Jumps | _Motions | WithJumpsConfig | GroundAccelerationConfig | KanaiTajimiConfig | SourceVoltageConfig,
     Field(discriminator="law"),
 ]

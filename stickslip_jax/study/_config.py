@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from .. import _diffrax as diffrax
 from .._dynamics.method import Exact, Regularized
 from .._statistics.accumulator import MOST_ORDERS
+from .._uncertainty.families import Uniform
 from ._bases_config import BaseConfig, SourceVoltageConfig
 from ._sections import Section, Start, UniformConfig, kinds_in, start_value, tag_of, toml_blocks, toml_value
 from ._systems_config import MassSpringConfig, MotorCartConfig, SystemConfig
@@ -17,7 +18,7 @@ _OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
 
 
 class PointConfig(Section):
-    """The part of the section ``[run]`` that is the same for one ensemble and for each of a parametric study.
+    """The part of the section ``[run]`` that is the same for one ensemble and for each of a parameter sweep.
 
     Each system adds its initial state.
 
@@ -55,7 +56,7 @@ class PointConfig(Section):
             return Exact(self.step, self.max_steps, solver)
         return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
 
-    def y0(self) -> tuple[Any, ...]:
+    def y0(self) -> tuple[float | Uniform, ...]:
         """The initial state as the simulation takes it."""
         return tuple(start_value(getattr(self, name)) for name in self.initial)
 
@@ -118,7 +119,7 @@ class OutputConfig(Section):
 
 
 class FileConfig(Section):
-    """What the files of an ensemble and of a parametric study share: the system, what drives it, and how it is run.
+    """What the files of a study and of a sweep share: the system, what drives it, and how it is run.
 
     The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s. `runs`: the section
     ``[run]`` of each system.
@@ -163,7 +164,7 @@ class FileConfig(Section):
         return self
 
     def to_toml(self) -> str:
-        """The complete study as a TOML file, with units as comments; reading it gives the same study."""
+        """The complete file in TOML, with units as comments; reading it gives the same description."""
         by_voltage = self.system.driven_by_voltage
         laws = [law for law, kind in kinds_in(BaseConfig).items() if (kind is SourceVoltageConfig) == by_voltage]
         kinds = {"system": kinds_in(SystemConfig), "base": laws}

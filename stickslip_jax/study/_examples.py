@@ -1,4 +1,4 @@
-"""Examples of studies to start from, by name: what differs from the default study."""
+"""Studies and sweeps to start from, by name: what differs from the defaults."""
 
 import math
 from collections.abc import Mapping
@@ -33,26 +33,22 @@ EXAMPLES: dict[str, Mapping[str, Any]] = {
 
 
 def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, swept: bool = True) -> dict[str, Any]:
-    over = {"mu": _range_of("linspace", papers.SHARE_FRICTIONS)}
+    over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
     if swept:
-        over["r"] = _range_of("linspace", papers.SHARE_RATIOS)
+        over["r"] = {"linspace": list(papers.SHARE_RATIOS)}
     return {
         "base": law,
         "run": {"samples": samples},
-        "study": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
+        "sweep": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
     }
-
-
-def _range_of(kind: str, limits: tuple[float, float, int]) -> dict[str, list[float | int]]:
-    return {kind: list(limits)}
 
 
 PAPERS: dict[str, Mapping[str, Any]] = {
     "parametric-analysis": {
-        "study": {
+        "sweep": {
             "over": {
-                "mu": _range_of("linspace", papers.ANALYSIS_FRICTIONS),
-                "rate": _range_of("logspace", papers.ANALYSIS_RATES),
+                "mu": {"linspace": list(papers.ANALYSIS_FRICTIONS)},
+                "rate": {"logspace": list(papers.ANALYSIS_RATES)},
             }
         }
     },
@@ -63,4 +59,4 @@ PAPERS: dict[str, Mapping[str, Any]] = {
         {"law": "RandomSteps", "speed": 1.0, "interval": math.pi}, papers.SHARE_SAMPLES, "statistics"
     ),
 }
-"""The studies of `papers.parametric_analysis` and `papers.stick_share_map` as files."""
+"""The sweeps of `papers.parametric_analysis` and `papers.stick_share_map` as files."""

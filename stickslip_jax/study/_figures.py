@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,29 +34,18 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
         title = f"Sample 0{part}"
         plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
         plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
-    if ensemble.accumulator is not None:
-        for file, (title, draw) in _of_all_sticks(ensemble, first_sticks).items():
-            plot.save(draw(), folder / file, title=f"{title} in {ensemble.samples} samples")
-
-
-def _of_all_sticks(ensemble: Ensemble, first_sticks: FirstSticks | None) -> dict[str, tuple[str, Callable[[], Any]]]:
-    """The figures of the sticks of all samples: for each file, the title and a function that draws the figure."""
-    from .. import plot  # noqa: PLC0415 - as above
-
-    shown: dict[str, tuple[str, Callable[[], Any]]] = {
-        STICK_DURATIONS: ("Stick durations", lambda: plot.histogram(ensemble)),
-        DURATION_AND_POSITION: (
-            "Duration and position of sticks",
-            lambda: plot.joint_histogram(ensemble.statistics.joint("duration", "position")),
-        ),
-    }
-    if first_sticks is not None:
-        about = "Duration and position of first sticks"
-        shown[DURATION_AND_POSITION] = (
-            about,
-            lambda: plot.stick_map(first_sticks, system=ensemble.system, bound=_voltage(ensemble)),
-        )
-    return shown
+    if ensemble.accumulator is None:
+        return
+    plot.save(
+        plot.histogram(ensemble), folder / STICK_DURATIONS, title=f"Stick durations in {ensemble.samples} samples"
+    )
+    if first_sticks is None:
+        whose, axes = "sticks", plot.joint_histogram(ensemble.statistics.joint("duration", "position"))
+    else:
+        bound = _voltage(ensemble)
+        whose, axes = "first sticks", plot.stick_map(first_sticks, system=ensemble.system, bound=bound)
+    title = f"Duration and position of {whose} in {ensemble.samples} samples"
+    plot.save(axes, folder / DURATION_AND_POSITION, title=title)
 
 
 def _voltage(ensemble: Ensemble) -> Any:

@@ -1,14 +1,15 @@
 """The folder of a result: no file is overwritten without --force, and no result is left incomplete."""
 
+import os
 import shutil
 import signal
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .._sweep.errors import StudyError
+from ._errors import StudyError
 
 DATA = "study.nc"
 CONFIG = "study.toml"
@@ -44,24 +45,18 @@ def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
                 shutil.rmtree(staging, ignore_errors=True)
     except BaseException:
         for folder in reversed(made):
-            _remove_if_empty(folder)
+            with suppress(OSError):  # others may have put something there
+                folder.rmdir()
         raise
 
 
 def _refuse_to_overwrite(directory: Path, force: bool) -> None:
-    found = [name for name in RESULT_FILES if _exists(directory / name)]
+    found = [name for name in RESULT_FILES if os.path.lexists(directory / name)]
     if found and not force:
         raise StudyError(
             f"{directory} holds a result already ({found[-1]}); choose another folder with --out, or replace it with "
             "--force."
         )
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists() or path.is_symlink()
-    except OSError:  # cannot even be looked up; making the folder will raise the error that says why
-        return False
 
 
 def _staging_in(directory: Path, made: list[Path]) -> Path:
@@ -91,22 +86,15 @@ def _publish(staging: Path, directory: Path) -> None:
 
     try:
         for name in reversed(RESULT_FILES):
-            if _exists(directory / name):
+            if os.path.lexists(directory / name):
                 move(directory / name, aside / name)
         for name in RESULT_FILES:
-            if _exists(staging / name):
+            if os.path.lexists(staging / name):
                 move(staging / name, directory / name)
     except BaseException:
         for source, target in reversed(moved):
             target.replace(source)
         raise
-
-
-def _remove_if_empty(folder: Path) -> None:
-    try:
-        folder.rmdir()
-    except OSError:
-        return
 
 
 @contextmanager

@@ -17,7 +17,7 @@ _CHOSEN = None  # the name under which the chosen kind stands
 
 
 def sentence_for(
-    error: ValidationError, table: Mapping[str, Any], options: Options, file: type[FileConfig] = StudyConfig
+    error: ValidationError, table: Mapping[str, object], options: Options, file: type[FileConfig] = StudyConfig
 ) -> str:
     """One sentence for the first problem that pydantic found in `table`, the content of this kind of `file`."""
     # A misspelt key shows as unknown and, often, also as missing: the first says more.
@@ -63,7 +63,7 @@ class _Place(NamedTuple):
         return self.kinds[_CHOSEN]
 
 
-def _place_of(location: Iterable[Any], file: type[FileConfig], run: type[Section]) -> _Place:
+def _place_of(location: Iterable[str | int], file: type[FileConfig], run: type[Section]) -> _Place:
     """The place that pydantic locates by keys, indices of lists, and the names of the chosen kinds."""
     place = outside = _Place("", {_CHOSEN: file})
     for part in location:
@@ -89,7 +89,7 @@ def _kinds_of_place(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, t
     return {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
 
 
-def _run_kind(table: Mapping[str, Any], file: type[FileConfig]) -> type[Section]:
+def _run_kind(table: Mapping[str, object], file: type[FileConfig]) -> type[Section]:
     """The kind of the section [run]."""
     system = table.get("system")
     model = system.get("model") if isinstance(system, dict) else None
@@ -115,7 +115,7 @@ def _all_sections(
 
 
 def _demand(problem: Any) -> str:
-    plain = {
+    demands = {
         "float_type": "must be a number",
         "int_type": "must be a whole number",
         "bool_type": "must be true or false",
@@ -124,7 +124,7 @@ def _demand(problem: Any) -> str:
         "string_too_short": "must not be empty",
         "too_short": "must not be empty",
     }
-    demand = plain.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
+    demand = demands.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
     return f"{demand} or {{ low = ..., high = ... }}" if problem["loc"][-1] == NUMBER else demand
 
 
@@ -133,7 +133,7 @@ def _missing(place: _Place, owner: _Place) -> str:
     return f"[{owner.section}] lacks {place.key or f'[{place.section}]'} ({about}), which {tag_of(owner.kind)} needs."
 
 
-def _wrong_tag(place: _Place, table: Mapping[str, Any]) -> str:
+def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
     kinds = {str(name): kind for name, kind in place.kinds.items()}
     key = tag_key(next(iter(kinds.values()))) or ""
     if key not in table:
@@ -152,7 +152,7 @@ def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
     return f"unknown key {key} in {owner}; {hint or f'its keys are {_listed(place.kind.model_fields)}.'}"
 
 
-def _unknown_section(name: str, value: Any, file: type[FileConfig]) -> str:
+def _unknown_section(name: str, value: object, file: type[FileConfig]) -> str:
     sections = _listed(file.model_fields)
     if not isinstance(value, dict):
         return f"unknown key {name} outside every section; {_owner_of(name, file) or f'keys belong in {sections}.'}"

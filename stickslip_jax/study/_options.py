@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import Parameter, Token
 
-from .. import __version__
-from .._sweep.errors import StudyError
+from ._errors import StudyError
 
 
-def _whole_number(kind: type, tokens: Sequence[Any]) -> int:
+def _whole_number(kind: type, tokens: Sequence[Token]) -> int:
     """Read a whole number; cyclopts alone would round 2.7 to 3."""
     try:
         return int(tokens[0].value)
@@ -24,12 +23,12 @@ Example = Literal["harmonic-base", "base-isolation", "motor-cart"]
 Paper = Literal[
     "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
 ]
-_FIGURES = (".png", ".pdf", ".svg")
-_Switch = Annotated[bool, Parameter(negative="", show_default=False)]
+FIGURES = (".png", ".pdf", ".svg")
+Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 
 
 @dataclass(frozen=True)
-class Options:
+class StudyOptions:
     """The options of ``stickslip study``; None leaves the choice to the configuration.
 
     Parameters
@@ -69,18 +68,18 @@ class Options:
     threads: _Whole = None
     chunk: _Whole = None
     out: str | None = None
-    force: _Switch = False
+    force: Switch = False
     figures: bool | None = None
-    json: _Switch = False
-    quiet: _Switch = False
+    json: Switch = False
+    quiet: Switch = False
     progress: bool | None = None
-    print_config: _Switch = False
+    print_config: Switch = False
     print_example: Example | None = None
 
 
 @dataclass(frozen=True)
-class Executors:
-    """Where a parametric study is simulated; the numbers are the same everywhere.
+class ExecutorOptions:
+    """Where a sweep is simulated; the numbers are the same everywhere.
 
     Parameters
     ----------
@@ -99,7 +98,7 @@ class Executors:
     threads: _Whole = None
     workers: _Whole = None
     dask: str | None = None
-    quiet: _Switch = False
+    quiet: Switch = False
     progress: bool | None = None
 
     def __post_init__(self):
@@ -119,11 +118,11 @@ class SweepOptions:
     Parameters
     ----------
     out
-        Folder of the study; needed to run it.
+        Folder of the sweep; needed to run it.
     samples
         Number of samples at each point.
     paper
-        A study of a paper in place of a file: statistics over friction and switching rate (parametric-analysis), or the
+        A sweep of a paper in place of a file: statistics over friction and switching rate (parametric-analysis), or the
         share of time spent sticking over friction and frequency of the belt (stick-share-...).
     print_config
         Print the complete configuration, a file to start from, and run nothing.
@@ -132,164 +131,4 @@ class SweepOptions:
     out: Path | None = None
     samples: _Whole = None
     paper: Paper | None = None
-    print_config: _Switch = False
-
-
-@dataclass(frozen=True)
-class StudyCommand:
-    """The arguments of ``stickslip study``: the configuration file, if any, and the options."""
-
-    config: Path | None
-    options: Options
-
-
-@dataclass(frozen=True)
-class SweepCommand:
-    """The arguments of ``stickslip sweep``: the configuration file, if any, and the options."""
-
-    config: Path | None
-    options: SweepOptions
-    executors: Executors
-
-
-@dataclass(frozen=True)
-class ResumeCommand:
-    """The arguments of ``stickslip resume``."""
-
-    folder: Path
-    executors: Executors
-
-
-@dataclass(frozen=True)
-class StatusCommand:
-    """The argument of ``stickslip status``."""
-
-    folder: Path
-
-
-@dataclass(frozen=True)
-class ShowCommand:
-    """The arguments of ``stickslip show``; no `statistics`: the usual ones."""
-
-    folder: Path
-    out: Path | None
-    statistics: tuple[str, ...]
-    force: bool
-
-
-Command = StudyCommand | SweepCommand | ResumeCommand | StatusCommand | ShowCommand
-
-
-def parse(tokens: Sequence[str]) -> Command | None:
-    """The command given by `tokens`, the words of the command line; None if help or the version was printed.
-
-    Raises StudyError for unknown commands and options and for values of the wrong type.
-    """
-    app = App(
-        name="stickslip",
-        version=__version__,
-        help="Exact simulation of stick-slip (dry-friction) oscillators under random motion of their base.",
-        help_formatter="plain",
-    )
-    for name, command in (
-        ("study", _study), ("sweep", _sweep), ("resume", _resume), ("status", _status), ("show", _show),
-    ):  # fmt: skip
-        app.command(command, name=name)
-    try:
-        command, bound, _ = app.parse_args(list(tokens), exit_on_error=False, print_error=False)
-        return command(*bound.args, **bound.kwargs)
-    except UnusedCliTokensError as error:
-        unused = " ".join(error.unused_tokens or [])
-        raise StudyError(f"One file or folder is allowed, but {unused} was given as well.") from None
-    except CycloptsError as error:
-        raise StudyError(" ".join(str(error).split())) from None
-
-
-def _study(
-    config: Path | None = None, /, *, options: Annotated[Options, Parameter(name="*")] = Options()
-) -> StudyCommand:
-    """Simulate one ensemble, print its statistics, and store events, statistics and figures.
-
-    The options replace what the configuration says. An existing result is never overwritten without --force.
-
-    Parameters
-    ----------
-    config
-        TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
-        a base that switches at random. Files that it names are relative to its folder.
-    """
-    if config is not None and options.print_example is not None:
-        raise StudyError(
-            f"{config} and --print-example {options.print_example} were both given; leave out one of them."
-        )
-    return StudyCommand(config, options)
-
-
-def _sweep(
-    config: Path | None = None,
-    /,
-    *,
-    options: Annotated[SweepOptions, Parameter(name="*")] = SweepOptions(),
-    executors: Annotated[Executors, Parameter(name="*")] = Executors(),
-) -> SweepCommand:
-    """Run a parametric study: the same ensemble at many values of its parameters.
-
-    Every finished piece is stored in the folder. Ctrl-C stops after the pieces under way, a second one at once; the
-    same command goes on from there. It also adds points, samples or statistics to a study.
-
-    Parameters
-    ----------
-    config
-        TOML file that describes the study, with a section [study.over]; without it, --paper parametric-analysis.
-    """
-    if config is not None and options.paper is not None:
-        raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
-    if options.out is None and not options.print_config:
-        raise StudyError("Option --out must name the folder of the study, but was left out.")
-    return SweepCommand(config, options, executors)
-
-
-def _resume(
-    folder: Path, /, *, executors: Annotated[Executors, Parameter(name="*")] = Executors()
-) -> ResumeCommand:  # fmt: skip
-    """Go on with a parametric study that was stopped.
-
-    Parameters
-    ----------
-    folder
-        Folder of the study.
-    """
-    return ResumeCommand(folder, executors)
-
-
-def _status(folder: Path, /) -> StatusCommand:
-    """Say how far a parametric study has come, also while it runs.
-
-    Parameters
-    ----------
-    folder
-        Folder of the study.
-    """
-    return StatusCommand(folder)
-
-
-def _show(
-    folder: Path, /, *, out: Path | None = None, statistics: str | None = None, force: _Switch = False
-) -> ShowCommand:
-    """Print the statistics of a parametric study with their standard errors, and draw them, also while it runs.
-
-    Parameters
-    ----------
-    folder
-        Folder of the study.
-    out
-        File for the figure (PNG, PDF or SVG): curves along one parameter, curves or maps over two.
-    statistics
-        What to print and draw, names with commas between them (default: the statistics of totals, and derivatives).
-    force
-        Replace a figure that is there already.
-    """
-    if out is not None and out.suffix.lower() not in _FIGURES:
-        raise StudyError(f"option --out must be a file that ends in {', '.join(_FIGURES)}, but {out} was given.")
-    names = [] if statistics is None else [name.strip() for name in statistics.split(",")]
-    return ShowCommand(folder, out, tuple(names), force)
+    print_config: Switch = False

@@ -26,7 +26,7 @@ class LogNormalConfig(section_of(LogNormal, "law")):
     """Section of the distribution `LogNormal`."""
 
 
-class EvenConfig(section_of(Uniform, "law")):
+class UniformDistributionConfig(section_of(Uniform, "law")):
     """Section of the distribution `Uniform`."""
 
 
@@ -42,7 +42,9 @@ class DiscreteConfig(section_of(Discrete, "law")):
     """Section of the distribution `Discrete`."""
 
 
-_Positive = ExponentialConfig | WeibullConfig | LogNormalConfig | EvenConfig | TriangularConfig | DiscreteConfig
+_Positive = (
+    ExponentialConfig | WeibullConfig | LogNormalConfig | UniformDistributionConfig | TriangularConfig | DiscreteConfig
+)
 _GapConfig = Annotated[_Positive, Field(discriminator="law")]
 _SpeedsConfig = Annotated[_Positive | NormalConfig, Field(discriminator="law")]
 

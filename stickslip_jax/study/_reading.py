@@ -1,4 +1,4 @@
-"""Reads studies from TOML files and the command's options; every mistake becomes one sentence."""
+"""Reads studies and sweeps from TOML files and the command's options; every mistake becomes one sentence."""
 
 import sys
 import tomllib
@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from .._sweep.errors import StudyError
 from ._config import FileConfig, StudyConfig
+from ._errors import StudyError
 from ._examples import EXAMPLES, PAPERS
 from ._mistakes import Options, sentence_for
 from ._sweep_config import SweepConfig
@@ -29,24 +29,31 @@ OPTIONS = {
 
 
 def read_config(
-    path: Path | None = None, options: Mapping[str, Any] | None = None, *, example: str | None = None
+    path: Path | None = None, options: Mapping[str, object] | None = None, *, example: str | None = None
 ) -> StudyConfig:
     """Read the study described by a TOML file.
 
-    - `path`: the file; files that it names are relative to its folder. By default the default study.
-    - `options`: values that replace those of the file, by the names of `OPTIONS`; None leaves the file's.
-    - `example`: without `path`, the name of one of `EXAMPLES` to read instead.
+    Args:
+        path: The file; files that it names are relative to its folder. By default the default study.
+        options: Values that replace those of the file, by the names of the options of ``stickslip study``; None leaves
+            the file's.
+        example: Without `path`, the name of an example to read instead: "harmonic-base", "base-isolation" or
+            "motor-cart".
 
-    Raises StudyError for a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
-    unsuitable options.
+    Returns:
+        The description of the study.
+
+    Raises:
+        StudyError: For a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
+            unsuitable options.
     """
     return _read(StudyConfig, "study", path, EXAMPLES.get(example or "", {}), options)
 
 
 def read_sweep_config(
-    path: Path | None = None, options: Mapping[str, Any] | None = None, *, paper: str | None = None
+    path: Path | None = None, options: Mapping[str, object] | None = None, *, paper: str | None = None
 ) -> SweepConfig:
-    """Read the parametric study described by a TOML file; the rest is as in `read_config`.
+    """Read the parameter sweep described by a TOML file; the rest is as in `read_config`.
 
     `paper`: without `path`, the name of one of `PAPERS` to read instead; by default the parametric analysis.
     """
@@ -54,7 +61,7 @@ def read_sweep_config(
 
 
 def _read(
-    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, Any] | None
+    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, object] | None
 ) -> _File:
     table = dict(usual) if path is None else _parse(path, command)
     config = _validated(kind, table, path, f"{path}: ", {})

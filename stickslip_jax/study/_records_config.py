@@ -1,5 +1,6 @@
 """Records in a study: signals at given times, given in the configuration or read from a file."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +29,7 @@ def _existing(file: str, info: Any) -> str:
     return str(path)
 
 
-def _column(value: Any, info: Any) -> int | str:
+def _column(value: object, info: Any) -> int | str:
     if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
     raise ValueError(
@@ -47,27 +48,26 @@ def _delimiter(value: str) -> str:
 
 _File = Annotated[str, AfterValidator(_existing)]
 _Column = Annotated[Any, AfterValidator(_column)]
-_TABLE_ONLY = {
-    "time_column": "the times' column: its number, counted from 0, or name; not given: 0",
-    "value_column": "the values' column, likewise; not given: 1",
-    "delimiter": f'character between columns, or "{_WHITE_SPACE}"; not given: a comma',
-    "shift": "whether to subtract the first time from all; not given: false",
-}
-_SCALE = "what the values in the file are multiplied by; not given: 1"
+_TABLE_ONLY = ("time_column", "value_column", "delimiter", "shift")
+"""Keys that only tables have."""
 
 
 class _FromFile(Section):
     """Keys that say how to read a file; None leaves the choice to the reader."""
 
-    time_column: _Column | None = Field(default=None, description=_TABLE_ONLY["time_column"])
-    value_column: _Column | None = Field(default=None, description=_TABLE_ONLY["value_column"])
-    delimiter: Annotated[str, AfterValidator(_delimiter)] | None = Field(
-        default=None, description=_TABLE_ONLY["delimiter"]
+    time_column: _Column | None = Field(
+        default=None, description="the times' column: its number, counted from 0, or name; not given: 0"
     )
-    shift: bool | None = Field(default=None, description=_TABLE_ONLY["shift"])
-    scale: float | None = Field(default=None, description=_SCALE)
+    value_column: _Column | None = Field(default=None, description="the values' column, likewise; not given: 1")
+    delimiter: Annotated[str, AfterValidator(_delimiter)] | None = Field(
+        default=None, description=f'character between columns, or "{_WHITE_SPACE}"; not given: a comma'
+    )
+    shift: bool | None = Field(
+        default=None, description="whether to subtract the first time from all; not given: false"
+    )
+    scale: float | None = Field(default=None, description="what the values in the file are multiplied by; not given: 1")
 
-    def _refuse(self, keys: Any, reason: str) -> None:
+    def _refuse(self, keys: Iterable[str], reason: str) -> None:
         for key in keys:
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} must be left out, but {shown_value(getattr(self, key))} was given: {reason}.")

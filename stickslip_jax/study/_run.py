@@ -16,8 +16,8 @@ from .._files import writing
 from .._statistics.estimate import Estimate
 from .._statistics.first_sticks import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS
-from .._sweep.errors import StudyError
-from ._config import RunConfig, StudyConfig
+from ._config import FileConfig, PointConfig, RunConfig, StudyConfig
+from ._errors import StudyError
 from ._figures import draw_figures
 from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
 from ._store import write_netcdf
@@ -27,10 +27,13 @@ from ._store import write_netcdf
 class StoredStudy:
     """A study that was run and stored.
 
-    - `config`: its description. `ensemble`: what was simulated.
-    - `statistics`: by the names of `STATISTICS`.
-    - `first_sticks`: of every sample of a `MotorCart`, if the sticks were kept; else None.
-    - `directory`: the folder of the result. `files`: the names of the files in it.
+    Attributes:
+        config: Its description.
+        ensemble: What was simulated.
+        statistics: By their names.
+        first_sticks: Of every sample of a `MotorCart`, if the sticks were kept; else None.
+        directory: The folder of the result.
+        files: The names of the files in it.
     """
 
     config: StudyConfig
@@ -42,14 +45,20 @@ class StoredStudy:
 
 
 def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None = None) -> StoredStudy:
-    """Simulate the ensemble that `config` describes and store the result in its output directory.
+    """Simulate one ensemble and store the result in its output directory. If it fails, nothing is left behind.
 
-    - `force`: whether to replace a result that is there already, once the new one is complete.
-    - `progress`: whether to show a progress bar, as in `simulate_ensemble`.
+    Args:
+        config: The description of the study.
+        force: Whether to replace a result that is there already, once the new one is complete.
+        progress: Whether to show a progress bar, as in `simulate_ensemble`.
 
-    If it fails, nothing is left behind. Raises StudyError for an output directory that holds a result or cannot be
-    written, for a dtype other than the one JAX is set to, and for what `simulate_ensemble` refuses; OSError if writing
-    fails.
+    Returns:
+        The study and its result.
+
+    Raises:
+        StudyError: For an output directory that holds a result or cannot be written, for a dtype other than the one
+            JAX is set to, and for what `simulate_ensemble` refuses.
+        OSError: If writing fails.
     """
     _check_dtype(config.run)
     directory = Path(config.output.directory).expanduser()
@@ -82,25 +91,28 @@ def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
     Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
     refuses, before anything is simulated.
     """
-    run = config.run
+    run, arguments = config.run, arguments_of(config, config.run)
     try:
         return simulate_ensemble(
-            built(config.system, "system"),
-            built(config.base, "base"),
-            t1=run.t1,
-            samples=run.samples,
-            key=jax.random.key(run.seed),
-            y0=run.y0(),
-            method=run.method(),
-            keep=run.keep,
-            orders=run.orders,
-            count_initial_rest=run.count_initial_rest,
-            threads=run.threads,
-            chunk=run.chunk,
-            progress=progress,
-        )
+            **arguments, keep=run.keep, threads=run.threads, chunk=run.chunk, progress=progress
+        )  # fmt: skip
     except ValueError as error:
         raise StudyError(in_words_of_the_file(str(error))) from error
+
+
+def arguments_of(config: FileConfig, run: PointConfig) -> dict[str, Any]:
+    """The arguments that `simulate_ensemble` and `Sweep` have in common. Raises StudyError as `built`."""
+    return {
+        "system": built(config.system, "system"),
+        "law": built(config.base, "base"),
+        "t1": run.t1,
+        "samples": run.samples,
+        "key": jax.random.key(run.seed),
+        "y0": run.y0(),
+        "method": run.method(),
+        "orders": run.orders,
+        "count_initial_rest": run.count_initial_rest,
+    }
 
 
 def built(section: Any, name: str) -> Any:

@@ -158,7 +158,7 @@ def tables_of(kind: type[Section]) -> dict[str, dict[str, type[Section]]]:
 # --- written
 
 
-def toml_value(value: Any) -> str:
+def toml_value(value: object) -> str:
     """A number, string, truth value, list or table of them in TOML; anything else as Python shows it."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -173,7 +173,7 @@ def toml_value(value: Any) -> str:
     return repr(value)
 
 
-def shown_value(value: Any) -> str:
+def shown_value(value: object) -> str:
     """A value as messages show it: cut where it is long."""
     text = toml_value(value)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -205,7 +205,7 @@ def toml_blocks(section: Section, name: str, choices: Iterable[str] = ()) -> Ite
             yield from toml_blocks(getattr(section, key), f"{name}.{key}", kinds)
 
 
-def _line(key: str, value: Any, comment: str) -> str:
+def _line(key: str, value: object, comment: str) -> str:
     written = f"# {key} =" if value is None else f"{key} = {toml_value(value)}"
     return _commented(written, comment)
 

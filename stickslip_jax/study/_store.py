@@ -4,7 +4,6 @@ import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import h5netcdf
 import jax
@@ -43,7 +42,7 @@ def dataset_of_study(
     ensemble: Ensemble,
     statistics: Mapping[str, Estimate],
     first_sticks: FirstSticks | None = None,
-) -> Any:
+) -> xr.Dataset:
     """An ``xarray.Dataset`` of the ensemble (``ensemble.to_xarray()``) and of the statistics.
 
     `first_sticks` become variables along ``sample``, ``first_stick_<column>``, NaN where there is none. Each statistic
@@ -64,7 +63,7 @@ def dataset_of_study(
     return dataset
 
 
-def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray, dict[str, Any]]]:
+def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray, dict[str, object]]]:
     endings = {"flag_values": [-1, *map(int, Ending)], "flag_meanings": " ".join(["NONE", *Ending.__members__])}
     return {
         "start": ("sample", first.start, {"long_name": "time at which the first stick starts", "units": "s"}),
@@ -74,13 +73,13 @@ def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray,
     }
 
 
-def _provenance(config: StudyConfig) -> dict[str, Any]:
+def _provenance(config: StudyConfig) -> dict[str, object]:
     """Attributes that say how the numbers were computed, besides those of the ensemble; parameters are called
     ``<section>_<key>``.
 
     Units are those of the configuration, which is an attribute itself.
     """
-    attributes: dict[str, Any] = {
+    attributes: dict[str, object] = {
         "jax_version": jax.__version__,
         "numpy_version": np.__version__,
         "python_version": platform.python_version(),
@@ -96,7 +95,7 @@ def _provenance(config: StudyConfig) -> dict[str, Any]:
     return attributes
 
 
-def _flat(name: str, value: Any) -> dict[str, Any]:
+def _flat(name: str, value: object) -> dict[str, object]:
     """`value` as an attribute called `name`, a table as attributes called ``<name>_<key>``; True as 1, False as 0."""
     if isinstance(value, dict):
         return {key: entry for part in value for key, entry in _flat(f"{name}_{part}", value[part]).items()}

@@ -1,4 +1,4 @@
-"""A parametric study: the sections of its TOML file."""
+"""A parameter sweep: the sections of its TOML file."""
 
 import math
 import re
@@ -19,9 +19,9 @@ _RANGES = {"linspace": np.linspace, "logspace": np.geomspace}
 
 
 class OverConfig(Section):
-    """Section ``[study.over]``: the swept parameters by name, with their values.
+    """Section ``[sweep.over]``: the swept parameters by name, with their values.
 
-    A name is one as in `stickslip_jax.Study`, or that of an initial value in ``[run]``; several with commas between
+    A name is one as in `stickslip_jax.Sweep`, or that of an initial value in ``[run]``; several with commas between
     them change together.
     """
 
@@ -29,10 +29,10 @@ class OverConfig(Section):
 
     @model_validator(mode="after")
     def _all_have_values(self) -> "OverConfig":
-        self.axes()
+        self.parameter_values()
         return self
 
-    def axes(self) -> dict[tuple[str, ...], np.ndarray]:
+    def parameter_values(self) -> dict[tuple[str, ...], np.ndarray]:
         """The values by the names that change together: (points,) of one name, (points, names) of several.
 
         Raises ValueError for anything else.
@@ -40,25 +40,20 @@ class OverConfig(Section):
         given = self.model_extra or {}
         if not given:
             raise ValueError("a parameter must be given with its values, such as mu = [0.5, 1.0].")
-        points = math.prod(_number_of_values(value) for value in given.values())
-        if points > MOST_POINTS:
-            raise ValueError(
-                f"its parameters must have at most {MOST_POINTS} combinations, but have "
-                f"{points if points < 10**20 else f'about 1e{len(str(points)) - 1}'}; give fewer values."
-            )
-        return {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
+        found = {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
+        _check_number(math.prod(map(len, found.values())))
+        return found
 
 
-def _number_of_values(given: Any) -> int:
-    """How many values a parameter has, before there are any; 1 where what is given is none of the possible things."""
-    if isinstance(given, dict):
-        (limits, *_) = given.values() or [None]
-        number = limits[2] if isinstance(limits, list) and len(limits) == 3 else 1
-        return max(number, 1) if isinstance(number, int) else 1
-    return max(len(given), 1) if isinstance(given, list) else 1
+def _check_number(points: int) -> None:
+    if points > MOST_POINTS:
+        raise ValueError(
+            f"its parameters must have at most {MOST_POINTS} combinations, but have "
+            f"{points if points < 10**20 else f'about 1e{len(str(points)) - 1}'}; give fewer values."
+        )
 
 
-def _values(name: str, given: Any) -> np.ndarray:
+def _values(name: str, given: object) -> np.ndarray:
     several = "," in name
     if isinstance(given, dict) and not several:
         return _range(name, given)
@@ -102,10 +97,11 @@ def _range(name: str, given: dict[str, Any]) -> np.ndarray:
         raise ValueError(
             f"logspace of {name} must go from and to positive numbers, but {shown_value(limits)} was given."
         )
+    _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     """Whether it is a number; whole ones of a size that can be computed with."""
     return (
         isinstance(value, (int, float))
@@ -114,8 +110,8 @@ def _is_number(value: Any) -> bool:
     )
 
 
-class ParametricStudyConfig(Section):
-    """Section ``[study]``: what is estimated at each point; the points are in ``[study.over]``."""
+class SweepSection(Section):
+    """Section ``[sweep]``: what is estimated at each point; the points are in ``[sweep.over]``."""
 
     keep: Literal["statistics", "totals"] = Field(
         default="statistics", description="statistics; totals: fewer of them, about three times as fast"
@@ -133,14 +129,14 @@ class ParametricStudyConfig(Section):
         default=None, description="at which a point ends before all samples: { mean_stick_duration = 0.01 }"
     )
     realizations: int = Field(default=0, ge=0, description="number of samples whose sticks are in the result")
-    piece: int | None = Field(
+    batch: int | None = Field(
         default=None, ge=1, le=2**31, description="samples stored together; not given: chosen from the size"
     )
     over: OverConfig = Field(description="the parameters and their values")
 
 
 class SweepConfig(FileConfig):
-    """A whole parametric study."""
+    """A whole parameter sweep."""
 
     runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
         MassSpringConfig: MassSpringPointConfig,
@@ -148,4 +144,4 @@ class SweepConfig(FileConfig):
     }
 
     run: MassSpringPointConfig | MotorCartPointConfig = Field(default_factory=dict, validate_default=True)
-    study: ParametricStudyConfig = Field(default_factory=dict, validate_default=True)
+    sweep: SweepSection = Field(default_factory=dict, validate_default=True)

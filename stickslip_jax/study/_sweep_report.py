@@ -1,20 +1,20 @@
-"""Parametric studies as text: how far one has come, and tables of its statistics."""
+"""Parameter sweeps as text: how far one has come, and tables of its statistics."""
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .._statistics.estimate import format_with_error
 from .._statistics.totals import STATISTICS
 from .._status import Status
-from .._sweep.errors import StudyError
-from .._sweep.looking import StudyStatus
+from .._sweep.reading import SweepStatus
+from ._errors import StudyError
 
 if TYPE_CHECKING:
     import xarray
@@ -23,7 +23,7 @@ _HEAD_WIDTH = 16
 _UNFINISHED = tuple(status for status in Status if status is not Status.FINISHED)
 
 
-def status_text(folder: Path, status: StudyStatus) -> str:
+def status_text(folder: Path, status: SweepStatus) -> str:
     """What ``stickslip status`` prints."""
     wanted = f"{'at most ' if status.is_adaptive else ''}{status.most_samples:,}"
     running = "running now" if status.is_running else "finished" if status.is_finished else "not running"
@@ -69,7 +69,7 @@ def chosen_statistics(dataset: "xarray.Dataset", names: Sequence[str] = ()) -> l
     return list(names)
 
 
-def point_dimensions(dataset: "xarray.Dataset") -> tuple[Any, ...]:
+def point_dimensions(dataset: "xarray.Dataset") -> tuple[Hashable, ...]:
     """The dimensions of the points."""
     return dataset["samples"].dims
 
@@ -110,14 +110,11 @@ def _title(dataset: "xarray.Dataset") -> str:
 def _coordinates(dataset: "xarray.Dataset") -> tuple[list[str], list[list[str]]]:
     """Heads and columns of the parameters at each point."""
     dimensions = point_dimensions(dataset)
-    shape = dataset["samples"].shape
     heads, columns = [], []
     for dimension in dimensions:
         of_it = [name for name, one in dataset.coords.items() if one.dims == (dimension,) and name != dimension]
         for name in of_it or [dimension]:
-            along = [1] * len(shape)
-            along[dimensions.index(dimension)] = -1
-            values = np.broadcast_to(np.asarray(dataset[name]).reshape(along), shape).reshape(-1)
+            values = dataset[name].broadcast_like(dataset["samples"]).transpose(*dimensions).values.reshape(-1)
             unit = dataset[name].attrs.get("units", "1")
             heads.append(str(name) if unit == "1" else f"{name} ({unit})")
             columns.append([f"{value:.6g}" for value in values])

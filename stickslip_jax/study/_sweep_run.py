@@ -1,4 +1,4 @@
-"""Parametric studies of the command: made from their file, run, resumed."""
+"""Parameter sweeps of the command: made from their file, run, resumed."""
 
 import asyncio
 import re
@@ -11,11 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax
-
-from .._sweep.errors import StudyError
-from .._sweep.study import Study
-from ._run import built, in_words_of_the_file
+from .._sweep.sweep import Sweep
+from ._errors import StudyError
+from ._run import arguments_of, in_words_of_the_file
 from ._sweep_config import SweepConfig
 
 if TYPE_CHECKING:
@@ -24,32 +22,19 @@ if TYPE_CHECKING:
 _SECONDS_TO_CONNECT = 10
 
 
-def study_of(config: SweepConfig, source: str = "") -> Study:
-    """The study that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
-    run, study = config.run, config.study
+def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
+    """The sweep that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
+    run, sweep = config.run, config.sweep
     over: dict[str | tuple[str, ...], Any] = {}
-    for names, values in study.over.axes().items():
+    for names, values in sweep.over.parameter_values().items():
         full = tuple(_full_name(name, run.initial) for name in names)
         over[full if len(full) > 1 else "".join(full)] = values
     try:
-        return Study(
-            built(config.system, "system"),
-            built(config.base, "base"),
+        return Sweep(
+            **arguments_of(config, run),
+            **sweep.model_dump(exclude={"over", "sensitivities"}),
             over=over,
-            t1=run.t1,
-            samples=run.samples,
-            key=jax.random.key(run.seed),
-            y0=run.y0(),
-            method=run.method(),
-            keep=study.keep,
-            statistics=study.statistics,
-            sensitivities=[(name, tuple(wrt)) for name, wrt in (study.sensitivities or {}).items()],
-            orders=run.orders,
-            count_initial_rest=run.count_initial_rest,
-            independent=study.independent,
-            standard_error=study.standard_error,
-            realizations=study.realizations,
-            piece=study.piece,
+            sensitivities=[(name, tuple(wrt)) for name, wrt in (sweep.sensitivities or {}).items()],
         )
     except StudyError as error:
         raise StudyError(f"{source}{error}") from error
@@ -58,26 +43,26 @@ def study_of(config: SweepConfig, source: str = "") -> Study:
 
 
 def _full_name(name: str, initial: tuple[str, ...]) -> str:
-    """The name in `Study` of a parameter of the file: initial values have names of their own there."""
+    """The name in `Sweep` of a parameter of the file: initial values have names of their own there."""
     return f"y0[{initial.index(name)}]" if name in initial else name
 
 
-_SENSITIVITIES = "sensitivities in [study] must hold lists of parameters by statistic"
-_OF_STUDY = ("keep", "statistics", "standard_error", "realizations", "piece")
+_SENSITIVITIES = "sensitivities in [sweep] must hold lists of parameters by statistic"
+_OF_SWEEP = ("keep", "statistics", "standard_error", "realizations", "batch")
 
 
 def _in_words_of_the_sweep(said: str) -> str:
-    """A message of `Study` with the names of its arguments replaced by sections and keys of the file."""
+    """A message of `Sweep` with the names of its arguments replaced by sections and keys of the file."""
     said = re.sub(r"\AArgument over\[\(?'(.+?)'\)?\] ", _values_in_the_file, said)
-    said = re.sub(r"\AArgument over ", "[study.over] ", said)
+    said = re.sub(r"\AArgument over ", "[sweep.over] ", said)
     said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)
-    said = re.sub(rf"\AArgument ({'|'.join(_OF_STUDY)})\b(\['\w+'\])?", r"\1\2 in [study]", said)
+    said = re.sub(rf"\AArgument ({'|'.join(_OF_SWEEP)})\b(\['\w+'\])?", r"\1\2 in [sweep]", said)
     return in_words_of_the_file(_with_suggestion(said))
 
 
 def _values_in_the_file(argument: re.Match[str]) -> str:
     names = argument[1].replace("', '", ", ")  # of parameters that change together
-    return f"{names} in [study.over] "
+    return f"{names} in [sweep.over] "
 
 
 def _with_suggestion(said: str) -> str:
@@ -91,12 +76,15 @@ def _with_suggestion(said: str) -> str:
 
 
 def run_stored(
-    study: Study, folder: Path, *, threads: int | None, workers: int | None, dask: str | None, progress: bool | None
+    sweep: Sweep, folder: Path, *, threads: int | None, workers: int | None, dask: str | None, progress: bool | None
 ) -> "xarray.Dataset":
-    """Run what is left of a study in `folder`, and return its result. Raises StudyError as `Study.run` does."""
+    """Run what is left of a sweep in `folder`, and return its result.
+
+    Raises SweepError as `Sweep.run` does, and StudyError where no scheduler answers at the address `dask`.
+    """
     with nullcontext() if dask is None else _client(dask) as client, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "This study runs in float32")  # as its file asks
-        return study.run(folder, threads=threads, workers=workers, executor=client, progress=progress)
+        warnings.filterwarnings("ignore", "This sweep runs in float32")  # as its file asks
+        return sweep.run(folder, threads=threads, workers=workers, executor=client, progress=progress)
 
 
 @contextmanager
@@ -108,7 +96,7 @@ def _client(address: str) -> Iterator[Any]:
     if kind not in ("", "tcp", "ws"):
         raise StudyError(
             f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} was "
-            f"given; {kind}:// needs a client with settings of its own: in Python, study.run(executor=client) takes it."
+            f"given; {kind}:// needs a client with settings of its own: in Python, sweep.run(executor=client) takes it."
         )
     distributed = import_module("distributed")
     try:

@@ -4,7 +4,7 @@ One class for each, chosen by the key ``model`` or ``law``. The keys are the fie
 bounds, units and defaults. To offer another, add its class here and to the union.
 """
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
@@ -57,7 +57,7 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=Section)):
 
     @model_validator(mode="before")
     @classmethod
-    def _friction_once(cls, table: Any) -> Any:
+    def _friction_once(cls, table: object) -> object:
         if not isinstance(table, dict) or table.get("friction") is None:
             return table
         if table.get("mu") is not None:

@@ -28,7 +28,7 @@ def position(system, base):
 
 
 kept = ss.simulate_ensemble(system(1.0), law, keep="sticks", **run).flat_sticks
-swept = ss.Study(system(1.0), law, over={"mu": [0.5, 1.0]}, **run).run(progress=False)
+swept = ss.Sweep(system(1.0), law, over={"mu": [0.5, 1.0]}, **run).run(progress=False)
 found = {
     "sticks": [*map(float, kept.start), *map(float, kept.end), *map(float, kept.position)],
     "slope": float(jax.grad(lambda mu: position(system(mu), base))(0.9)),

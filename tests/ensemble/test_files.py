@@ -101,7 +101,7 @@ def test_where_no_file_can_be(many, tmp_path, name):
     folder.mkdir()
     os.mkfifo(fifo)
     assert "is a folder; choose" in refused(ValueError, lambda: write(many, folder, overwrite=True))
-    assert "is no ordinary file; choose" in refused(ValueError, lambda: write(many, fifo, overwrite=True))
+    assert "is a named pipe; choose" in refused(ValueError, lambda: write(many, fifo, overwrite=True))
     assert "must be a file name that ends in ." in refused(ValueError, lambda: write(many, tmp_path / "many.junk"))
     assert "must be a file name, but " in refused(ValueError, lambda: write(many, f"\0{Path(name).suffix}"))
     assert "must be a file name, but 5 was given." in refused(ValueError, lambda: write(many, 5))

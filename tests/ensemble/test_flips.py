@@ -6,10 +6,10 @@ import pytest
 from ensemble.test_stored import POISSON, RUN, SYSTEM, assert_same
 from pyarrow import parquet
 from support.faults import assert_same as assert_same_data
-from support.faults import run, study_of
+from support.faults import run, sweep_of
 
 import stickslip_jax as ss
-from stickslip_jax._sweep.looking import stored_dataset
+from stickslip_jax._sweep.reading import stored_dataset
 
 FLIPS = 100
 
@@ -41,13 +41,13 @@ def test_ensembles(tmp_path, keep):
 
 
 @pytest.mark.slow
-def test_data_of_a_parametric_study(tmp_path):
-    """A damaged data set is made anew from the pieces."""
-    expected = run(study_of(), tmp_path / "study")
-    path = tmp_path / "study" / "study.nc"
-    for number, _ in enumerate(flipped(path.read_bytes(), path, "study")):
+def test_data_of_a_sweep(tmp_path):
+    """A damaged data set is made anew from the batches."""
+    expected = run(sweep_of(), tmp_path / "sweep")
+    path = tmp_path / "sweep" / "sweep.nc"
+    for number, _ in enumerate(flipped(path.read_bytes(), path, "sweep")):
         if number % 4 == 0:
-            assert_same_data(stored_dataset(tmp_path / "study"), expected)
+            assert_same_data(stored_dataset(tmp_path / "sweep"), expected)
 
 
 @pytest.mark.slow

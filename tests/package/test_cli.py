@@ -24,11 +24,7 @@ from stickslip_jax.study._run import STATISTICS
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path, monkeypatch):
-    """The command's settings of the process are left out: the tests share theirs."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 def _subprocess(*arguments, **options):

@@ -28,8 +28,8 @@ def tries():
     yield "simulate", lambda: ss.simulate(system, base, t1=5.0).status
     yield "simulate_ensemble", lambda: ss.simulate_ensemble(system, base, key=key(), **options).samples
     yield "sensitivity", lambda: ss.sensitivity(ss.stick_fraction, system, base, wrt="mu", key=key(), **options)
-    if study is not None:
-        yield "Study.run", lambda: study.run(threads=1, progress=False)
+    if sweep is not None:
+        yield "Sweep.run", lambda: sweep.run(threads=1, progress=False)
         yield "extended", lambda: many.extended(samples=2)
 
 def told():
@@ -39,7 +39,7 @@ def told():
             print(name, "ran", flush=True)
         except RuntimeError as error:
             print(name, "said", error, flush=True)
-        if study is None:
+        if sweep is None:
             return
 
 for generation in range(2):  # a fork of the fork, too
@@ -53,7 +53,7 @@ if not generation:
 os._exit(0)
 """
 STARTED = """
-study = ss.Study(system, base, over={"mu": [0.5, 1.0]}, key=jax.random.key(0), keep="totals", **options)
+sweep = ss.Sweep(system, base, over={"mu": [0.5, 1.0]}, key=jax.random.key(0), keep="totals", **options)
 many = ss.simulate_ensemble(system, base, key=jax.random.key(0), keep="totals", **options)
 key = jax.random.key(0)
 key = lambda key=key: key
@@ -75,17 +75,17 @@ def test_a_fork_after_jax_has_started_is_told():
     for line in forked:
         said = line.partition(" said ")[2]
         assert re.fullmatch(
-            r'JAX cannot run in a fork [^.]*; start processes by .*"spawn".*Study\.run\(workers=.*\.', said
+            r'JAX cannot run in a fork [^.]*; start processes by .*"spawn".*Sweep\.run\(workers=.*\.', said
         )
 
 
 def test_jax_that_only_made_a_key_has_started():
-    program = PROGRAM.replace("EARLY", "study = None\nkey_made = jax.random.key(0)\n")
+    program = PROGRAM.replace("EARLY", "sweep = None\nkey_made = jax.random.key(0)\n")
     assert [line.partition(" JAX")[0] for line in lines_of(program)] == ["simulate said"] * 2 + ["first 0"]
 
 
 def test_a_fork_before_jax_has_started_is_a_process_like_others():
-    lines = [line.partition(" JAX")[0] for line in lines_of(PROGRAM.replace("EARLY", "study = None"))]
+    lines = [line.partition(" JAX")[0] for line in lines_of(PROGRAM.replace("EARLY", "sweep = None"))]
     assert lines == ["simulate ran", "simulate said", "first 0"]  # the fork of the fork came after it had run
 
 

@@ -23,7 +23,7 @@ KNOWN = {
     "A JAX array is being set as static": "Equinox warns of an array in place of an option, before it is refused.",
     r"len\(\) of unsized object|has no len\(\)": "A function of the user's fails in its own words: len of a number.",
     "Fewer than two of 64 trajectories reached t1": "None that starts at 1e308: the ensemble is shown in lines.",
-    r"StudyError: two\nlines holds no study": "Names of files are shown as they are, with their ends of lines.",
+    r"SweepError: two\nlines holds no sweep": "Names of files are shown as they are, with their ends of lines.",
 }
 
 found: dict[str, int] = {}

@@ -108,7 +108,7 @@ def test_harmonic_belt_in_resonance_carries_the_mass():
     assert found.stick_fraction.values == pytest.approx(np.ones((2, 1)), abs=1e-12)
 
 
-def test_studies_are_of_the_papers_systems(annotations_unchecked):
+def test_sweeps_are_of_the_papers_systems(annotations_unchecked):
     random = papers.stick_share_map("random", mu=[1.0], ratios=[0.5], samples=10).plan.setting_at(0)
     assert (random.system, random.law) == papers.random_belt(0.5)[:2]
     harmonic = papers.stick_share_map("harmonic", mu=[1.0], ratios=[0.5]).plan.setting_at(0)

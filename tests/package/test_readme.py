@@ -22,7 +22,7 @@ DOCUMENTS = {
     "docs/regularized.md": 2,
     "docs/sensitivity.md": 1,
     "docs/statistics.md": 4,
-    "docs/studies.md": 3,
+    "docs/sweeps.md": 3,
     "docs/tutorial.md": 11,
     "docs/uncertain.md": 3,
 }

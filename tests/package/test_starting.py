@@ -36,11 +36,11 @@ def started(tmp_path, name: str, *arguments: str) -> subprocess.Popen:
 
 def interrupted(tmp_path, after: float) -> tuple[int, str]:
     """How the command ends that gets Ctrl-C some time after its beginning."""
-    process = started(tmp_path, "stickslip", "sweep", "--out", "study", "--samples", "100000")
+    process = started(tmp_path, "stickslip", "sweep", "--out", "sweep", "--samples", "100000")
     time.sleep(after)
     process.send_signal(signal.SIGINT)
     time.sleep(0.02)
-    process.send_signal(signal.SIGINT)  # as impatient people do; a study stops at the second one
+    process.send_signal(signal.SIGINT)  # as impatient people do; a sweep stops at the second one
     _, err = process.communicate(timeout=120)
     return process.returncode, err
 

@@ -13,6 +13,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax import _checks, plot
+from stickslip_jax.study import StudyError
 from stickslip_jax.study._reading import read_config, read_sweep_config
 
 # Users run without annotation checks: here the package's own checks must answer. A warning is no answer.
@@ -50,9 +51,9 @@ def system(**changed):
     return ss.MassSpring(**{"mass": 1.0, "stiffness": 4.0, "normal_force": 1.0, "friction": ss.Coulomb(0.5), **changed})
 
 
-def study(**changed):
+def sweep(**changed):
     arguments = {"system": system(), "law": LAW, "over": {"mu": [0.5, 1.0]}, "t1": 5.0, "samples": 10, "key": KEY}
-    return ss.Study(**{**arguments, **changed})
+    return ss.Sweep(**{**arguments, **changed})
 
 
 def sticks(**changed):
@@ -97,7 +98,7 @@ MANY = {
     "y0": lambda values: ss.simulate(system(), ss.Constant(1.0), t1=1.0, y0=values),
     "velocities": lambda values: ss.VelocitySteps(np.array([1.0, 1.0]), values),
     "slopes": lambda values: ss.VelocitySegments([1.0, 1.0], [1.0, 2.0], values),
-    "over['mu']": lambda values: study(over={"mu": values}),
+    "over['mu']": lambda values: sweep(over={"mu": values}),
     "values['mu']": lambda values: ss.design.grid({"mu": values}),
     "numbers": lambda values: ss.design.table(values, ["mu"]),
     "correlation": lambda values: ss.GaussianCopula(("a", "b"), values),
@@ -133,13 +134,13 @@ CLASSES = {
     "system": lambda: ss.simulate(ss.MassSpring, ss.Constant(1.0), t1=1.0),
     "base": lambda: ss.simulate(system(), ss.Harmonic, t1=1.0),
     "base ": lambda: ss.simulate_ensemble(system(), ss.PoissonSwitching, t1=1.0, samples=2, key=KEY),
-    "law": lambda: study(law=ss.PoissonSwitching),
-    "system ": lambda: study(system=ss.MassSpring),
+    "law": lambda: sweep(law=ss.PoissonSwitching),
+    "system ": lambda: sweep(system=ss.MassSpring),
     "method": lambda: ss.simulate(system(), ss.Constant(1.0), t1=1.0, method=ss.Exact),
-    "method ": lambda: study(method=ss.Regularized),
+    "method ": lambda: sweep(method=ss.Regularized),
     "y0": lambda: ss.simulate_ensemble(system(), LAW, t1=1.0, samples=2, key=KEY, y0=ss.Uniform),
     "y0[0]": lambda: ss.simulate(system(), ss.Constant(1.0), t1=1.0, y0=(ss.Uniform, 0.0)),
-    "over": lambda: study(over=ss.design.Design),
+    "over": lambda: sweep(over=ss.design.Design),
     "correlation": lambda: ss.simulate_ensemble(
         system(), LAW, t1=1.0, samples=2, key=KEY, correlation=ss.GaussianCopula
     ),
@@ -218,24 +219,24 @@ def test_columns_that_are_none(changed, said):
     assert said in sentence(lambda: sticks(**changed), "Argument")
 
 
-# --- studies
+# --- sweeps
 
 
 def test_names_of_folders_and_files():
     axes = plt.figure().subplots()
     for wrong in (5, None, "", "a\0b", b"bytes", ["list"], float):
-        sentence(lambda wrong=wrong: ss.Study.load(wrong), "folder")
+        sentence(lambda wrong=wrong: ss.Sweep.load(wrong), "folder")
         sentence(lambda wrong=wrong: plot.save(axes, wrong), "path")
         if wrong is not None:  # no folder
-            sentence(lambda wrong=wrong: study().run(wrong), "folder")
+            sentence(lambda wrong=wrong: sweep().run(wrong), "folder")
     plt.close(axes.figure)
 
 
 @pytest.mark.parametrize(
     "wrong", [5, None, "mu", {"stick_fraction": "mu"}, [5], [("a", "b", "c")], [(np.ones(2), "mu")]]
 )
-def test_sensitivities_of_a_study(wrong):
-    said = sentence(lambda: study(sensitivities=wrong), "sensitivities")
+def test_sensitivities_of_a_sweep(wrong):
+    said = sentence(lambda: sweep(sensitivities=wrong), "sensitivities")
     assert said.startswith("Argument sensitivities must hold pairs of a statistic and the parameter")
 
 
@@ -251,13 +252,13 @@ def test_sensitivities_of_a_study(wrong):
         ("y0", np.ma.array([0.0, 1.0], mask=[True, False])),
         ("system", 5),
         ("system", None),
-        ("piece", 10**39),
+        ("batch", 10**39),
         ("standard_error", [1.0]),
         ("orders", True),
     ],
 )
-def test_other_arguments_of_a_study(name, wrong):
-    sentence(lambda: study(**{name: wrong}), name)
+def test_other_arguments_of_a_sweep(name, wrong):
+    sentence(lambda: sweep(**{name: wrong}), name)
 
 
 def test_one_distribution_is_no_start():
@@ -309,7 +310,7 @@ def test_files_of_strange_values(tmp_path, case):
     path = tmp_path / "study.toml"
     path.write_text(text)
     for read in (read_config, read_sweep_config):
-        with pytest.raises(ss.StudyError) as caught:
+        with pytest.raises(StudyError) as caught:
             read(path)
         found = str(caught.value)
         assert found.startswith(f"{path}: ")
@@ -333,8 +334,8 @@ RANGES = {
 @pytest.mark.parametrize("values", RANGES)
 def test_ranges_that_are_too_long_or_none(tmp_path, values):
     path = tmp_path / "study.toml"
-    path.write_text(f"{FILE}[study.over]\n{values}\n")
-    with pytest.raises(ss.StudyError) as caught:
+    path.write_text(f"{FILE}[sweep.over]\n{values}\n")
+    with pytest.raises(StudyError) as caught:
         read_sweep_config(path)
     assert RANGES[values] in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -92,13 +92,13 @@ def test_no_corrected_estimator(asked):
 
 
 @pytest.mark.slow
-def test_in_a_parametric_study():
+def test_in_a_sweep():
     """The derivative at each point is that of a call of `sensitivity`."""
-    study = ss.Study(
+    sweep = ss.Sweep(
         oscillator(), LAW, t1=10.0, samples=300, key=STUDY["key"], y0=(0.0, 0.5), method=FIXED,
         over={"mu": [1.1, 1.3]}, keep="totals", sensitivities=[("mean_stick_duration", "mu")],
     )  # fmt: skip
-    found = study.run()
+    found = sweep.run()
     for mu, slope in zip((1.1, 1.3), found["d_mean_stick_duration_by_mu"].values, strict=True):
         alone = ss.sensitivity(ss.mean_stick_duration, oscillator(mu), LAW, wrt="mu", **STUDY, method=FIXED)
         assert slope == pytest.approx(alone.derivative, rel=1e-9)

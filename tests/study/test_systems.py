@@ -294,7 +294,7 @@ def test_record_that_vanished_is_refused(tmp_path):
 
 
 def test_command_finds_records_beside_the_configuration(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(cli, "_prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     text, *_ = STUDIES["accelerogram"]

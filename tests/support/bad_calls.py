@@ -209,21 +209,21 @@ def runs() -> Iterator[Target]:
         relative_bandwidth=(None, "optional positive"), threads=(1, "optional whole"),
     )  # fmt: skip
     yield fields(
-        ss.Study, ("base", "mu", "point"), system=(SYSTEM, "system"), law=(LAW, "base"),
+        ss.Sweep, ("base", "mu", "point"), system=(SYSTEM, "system"), law=(LAW, "base"),
         over=({"mu": [0.5, 1.0]}, "any"), **{**ENSEMBLE, "samples": (4, "whole")}, **OPTIONS,
         method=(ss.Exact(), "method"), keep=("totals", "never | word"), statistics=(None, "any"),
         sensitivities=((), "any"), independent=(False, "truth"), standard_error=(None, "any"),
-        realizations=(0, "whole or zero"), piece=(None, "optional whole"),
+        realizations=(0, "whole or zero"), batch=(None, "optional whole"),
     )  # fmt: skip
-    study = ss.Study(SYSTEM, LAW, over={"mu": [0.5, 1.0]}, t1=5.0, samples=4, key=KEY, keep="totals")
+    sweep = ss.Sweep(SYSTEM, LAW, over={"mu": [0.5, 1.0]}, t1=5.0, samples=4, key=KEY, keep="totals")
     yield fields(
-        lambda values: ss.Study(SYSTEM, LAW, over={"mu": values}, t1=5.0, samples=4, key=KEY, keep="totals"),
+        lambda values: ss.Sweep(SYSTEM, LAW, over={"mu": values}, t1=5.0, samples=4, key=KEY, keep="totals"),
         ("over", "mu"), values=([0.5, 1.0], "array"),
     )  # fmt: skip
     yield fields(
-        study.ensemble_at, ("Arguments",), mu=(0.5, "number"), samples=(4, "optional whole"), keep=("totals", "word")
+        sweep.ensemble_at, ("Arguments",), mu=(0.5, "number"), samples=(4, "optional whole"), keep=("totals", "word")
     )
-    yield fields(ss.Study.load, folder=("nowhere", "never"))
+    yield fields(ss.Sweep.load, folder=("nowhere", "never"))
     yield fields(ss.load, path=("nowhere.nc", "never"))
     yield fields(
         ss.Ensemble.from_sticks, table=(TABLE, "any"), t1=(5.0, "positive"), samples=(2, "optional whole"),
@@ -236,7 +236,7 @@ def runs() -> Iterator[Target]:
         )  # fmt: skip
     yield fields(ss.Ensemble.from_simulations, result=(None, "never"), **OPTIONS)
     yield fields(
-        study.run, ("shared_folder",), folder=(None, "optional path"), threads=(1, "optional whole"),
+        sweep.run, ("shared_folder",), folder=(None, "optional path"), threads=(1, "optional whole"),
         workers=(None, "optional never"), shared_folder=(False, "truth"), progress=(False, "optional truth"),
     )  # fmt: skip
 
@@ -328,7 +328,7 @@ def judged(said: str, names: tuple[str, ...], kind: type[BaseException]) -> str:
     """What is obscure about a refusal; "" if it is one sentence that names an argument."""
     named = any(re.search(rf"(?<!\w){re.escape(name)}(?!\w)", said) for name in names)
     is_sentence = re.fullmatch(r"[^\n]*[^.\n][.?]", said) and len(said) < 2000
-    if named and is_sentence and kind in (ValueError, ss.StudyError, FileNotFoundError, OSError):
+    if named and is_sentence and kind in (ValueError, ss.SweepError, FileNotFoundError, OSError):
         return ""
     return f"{kind.__name__}: {said[:300]}"
 

@@ -1,4 +1,4 @@
-"""Files of studies in which one value, key or section is wrong."""
+"""Files of studies and sweeps in which one value, key or section is wrong."""
 
 import re
 import tempfile
@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
-import stickslip_jax as ss
+from stickslip_jax.study import StudyError
 from stickslip_jax.study._reading import read_config, read_sweep_config
 from stickslip_jax.study._run import built
-from stickslip_jax.study._sweep_run import study_of
+from stickslip_jax.study._sweep_run import sweep_of
 from support.bad_values import Draw
 
 _GAP = '[base.gap]\nlaw = "Weibull"\nscale = 1.0\nshape = 2.0\n'
@@ -23,7 +23,7 @@ FILES = {
     "recorded": '[base]\nlaw = "Recorded"\ntimes = [0.0, 300.0]\nvalues = [0.0, 1.0]\n',
     "steps": '[base]\nlaw = "RandomSteps"\nspeed = 1.0\ninterval = 1.0\n',
 }
-SWEPT = '[study]\nkeep = "totals"\n[study.over]\nmu = [0.5, 1.0]\nmass = { linspace = [1.0, 2.0, 3] }\n'
+SWEPT = '[sweep]\nkeep = "totals"\n[sweep.over]\nmu = [0.5, 1.0]\nmass = { linspace = [1.0, 2.0, 3] }\n'
 
 LITERALS: tuple[Callable[[Draw], str], ...] = (
     *(lambda draw, text=text: text for text in (
@@ -75,19 +75,19 @@ def mutated(draw: Draw, lines: tuple[str, ...]) -> tuple[str, str]:
     elif how < 0.9:
         place = int(draw.choice(headers))
         changed[place] = str(
-            draw.choice(["[sytem]", "[base.gap.x]", "[[system]]", "[run.run]", "[study.over.mu]", "[]"])
+            draw.choice(["[sytem]", "[base.gap.x]", "[[system]]", "[run.run]", "[sweep.over.mu]", "[]"])
         )
     elif how < 0.95:
         place = int(draw.choice(places))
         del changed[place]
     else:
         place = 0
-        changed.insert(0, f"{draw.choice(['system', 'base', 'run', 'study', 'output'])} = {literal}")
+        changed.insert(0, f"{draw.choice(['system', 'base', 'run', 'sweep', 'output'])} = {literal}")
     return "\n".join(changed) + "\n", f"line {place}: {changed[min(place, len(changed) - 1)][:60]}"
 
 
 def cases(draw: Draw, number: int) -> Iterator[tuple[str, str, bool]]:
-    """Names of cases, their texts, and whether they are of parametric studies."""
+    """Names of cases, their texts, and whether they are of sweeps."""
     for _ in range(number):
         name, swept = str(draw.choice(list(FILES))), bool(draw.integers(2))
         text, place = mutated(draw, complete(name, swept=swept))
@@ -102,11 +102,11 @@ def outcome(text: str, path: Path, *, swept: bool) -> str:
             warnings.simplefilter("error")
             config = (read_sweep_config if swept else read_config)(path)
             if swept:
-                study_of(config, f"{path}: ")
+                sweep_of(config, f"{path}: ")
             else:
                 built(config.system, "system")
                 built(config.base, "base")
-    except ss.StudyError as error:
+    except StudyError as error:
         said = str(error)
         is_sentence = "\n" not in said and said.endswith((".", "?")) and len(said) < 2000
         return "" if is_sentence else f"StudyError: {said[:300]}"

@@ -24,7 +24,7 @@ def main(group: str, number: int, seed: int) -> None:
     jax.devices()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     draw, obscure, cases = np.random.default_rng(seed), [], 0
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # studies make folders of any name
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # sweeps make folders of any name
         for name, told in _files(draw, number, Path(folder)) if group == "files" else _calls(draw, group, number):
             cases += 1
             if told:

@@ -1,4 +1,4 @@
-"""Studies that are stopped by force: small ones, in this process and in others, and what is left of their folders."""
+"""Sweeps that are stopped by force: small ones, in this process and in others, and what is left of their folders."""
 
 import os
 import re
@@ -22,21 +22,21 @@ TESTS = Path(__file__).parents[1]
 SYSTEM, LAW = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching(speed=1.0, rate=1.0)
 
 
-def study_of(system: Any = SYSTEM, law: Any = LAW, **changes: Any) -> ss.Study:
-    """A study of two points, with two pieces at each, unless `changes` say otherwise."""
-    usual = {"over": {"mu": [0.5, 1.0]}, "t1": 20.0, "samples": 500, "piece": 256, "key": jax.random.key(0)}
+def sweep_of(system: Any = SYSTEM, law: Any = LAW, **changes: Any) -> ss.Sweep:
+    """A sweep of two points, with two batches at each, unless `changes` say otherwise."""
+    usual = {"over": {"mu": [0.5, 1.0]}, "t1": 20.0, "samples": 500, "batch": 256, "key": jax.random.key(0)}
     usual |= {"y0": (0.0, 1.0), "keep": "totals"}
-    return ss.Study(system, law, **{**usual, **changes})
+    return ss.Sweep(system, law, **{**usual, **changes})
 
 
-def long_study() -> ss.Study:
-    """One with many pieces, to be killed again and again."""
-    return study_of(over={"mu": np.linspace(0.5, 1.2, 4)}, samples=30 * 256)
+def long_sweep() -> ss.Sweep:
+    """One with many batches, to be killed again and again."""
+    return sweep_of(over={"mu": np.linspace(0.5, 1.2, 4)}, samples=30 * 256)
 
 
-def run(study: ss.Study, folder: Path | None) -> Any:
-    """The data set of a study run in two threads."""
-    return study.run(folder, threads=2, progress=False)
+def run(sweep: ss.Sweep, folder: Path | None) -> Any:
+    """The data set of a sweep run in two threads."""
+    return sweep.run(folder, threads=2, progress=False)
 
 
 def assert_same(one: Any, other: Any) -> None:
@@ -103,7 +103,7 @@ def failing(folder: Path, fail: Callable[[int, str, Any], None]) -> Iterator[Non
         yield
 
 
-def cut(name: str, of: Any) -> None:
+def halve_file(name: str, of: Any) -> None:
     """Leave half of a file that is being written."""
     if name == "fsync" and not os.path.isdir(f"/proc/self/fd/{of}"):
         try:
@@ -116,7 +116,7 @@ def cut(name: str, of: Any) -> None:
 
 
 def started(what: str, folder: Path) -> subprocess.Popen[str]:
-    """A process that runs the long study (`what` = "long"), or the small one and kills itself at operation `what`."""
+    """A process that runs the long sweep (`what` = "long"), or the small one and kills itself at operation `what`."""
     paths = [str(TESTS), str(TESTS.parent), os.environ.get("PYTHONPATH", "")]
     command = [sys.executable, "-m", "support.faults", what, str(folder)]
     return subprocess.Popen(
@@ -130,16 +130,16 @@ def _main(what: str, folder: Path) -> None:
     jax.config.update("jax_enable_x64", True)
     _compilation_cache.use()
     if what == "long":
-        run(long_study(), folder)
+        run(long_sweep(), folder)
         return
 
     def fail(number: int, name: str, of: Any) -> None:
         if number == int(what):
-            cut(name, of)
+            halve_file(name, of)
             os.kill(os.getpid(), signal.SIGKILL)
 
     with failing(folder, fail):
-        run(study_of(), folder)
+        run(sweep_of(), folder)
 
 
 if __name__ == "__main__":
@@ -147,7 +147,7 @@ if __name__ == "__main__":
 
 
 def log_of(folder: Path | str) -> str:
-    """The log of a study; empty if there is none yet."""
+    """The log of a sweep; empty if there is none yet."""
     log = Path(folder) / "log.txt"
     return log.read_text() if log.exists() else ""
 

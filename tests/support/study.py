@@ -198,55 +198,55 @@ BAD_SYSTEMS_AND_BASES = {
 """Likewise, of what `BAD_CONFIGS` leaves out."""
 
 
-_OVER = "\n[study.over]\nmu = [1.0]\n"
+_OVER = "\n[sweep.over]\nmu = [1.0]\n"
 BAD_SWEEPS = {
-    "no points": ("[run]\nsamples = 3", "[study] lacks [study.over]"),
-    "no parameter": ("[study.over]", "in [study.over], a parameter must be given with its values"),
-    "samples": ("[study]\nsamples = 3" + _OVER, "unknown key samples in [study]; samples belongs in [run]."),
+    "no points": ("[run]\nsamples = 3", "[sweep] lacks [sweep.over]"),
+    "no parameter": ("[sweep.over]", "in [sweep.over], a parameter must be given with its values"),
+    "samples": ("[sweep]\nsamples = 3" + _OVER, "unknown key samples in [sweep]; samples belongs in [run]."),
     "keep": ('[run]\nkeep = "totals"' + _OVER, "unknown key keep in [run] of the model MassSpring; keep belongs in"),
-    "misspelt key": ("[study]\nkep = 1" + _OVER, "unknown key kep in [study]; did you mean keep?"),
-    "misspelt section": ("[stdy.over]\nmu = [1.0]", "unknown section [stdy]; did you mean study?"),
+    "misspelt key": ("[sweep]\nkep = 1" + _OVER, "unknown key kep in [sweep]; did you mean keep?"),
+    "misspelt section": ("[swep.over]\nmu = [1.0]", "unknown section [swep]; did you mean sweep?"),
     "section of another file": ("[output]\nfigures = true" + _OVER, "unknown section [output]; the sections are"),
-    "inner section": ("[over]\nmu = [1.0]", "did you mean [study.over]?"),
-    "sticks": ('[study]\nkeep = "sticks"' + _OVER, "keep in [study] must be 'statistics' or 'totals', but \"sticks\""),
-    "misspelt parameter": ("[study.over]\nmw = [1.0]", "but 'mw' was given; did you mean mu?"),
-    "misspelt range": ("[study.over]\nmu = { linspce = [0, 1, 5] }", "did you mean linspace?"),
-    "NumPy's range": ("[study.over]\nmu = { geomspace = [1, 2, 5] }", "did you mean logspace?"),
-    "short range": ("[study.over]\nmu = { linspace = [0, 1] }", "linspace of mu must be [from, to, number of values]"),
-    "range from zero": ("[study.over]\nmu = { logspace = [0, 1, 5] }", "must go from and to positive numbers"),
-    "half a value": ("[study.over]\nmu = { linspace = [0, 1, 2.5] }", "number of values"),
+    "inner section": ("[over]\nmu = [1.0]", "did you mean [sweep.over]?"),
+    "sticks": ('[sweep]\nkeep = "sticks"' + _OVER, "keep in [sweep] must be 'statistics' or 'totals', but \"sticks\""),
+    "misspelt parameter": ("[sweep.over]\nmw = [1.0]", "but 'mw' was given; did you mean mu?"),
+    "misspelt range": ("[sweep.over]\nmu = { linspce = [0, 1, 5] }", "did you mean linspace?"),
+    "NumPy's range": ("[sweep.over]\nmu = { geomspace = [1, 2, 5] }", "did you mean logspace?"),
+    "short range": ("[sweep.over]\nmu = { linspace = [0, 1] }", "linspace of mu must be [from, to, number of values]"),
+    "range from zero": ("[sweep.over]\nmu = { logspace = [0, 1, 5] }", "must go from and to positive numbers"),
+    "half a value": ("[sweep.over]\nmu = { linspace = [0, 1, 2.5] }", "number of values"),
     "text": (
-        '[study.over]\nmu = "a"',
+        '[sweep.over]\nmu = "a"',
         'mu must be a list, { linspace = ... } or { logspace = ... }, but "a" was given',
     ),
-    "truth": ("[study.over]\nmu = [true]", "mu must hold numbers, but true was given"),
-    "empty list": ("[study.over]\nmu = []", "but [] was given"),
-    "name with a dot": ("[study.over]\nmu.low = [0, 1]", 'for a name with dots write "mu.low" = ...'),
-    "rows": ('[study.over]\n"mu, rate" = [[1, 2, 3]]', "mu, rate must hold rows of 2 numbers, but [1, 2, 3] was"),
+    "truth": ("[sweep.over]\nmu = [true]", "mu must hold numbers, but true was given"),
+    "empty list": ("[sweep.over]\nmu = []", "but [] was given"),
+    "name with a dot": ("[sweep.over]\nmu.low = [0, 1]", 'for a name with dots write "mu.low" = ...'),
+    "rows": ('[sweep.over]\n"mu, rate" = [[1, 2, 3]]', "mu, rate must hold rows of 2 numbers, but [1, 2, 3] was"),
     "the same row": (
-        '[study.over]\n"mu, rate" = [[1, 2], [1, 2]]',
-        "mu, rate in [study.over] must hold every point once, but entries 0 and 1 are both (1.0, 2.0).",
+        '[sweep.over]\n"mu, rate" = [[1, 2], [1, 2]]',
+        "mu, rate in [sweep.over] must hold every point once, but entries 0 and 1 are both (1.0, 2.0).",
     ),
-    "negative friction": ("[study.over]\nmu = [-1.0]", "mu must be zero or positive, but -1.0 was given"),
-    "infinite": ("[study.over]\nmu = [inf]", "mu in [study.over] must hold finite numbers, but inf was given"),
+    "negative friction": ("[sweep.over]\nmu = [-1.0]", "mu must be zero or positive, but -1.0 was given"),
+    "infinite": ("[sweep.over]\nmu = [inf]", "mu in [sweep.over] must hold finite numbers, but inf was given"),
     "no frequency": (
-        '[base]\nlaw = "Constant"\nspeed = 1.0\n[study.over]\nr = [1.0]',
+        '[base]\nlaw = "Constant"\nspeed = 1.0\n[sweep.over]\nr = [1.0]',
         "it needs a law with a frequency",
     ),
     "unknown statistic": (
-        '[study]\nstatistics = ["mean_stick"]' + _OVER,
-        "statistics in [study] must be names out of 'stick_fraction'",
+        '[sweep]\nstatistics = ["mean_stick"]' + _OVER,
+        "statistics in [sweep] must be names out of 'stick_fraction'",
     ),
     "unknown precision": (
-        "[study]\nstandard_error = { stik_fraction = 0.1 }" + _OVER,
-        "standard_error in [study] must name statistics out of",
+        "[sweep]\nstandard_error = { stik_fraction = 0.1 }" + _OVER,
+        "standard_error in [sweep] must name statistics out of",
     ),
     "unknown derivative": (
-        '[study]\nsensitivities = { stik_fraction = ["mu"] }' + _OVER,
-        "sensitivities in [study] must hold lists of parameters by statistic out of 'stick_fraction'",
+        '[sweep]\nsensitivities = { stik_fraction = ["mu"] }' + _OVER,
+        "sensitivities in [sweep] must hold lists of parameters by statistic out of 'stick_fraction'",
     ),
 }
-"""Files of parametric studies, and what the message about each must contain."""
+"""Files of parameter sweeps, and what the message about each must contain."""
 
 
 TIMES = np.linspace(0.0, 12.0, 25)

@@ -1,18 +1,18 @@
-"""A small study that tests run in different places, and the comparison of its results."""
+"""A small sweep that tests run in different places, and the comparison of its results."""
 
 import jax
 import numpy as np
 
 import stickslip_jax as ss
 
-SAMPLES, PIECE = 3000, 1024
-PLACES = {"mu": [0.5, 1.0], "rate": [0.5, 1.0]}
+SAMPLES, BATCH = 3000, 1024
+POINTS = {"mu": [0.5, 1.0], "rate": [0.5, 1.0]}
 
 
-def small_study(**changed) -> ss.Study:
-    """Four points of a random belt, three pieces each."""
-    arguments = {"over": PLACES, "t1": 20.0, "samples": SAMPLES, "piece": PIECE, "key": jax.random.key(1), **changed}
-    return ss.Study(
+def small_sweep(**changed) -> ss.Sweep:
+    """Four points of a random belt, three batches each."""
+    arguments = {"over": POINTS, "t1": 20.0, "samples": SAMPLES, "batch": BATCH, "key": jax.random.key(1), **changed}
+    return ss.Sweep(
         ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.PoissonSwitching(2.0, 0.5), **arguments
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Many points of a study: they are checked in arrays, as one by one, and too many are refused before there are any."""
+"""Many points of a sweep: they are checked in arrays, as one by one, and too many are refused before there are any."""
 
 import math
 import tracemalloc
@@ -39,9 +39,9 @@ class Drawn(ss.SwitchedSystem):
             raise ValueError(f"Argument most must be at least {self.least}, but {self.most} was given.")
 
 
-def study(**changed):
+def sweep(**changed):
     arguments = {"over": {"mu": [0.5, 1.0]}, "t1": 10.0, "samples": 20, "key": KEY, "keep": "totals"} | changed
-    return ss.Study(arguments.pop("system", SYSTEM), arguments.pop("law", LAW), **arguments)
+    return ss.Sweep(arguments.pop("system", SYSTEM), arguments.pop("law", LAW), **arguments)
 
 
 UNFIT = {
@@ -92,7 +92,7 @@ def test_the_first_point_that_does_not_fit_is_told_as_one_by_one(case, monkeypat
 
     def made():
         try:
-            return study(**changed).points
+            return sweep(**changed).points
         except ValueError as error:
             return str(error)
 
@@ -121,7 +121,7 @@ def test_a_hundred_thousand_points_are_not_made_one_by_one(changed, monkeypatch)
     made = []
     one = Setter.__call__
     monkeypatch.setattr(Setter, "__call__", lambda self, values: made.append(values) or one(self, values))
-    many = study(**changed)
+    many = sweep(**changed)
     assert many.points == 100_000
     assert len(made) < 10
 
@@ -130,35 +130,35 @@ def test_one_of_many_is_found():
     """The last one but one of a hundred thousand, and no other is told."""
     masses = np.linspace(1.0, 2.0, 100_000)
     masses[-2] = -1.0
-    with pytest.raises(ValueError, match=r"\AThe point mass = -1 of the study cannot be simulated: Argument mass must"):
-        study(over={"mass": masses})
+    with pytest.raises(ValueError, match=r"\AThe point mass = -1 of the sweep cannot be simulated: Argument mass must"):
+        sweep(over={"mass": masses})
 
 
 def test_entries_that_are_the_same_point():
     values = np.arange(100_000.0)
     values[[70_000, 90_000]] = 5.0, 3.0
     with pytest.raises(ValueError, match=r"every point once, but entries 5 and 70000 are both 5\.0\.\Z"):
-        study(over={"mass": values + 0.0})
+        sweep(over={"mass": values + 0.0})
     rows = [[1.0, 2.0], [1.0, 3.0], [1.0, 2.0]]
     with pytest.raises(ValueError, match=r"entries 0 and 2 are both \(1\.0, 2\.0\)\.\Z"):
-        study(over={("mu", "mass"): rows})
+        sweep(over={("mu", "mass"): rows})
     with pytest.raises(ValueError, match=r"entries 0 and 1 are both -?0\.0\.\Z"):
-        study(over={"mu": [0.0, -0.0]})
+        sweep(over={"mu": [0.0, -0.0]})
 
 
 def test_a_point_of_many_by_its_values():
-    many = study(over={"mu": np.linspace(0.1, 2, 400), ("rate", "mass"): np.linspace([1, 2], [3, 4], 250)}).plan.points
+    many = sweep(over={"mu": np.linspace(0.1, 2, 400), ("rate", "mass"): np.linspace([1, 2], [3, 4], 250)}).plan.points
     for number in (0, 1, 249, 250, 99_999):
         values = dict(zip(many.parameters, many.values(number), strict=True))
         assert many.number_of(values) == number
         assert many.number_of({**values, "mu": values["mu"] * (1 + 1e-12)}) == number
         assert many.number_of({**values, "mu": values["mu"] * (1 + 1e-6)}) is None
     with pytest.raises(ValueError, match=r"\AArgument mu must be a single real number"):
-        study().ensemble_at(mu="a")
+        sweep().ensemble_at(mu="a")
 
 
 def test_all_values_in_blocks():
-    many = study(over={"mu": [0.1, 0.2, 0.3], ("rate", "mass"): [[1, 2], [3, 4]]}).plan.points
+    many = sweep(over={"mu": [0.1, 0.2, 0.3], ("rate", "mass"): [[1, 2], [3, 4]]}).plan.points
     found = [(first, values.tolist()) for first, values in many.blocks(4)]
     assert [first for first, _ in found] == [0, 4]
     assert [tuple(row) for _, rows in found for row in rows] == [many.values(number) for number in range(6)]
@@ -180,7 +180,7 @@ def test_more_points_than_can_be_held(case):
     tracemalloc.start()
     try:
         with pytest.raises(ValueError, match=rf"\AArgument over.* must have at most {MOST_POINTS} points") as caught:
-            study(over=over)
+            sweep(over=over)
         assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
     finally:
         tracemalloc.stop()

@@ -13,13 +13,13 @@ SYSTEM = ss.MassSpring(mass=2.0, stiffness=8.0, normal_force=3.0, friction=ss.Co
 LAW = ss.PoissonSwitching(1.0, 1.0)
 
 
-def study(**changed):
+def sweep(**changed):
     arguments = {"over": {"mu": [0.5, 1.0]}, "t1": 10.0, "samples": 20, "key": KEY, "keep": "totals"} | changed
-    return ss.Study(arguments.pop("system", SYSTEM), arguments.pop("law", LAW), **arguments)
+    return ss.Sweep(arguments.pop("system", SYSTEM), arguments.pop("law", LAW), **arguments)
 
 
 def setting(number=0, **changed):
-    return study(**changed).plan.setting_at(number)
+    return sweep(**changed).plan.setting_at(number)
 
 
 def test_numbers_by_name():
@@ -34,13 +34,13 @@ def test_numbers_by_name():
 
 
 def test_all_combinations_the_last_fastest():
-    points = study(over={"mu": [0.1, 0.2], "rate": [1.0, 2.0, 3.0]}).plan.points
+    points = sweep(over={"mu": [0.1, 0.2], "rate": [1.0, 2.0, 3.0]}).plan.points
     assert points.number == 6
     assert [points.values(number) for number in (0, 1, 3)] == [(0.1, 1.0), (0.1, 2.0), (0.2, 1.0)]
 
 
 def test_zipped_values_change_together():
-    zipped = study(over={("mu", "rate"): [[0.1, 1.0], [0.2, 2.0]], "mass": [1.0, 3.0]})
+    zipped = sweep(over={("mu", "rate"): [[0.1, 1.0], [0.2, 2.0]], "mass": [1.0, 3.0]})
     assert zipped.plan.points.number == 4
     found = zipped.plan.setting_at(2)
     assert (found.system.friction.mu, found.law.rate, found.system.mass) == (0.2, 2.0, 1.0)
@@ -52,7 +52,7 @@ def test_zipped_values_change_together():
 
 def test_designs():
     design = ss.design.table({"mu": [0.1, 0.2, 0.4], "rate": [1.0, 3.0, 2.0]})
-    result = study(over=design).run()
+    result = sweep(over=design).run()
     assert result.stick_fraction.dims == ("point",)
     np.testing.assert_array_equal(result.rate, [1.0, 3.0, 2.0])
     alone = ss.simulate_ensemble(
@@ -89,7 +89,7 @@ def test_dimensionless_speed():
 BAD = [
     ({"over": {"muu": [1.0]}}, r"over must name one of .*, but 'muu' was given; did you mean 'mu'\?"),
     ({"over": {"mu": [1.0, 1.0]}}, r"over\['mu'\] must hold every point once, but entries 0 and 1 are both 1.0"),
-    ({"over": {"mu": [1.0, -1.0]}}, r"point mu = -1 of the study cannot be simulated: Argument mu must be zero or"),
+    ({"over": {"mu": [1.0, -1.0]}}, r"point mu = -1 of the sweep cannot be simulated: Argument mu must be zero or"),
     ({"over": {"mu": [math.nan]}}, r"over\['mu'\] must hold finite numbers, but nan was given"),
     ({"over": {"mu": [[1.0]]}}, r"over\['mu'\] must hold at least one number, but \[\[1.0\]\] was given"),
     ({"over": {("mu", "rate"): [[1.0, 2.0, 3.0]]}}, r"over\[\('mu', 'rate'\)\] must hold rows of 2 numbers"),
@@ -117,7 +117,7 @@ BAD = [
     ({"standard_error": {"stick_fraction": 0.0}}, r"standard_error\['stick_fraction'\] must be positive, but 0.0"),
     ({"t1": -1.0}, r"t1 must be positive \(in s\), but -1.0 was given"),
     ({"key": None}, r"key must be a key such as jax.random.key\(0\)"),
-    ({"piece": 0}, r"piece must be a whole number of at least 1, but 0 was given"),
+    ({"batch": 0}, r"batch must be a whole number of at least 1, but 0 was given"),
 ]
 
 
@@ -125,21 +125,21 @@ BAD = [
 @pytest.mark.parametrize(("changed", "message"), BAD)
 def test_bad_input(changed, message):
     with pytest.raises(ValueError, match=message):
-        study(**changed)
+        sweep(**changed)
 
 
 def test_every_point_is_checked_before_anything_is_simulated(monkeypatch):
-    with pytest.raises(ValueError, match=r"The point speed = -2 of the study cannot be simulated"):
-        study(over={"speed": [1.0, 2.0, -2.0]})
+    with pytest.raises(ValueError, match=r"The point speed = -2 of the sweep cannot be simulated"):
+        sweep(over={"speed": [1.0, 2.0, -2.0]})
 
 
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_where_to_run():
     with pytest.raises(ValueError, match=r"Arguments threads and workers must not both be given"):
-        study().run(threads=1, workers=1)
+        sweep().run(threads=1, workers=1)
     with pytest.raises(ValueError, match=r"executor must be a dask.distributed.Client, but 'there' was given"):
-        study().run(executor="there")
+        sweep().run(executor="there")
     with pytest.raises(ValueError, match=r"Arguments must be the values of mu, but \{'rate': 1.0\} was given"):
-        study().ensemble_at(rate=1.0)
-    with pytest.raises(ValueError, match=r"must be the values at a point of the study, but \{'mu': 0.7\} is none"):
-        study().ensemble_at(mu=0.7)
+        sweep().ensemble_at(rate=1.0)
+    with pytest.raises(ValueError, match=r"must be the values at a point of the sweep, but \{'mu': 0.7\} is none"):
+        sweep().ensemble_at(mu=0.7)

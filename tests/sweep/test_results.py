@@ -1,4 +1,4 @@
-"""The numbers of a study: those of ensembles at its points, in bins that all points share."""
+"""The numbers of a sweep: those of ensembles at its points, in bins that all points share."""
 
 import math
 
@@ -17,9 +17,9 @@ def oscillator(mu=1.0):
     return ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu))
 
 
-def study(**changed):
+def sweep(**changed):
     arguments = {"over": {"mu": MU, "rate": RATE}, "t1": T1, "samples": SAMPLES, "key": KEY} | changed
-    return ss.Study(
+    return ss.Sweep(
         arguments.pop("system", oscillator()), arguments.pop("law", ss.PoissonSwitching(1.0, 1.0)), **arguments
     )
 
@@ -31,7 +31,7 @@ def ensemble(mu, rate, **changed):
 
 @pytest.fixture(scope="module")
 def dataset():
-    return study(realizations=3).run()
+    return sweep(realizations=3).run()
 
 
 @pytest.fixture(scope="module")
@@ -96,25 +96,25 @@ def test_random_numbers_are_common_unless_asked(many):
     """With common ones the difference of two near points is far less noisy than that of independent ones."""
     near = {"over": {"mu": [1.0, 1.01], "rate": [2.5]}, "keep": "totals", "samples": 1000}
     first = ensemble(1.01, 2.5, samples=1000, keep="totals")
-    common = study(**near).run()
+    common = sweep(**near).run()
     exactly = {"rel": 1000 * 2**-53}  # but for the order of summing
     assert float(common.stick_fraction.sel(mu=1.01)[0]) == pytest.approx(ss.stick_fraction(first).value, **exactly)
-    apart = study(**near, independent=True)
+    apart = sweep(**near, independent=True)
     found = float(apart.run().stick_fraction.sel(mu=1.01)[0])
     assert found != pytest.approx(ss.stick_fraction(first).value, rel=1e-6)
     there = apart.ensemble_at(mu=1.01, rate=2.5, keep="totals")
     assert found == pytest.approx(ss.stick_fraction(there).value, **exactly)
     differences = []
     for independent in (False, True):
-        found = [study(**near, independent=independent, key=jax.random.key(seed)).run() for seed in range(8)]
+        found = [sweep(**near, independent=independent, key=jax.random.key(seed)).run() for seed in range(8)]
         differences.append(np.std([float(one.stick_fraction.diff("mu").item()) for one in found]))
     assert differences[0] < 0.5 * differences[1]
 
 
 def test_wanted_standard_errors():
-    """Each point ends with the first piece after which its error is small enough, or with all samples."""
+    """Each point ends with the first batch after which its error is small enough, or with all samples."""
     wanted = {"mean_stick_duration": 0.0022}
-    found = study(samples=1000, piece=128, keep="totals", standard_error=wanted).run()
+    found = sweep(samples=1000, batch=128, keep="totals", standard_error=wanted).run()
     for mu in MU:
         for rate in RATE:
             at = found.sel(mu=mu, rate=rate)
@@ -133,7 +133,7 @@ def test_wanted_standard_errors():
 
 def test_sensitivities():
     over = {"mu": [0.6], "rate": [0.8, 1.5]}
-    found = study(over=over, keep="totals", sensitivities=[("mean_stick_duration", ("mu", "rate"))]).run()
+    found = sweep(over=over, keep="totals", sensitivities=[("mean_stick_duration", ("mu", "rate"))]).run()
     law = ss.PoissonSwitching(1.0, 1.5)
     alone = ss.sensitivity(
         ss.mean_stick_duration, oscillator(0.6), law, wrt=("mu", "rate"), t1=T1, samples=SAMPLES, key=KEY
@@ -148,7 +148,7 @@ def test_sensitivities():
 
 
 def test_statistics_may_be_chosen():
-    few = study(over={"mu": MU}, statistics=["mean_stick_duration", "position"]).run()
+    few = sweep(over={"mu": MU}, statistics=["mean_stick_duration", "position"]).run()
     assert {"mean_stick_duration", "position_entropy"} < set(few)
     assert not {"stick_fraction", "duration_mean"} & set(few)
 
@@ -159,7 +159,7 @@ def test_one_compilation_serves_all_points(caplog):
     def compiled(over):
         caplog.clear()
         with jax.log_compiles(), caplog.at_level("WARNING"):
-            study(**arguments | over).run(threads=2)
+            sweep(**arguments | over).run(threads=2)
         return [record.message for record in caplog.records if "Finished XLA compilation" in record.message]
 
     jax.clear_caches()  # of what earlier tests compiled

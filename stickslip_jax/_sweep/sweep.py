@@ -1,0 +1,266 @@
+"""`Sweep`: a parameter sweep, on a grid of parameters or a design."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _checks
+from .._dynamics.method import EXACT, Exact, Regularized
+from .._dynamics.validation import check_method
+from .._ensemble.call import simulate_ensemble
+from .._ensemble.parts import Keep
+from .._ensemble.result import Ensemble
+from .._excitation.excitation import BaseMotion
+from .._excitation.random import InitialState
+from .._forks import require_threads_of_jax
+from .._statistics.quantities import SampledQuantity
+from .._statistics.totals import StatisticOfTotals
+from .._systems.system import System
+from .._types import Array
+from .._uncertainty.design import Design
+from .errors import SweepError
+from .plan import Plan, checked_samples, key_data_in, usual_batch
+from .points import points_of
+from .setting import setting_of
+
+if TYPE_CHECKING:
+    import xarray
+
+_Values = Sequence[Any] | np.ndarray
+Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
+Folder = str | os.PathLike[str]
+
+
+class Sweep:
+    """A parameter sweep: the same ensemble at many values of its parameters::
+
+        sweep = ss.Sweep(
+            system, law, over={"mu": np.linspace(0.5, 2, 8), "rate": np.geomspace(0.2, 5, 8)},
+            t1=200.0, samples=10_000, key=jax.random.key(0),
+        )
+        dataset = sweep.run("results/mu_and_rate")
+
+    Nothing is simulated before `run`.
+
+    Args:
+        system: As in `simulate_ensemble`, and so are `law`, `t1` (s), `key`, `y0`, `method`, `orders` and
+            `count_initial_rest`. Numbers may be distributions.
+        law: The excitation.
+        over: A dict from the name of a parameter to its values: every combination is a point. A tuple of names has
+            rows of values, which change together. Or a design with values (`stickslip_jax.design`), whose rows are the
+            points. A name is that of a number of system, law, start or method, as in `sensitivity` ("mu", "rate",
+            "y0[0]", "method.width"), of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the
+            base over the natural frequency; "w", base speed over
+            ``natural angular frequency * half-width of the stick band``.
+        t1: The duration, s.
+        samples: Of each point; with `standard_error`, at most.
+        key: Of the random numbers.
+        y0: The initial state; by default zero.
+        method: Of the simulation.
+        keep: "statistics", or "totals" (fewer statistics, about three times as fast; a stick that begins at t = 0
+            then counts in all of them).
+        statistics: Names of those in the result; by default all.
+        sensitivities: Pairs of a statistic and a parameter (or several), ``[("mean_stick_duration", "mu")]``.
+        orders: There are statistics of the 1st to this stick.
+        count_initial_rest: Whether a stick that begins at t = 0 counts as the first.
+        independent: By default sample i uses the same random numbers at all points, so that differences between points
+            have small errors; True makes the points independent.
+        standard_error: A dict from statistics of totals to the standard error wanted, such as
+            ``{"mean_stick_duration": 0.01}``: batches are added to each point until it has all of them.
+        realizations: Of how many samples the sticks are in the result, for figures.
+        batch: Number of samples that are simulated, and stored, together; by default chosen from the size of the
+            sweep. It decides the last digits of means.
+
+    Raises:
+        ValueError: For arguments that do not fit, at any point.
+
+    >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
+    >>> sweep = ss.Sweep(system, law, over={"mu": [0.5, 1.0]}, t1=20.0, samples=200, key=jax.random.key(0))
+    >>> sweep.run(progress=False).stick_fraction.round(3).values
+    array([0.013, 0.069])
+    """
+
+    def __init__(
+        self,
+        system: System,
+        law: BaseMotion,
+        *,
+        over: Over,
+        t1: float,
+        samples: int,
+        key: Array | None = None,
+        y0: InitialState | None = None,
+        method: Exact | Regularized = EXACT,
+        keep: Keep = "statistics",
+        statistics: Iterable[str | StatisticOfTotals | SampledQuantity] | None = None,
+        sensitivities: Iterable[tuple[str | StatisticOfTotals, str | Sequence[str]]] = (),
+        orders: int = 10,
+        count_initial_rest: bool = False,
+        independent: bool = False,
+        standard_error: Mapping[str, float] | None = None,
+        realizations: int = 0,
+        batch: int | None = None,
+    ):
+        check_method(method)
+        points, samples = points_of(over), checked_samples(samples)
+        self._plan = Plan.checked(
+            setting_of(system, law, y0, method),
+            points,
+            t1=t1,
+            samples=samples,
+            key_data=key_data_in(key),
+            keep=keep,
+            numbering=(orders, count_initial_rest),
+            statistics=statistics,
+            derivatives=sensitivities,
+            independent=independent,
+            standard_errors=standard_error,
+            realizations=realizations,
+            batch=usual_batch(points.number, samples) if batch is None else batch,
+            dtype=str(jnp.result_type(float)),
+        )
+        self._plan.check()
+        self._folder: Path | None = None
+
+    @classmethod
+    def load(cls, folder: Folder) -> "Sweep":
+        """The sweep that is stored in a folder, to go on with: ``Sweep.load(folder).run(folder)``.
+
+        Args:
+            folder: Where `run` stored it.
+
+        Returns:
+            The sweep.
+
+        Raises:
+            SweepError: For a folder that holds none, one of a newer version, and one of systems or laws of your own
+                classes: those run again from the program that made them.
+        """
+        from .store import Store  # noqa: PLC0415
+
+        sweep = object.__new__(cls)
+        sweep._folder = _checks.path("folder", folder)
+        sweep._plan = Store.reading(sweep._folder).plan(every_point=True)
+        return sweep
+
+    @property
+    def results(self) -> "xarray.Dataset":
+        """What is stored in the folder that the sweep was loaded from, ``Sweep.load(folder).results``.
+
+        It is as `run` returns it, also while a run works there; NaN, and 0 samples, where nothing is yet.
+
+        Raises:
+            SweepError: For a sweep that was not loaded from a folder.
+        """
+        from .reading import stored_dataset  # noqa: PLC0415 - needs an extra
+
+        if self._folder is None:
+            raise SweepError(
+                "Only a sweep that was loaded from a folder has results; call sweep.run(), or "
+                "ss.Sweep.load(folder).results."
+            )
+        return stored_dataset(self._folder)
+
+    def run(
+        self,
+        folder: Folder | None = None,
+        *,
+        threads: int | None = None,
+        workers: int | None = None,
+        executor: Any = None,
+        shared_folder: bool = False,
+        progress: bool | None = None,
+    ) -> "xarray.Dataset":
+        """Simulate all points.
+
+        The same call goes on after an interrupt, wherever it was stopped, and adds points, samples, statistics or
+        sensitivities to what is stored. The numbers are the same wherever it runs. The first Ctrl-C stops after the
+        batches under way and raises KeyboardInterrupt, a second one at once.
+
+        Args:
+            folder: Where every finished batch is stored. Without it, nothing is kept.
+            threads: Number of threads of this process (default: all cores).
+            workers: Number of processes on this machine, in place of threads.
+            executor: A ``dask.distributed.Client`` (docs/clusters.md), in place of threads.
+            shared_folder: Whether the workers of `executor` see `folder` under the same name, and write into it; else
+                they send what they have done.
+            progress: As in `simulate_ensemble`.
+
+        Returns:
+            An ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/sweeps.md describes it.
+
+        Raises:
+            SweepError: For a folder that holds something else or cannot be written, and if points failed.
+            ImportError: Without the extra ``study``.
+        """
+        from .executor_choice import ExecutorChoice  # noqa: PLC0415 - with what runs sweeps only
+        from .run import run_sweep  # noqa: PLC0415 - needs an extra
+
+        require_threads_of_jax()
+        path = None if folder is None else _checks.path("folder", folder)
+        choice = ExecutorChoice(threads, workers, executor, shared_folder)
+        choice.check(has_folder=folder is not None)
+        return run_sweep(self._plan, path, choice, progress)
+
+    @property
+    def points(self) -> int:
+        """The number of points."""
+        return self._plan.points.number
+
+    @property
+    def plan(self) -> Plan:
+        """The checked arguments."""
+        return self._plan
+
+    def ensemble_at(
+        self, *, samples: int | None = None, keep: Keep = "sticks", threads: int | None = None,
+        progress: bool | None = None, **values: float,
+    ) -> Ensemble:  # fmt: skip
+        """The ensemble at one point, simulated now, with every stick: ``sweep.ensemble_at(mu=0.5, rate=1.0)``.
+
+        Args:
+            samples: By default those of the sweep.
+            keep: As in `simulate_ensemble`, and so are `threads` and `progress`.
+            threads: Number of threads.
+            progress: Whether to show a progress bar.
+            **values: Those of all parameters at the point.
+
+        Returns:
+            The ensemble.
+
+        Raises:
+            ValueError: For values that are no point of the sweep.
+        """
+        plan = self._plan
+        samples = plan.samples if samples is None else samples
+        point = self._number_of(values)
+        setting, numbering = plan.setting_at(point), plan.numbering
+        return simulate_ensemble(
+            *setting.model[:2], t1=plan.t1, samples=samples, key=plan.key_at(point), y0=setting.y0,
+            method=setting.method, keep=keep, orders=numbering.orders, count_initial_rest=numbering.count_initial_rest,
+            threads=threads, progress=progress,
+        )  # fmt: skip
+
+    def _number_of(self, values: Mapping[str, float]) -> int:
+        points, given = self._plan.points, _checks.show(dict(values))
+        if set(values) != set(points.parameters):
+            raise ValueError(f"Arguments must be the values of {', '.join(points.parameters)}, but {given} was given.")
+        for name, value in values.items():
+            _checks.numeric(name, value)
+        number = points.number_of(values)
+        if number is None:
+            raise ValueError(f"Arguments must be the values at a point of the sweep, but {given} is none.")
+        return number
+
+    def __repr__(self) -> str:
+        plan = self._plan
+        sizes = " x ".join(f"{len(one)} {', '.join(one.parameters)}" for one in plan.points.dimensions)
+        return (
+            f"Sweep of {plan.points.number:,} points ({sizes}), {plan.samples:,} samples each on [0, {plan.t1:g}] s, "
+            f"keep={plan.keep!r}"
+        )

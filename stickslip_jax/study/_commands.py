@@ -1,0 +1,246 @@
+"""The commands of ``stickslip``: ``study`` for one ensemble; ``sweep``, ``resume``, ``status`` and ``show`` for many.
+
+What only a simulation needs is imported in the functions, so that help and mistakes in options appear without it.
+"""
+
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import jax
+from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+
+from .. import __version__, _compilation_cache
+from ._errors import StudyError
+from ._options import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
+
+if TYPE_CHECKING:
+    import xarray
+
+    from .._sweep.sweep import Sweep
+
+_STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
+
+
+def run(tokens: Sequence[str]) -> None:
+    """Run the command given by `tokens`, the words of the command line.
+
+    Args:
+        tokens: Those after the name of the program.
+
+    Raises:
+        StudyError: For unknown commands and options, values of the wrong type, and mistakes in a file.
+        SweepError: For a sweep that cannot run.
+    """
+    app = App(
+        name="stickslip",
+        version=__version__,
+        help="Exact simulation of stick-slip (dry-friction) oscillators under random motion of their base.",
+        help_formatter="plain",
+    )
+    for command in (study, sweep, resume, status, show):
+        app.command(command, name=command.__name__)
+    try:
+        command, bound, _ = app.parse_args(list(tokens), exit_on_error=False, print_error=False)
+    except UnusedCliTokensError as error:
+        unused = " ".join(error.unused_tokens or [])
+        raise StudyError(f"One file or folder is allowed, but {unused} was given as well.") from None
+    except CycloptsError as error:
+        raise StudyError(" ".join(str(error).split())) from None
+    command(*bound.args, **bound.kwargs)
+
+
+def prepare_jax(dtype: str) -> None:
+    """Set the precision, "float64" or "float32", before JAX starts, and switch the compilation cache on."""
+    jax.config.update("jax_enable_x64", dtype == "float64")
+    problem = _compilation_cache.use()
+    if problem:
+        print("stickslip:", problem, file=sys.stderr)
+
+
+@contextmanager
+def _warnings_as_sentences() -> Iterator[None]:
+    """Print a warning as the sentence that it is, while the block or the decorated function runs."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("always", "The sweep asks for")
+        warnings.showwarning = lambda message, *_, **__: print("stickslip:", message, file=sys.stderr)
+        yield
+
+
+def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Parameter(name="*")] = _STUDY) -> None:
+    """Simulate one ensemble, print its statistics, and store events, statistics and figures.
+
+    The options replace what the configuration says. An existing result is never overwritten without --force.
+
+    Parameters
+    ----------
+    config
+        TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
+        a base that switches at random. Files that it names are relative to its folder.
+    """
+    from ._reading import OPTIONS, read_config  # noqa: PLC0415
+
+    if config is not None and options.print_example is not None:
+        raise StudyError(
+            f"{config} and --print-example {options.print_example} were both given; leave out one of them."
+        )
+    given = {name: getattr(options, name) for name in OPTIONS}
+    described = read_config(config, given, example=options.print_example)
+    if options.print_config or options.print_example is not None:
+        print(described.to_toml(), end="")
+        return
+    prepare_jax(described.run.dtype)
+
+    from ._report import as_json, table  # noqa: PLC0415
+    from ._run import run_study  # noqa: PLC0415
+
+    result = run_study(described, force=options.force, progress=False if options.quiet else options.progress)
+    if not options.quiet:
+        print(table(result), file=sys.stderr if options.json else sys.stdout)
+    if options.json:
+        print(as_json(result))
+
+
+@_warnings_as_sentences()
+def sweep(
+    config: Path | None = None,
+    /,
+    *,
+    options: Annotated[SweepOptions, Parameter(name="*")] = _SWEEP,
+    executors: Annotated[ExecutorOptions, Parameter(name="*")] = _EXECUTORS,
+) -> None:
+    """Run a parameter sweep: the same ensemble at many values of its parameters.
+
+    Every finished batch is stored in the folder. Ctrl-C stops after the batches under way, a second one at once; the
+    same command goes on from there. It also adds points, samples or statistics to a sweep.
+
+    Parameters
+    ----------
+    config
+        TOML file that describes the sweep, with a section [sweep.over]; without it, --paper parametric-analysis.
+    """
+    from ._reading import read_sweep_config  # noqa: PLC0415
+
+    if config is not None and options.paper is not None:
+        raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
+    if options.out is None and not options.print_config:
+        raise StudyError("Option --out must name the folder of the sweep, but was left out.")
+    described = read_sweep_config(config, {"samples": options.samples}, paper=options.paper)
+    if options.out is None or options.print_config:
+        print(described.to_toml(), end="")
+        return
+    prepare_jax(described.run.dtype)
+    from ._sweep_run import sweep_of  # noqa: PLC0415
+
+    source = "" if config is None else f"{config}: "
+    _run_sweep(sweep_of(described, source), options.out.expanduser(), executors)
+
+
+@_warnings_as_sentences()
+def resume(
+    folder: Path, /, *, executors: Annotated[ExecutorOptions, Parameter(name="*")] = _EXECUTORS
+) -> None:  # fmt: skip
+    """Go on with a parameter sweep that was stopped.
+
+    Parameters
+    ----------
+    folder
+        Folder of the sweep.
+    """
+    from .._sweep.store import Store  # noqa: PLC0415
+    from .._sweep.sweep import Sweep  # noqa: PLC0415
+
+    prepare_jax(Store.reading(folder).dtype)
+    _run_sweep(Sweep.load(folder), folder, executors)
+
+
+@_warnings_as_sentences()
+def status(folder: Path, /) -> None:
+    """Say how far a parameter sweep has come, also while it runs.
+
+    Parameters
+    ----------
+    folder
+        Folder of the sweep.
+    """
+    from .._sweep.reading import status_of  # noqa: PLC0415
+    from ._sweep_report import status_text  # noqa: PLC0415
+
+    print(status_text(folder, status_of(folder)))
+
+
+@_warnings_as_sentences()
+def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = None, force: Switch = False) -> None:
+    """Print the statistics of a parameter sweep with their standard errors, and draw them, also while it runs.
+
+    Parameters
+    ----------
+    folder
+        Folder of the sweep.
+    out
+        File for the figure (PNG, PDF or SVG): curves along one parameter, curves or maps over two.
+    statistics
+        What to print and draw, names with commas between them (default: the statistics of totals, and derivatives).
+    force
+        Replace a figure that is there already.
+    """
+    if out is not None and out.suffix.lower() not in FIGURES:
+        raise StudyError(f"option --out must be a file that ends in {', '.join(FIGURES)}, but {out} was given.")
+    from .._sweep.reading import stored_dataset  # noqa: PLC0415
+    from .._sweep.store import Store  # noqa: PLC0415
+
+    prepare_jax(Store.reading(folder).dtype)
+    if out is not None:
+        _check_figure(out, force)
+    dataset = stored_dataset(folder)
+    names = _print_table(dataset, [] if statistics is None else [name.strip() for name in statistics.split(",")])
+    if out is not None:
+        _draw(dataset, names, out, force)
+        print(f"The figure is in {out}.")
+
+
+def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:
+    from .._sweep.store import DATA  # noqa: PLC0415
+    from ._sweep_run import run_stored  # noqa: PLC0415
+
+    dataset = run_stored(
+        sweep, folder, threads=executors.threads, workers=executors.workers, dask=executors.dask,
+        progress=False if executors.quiet else executors.progress,
+    )  # fmt: skip
+    if not executors.quiet:
+        _print_table(dataset)
+        print(f"The result is in {folder / DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")
+
+
+def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
+    from ._sweep_report import chosen_statistics, sweep_table  # noqa: PLC0415
+
+    names = chosen_statistics(dataset, wanted)
+    print(sweep_table(dataset, names))
+    return names
+
+
+def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
+    from .. import plot  # noqa: PLC0415 - slow to load
+
+    dimensions = len(dataset["samples"].dims)
+    if dimensions > 2:
+        raise StudyError(
+            f"option --out draws sweeps of one or two parameters, but this one has {dimensions} dimensions; in Python, "
+            "plot.parameter_sweep(results.isel(...), names) draws a part of it."
+        )
+    plot.save(plot.parameter_sweep(dataset, names), path, overwrite=force)
+
+
+def _check_figure(path: Path, force: bool) -> None:
+    """Raise StudyError where no figure can be written."""
+    from .._files import file_to_write  # noqa: PLC0415
+
+    try:
+        file_to_write(path, overwrite=force)
+    except (ValueError, OSError) as error:
+        said = str(error).replace("Argument path", "option --out").replace("overwrite=True", "--force")
+        raise StudyError(said) from None
