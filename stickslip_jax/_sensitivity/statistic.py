@@ -3,10 +3,12 @@
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Float
 
 from .. import _checks
 from .._statistics.registry import DIFFERENTIABLE, Linear, StatisticOfTotals
@@ -14,14 +16,14 @@ from .._types import Array, Scalar
 
 
 class StickSequence(NamedTuple):
-    """The sticks of one realisation in order of time; arrays (slots,), in which `mask` marks the filled slots.
+    """The sticks of one realisation in order of time; `mask` marks the filled slots, the empty ones come last.
 
-    `start`, `duration`: s; 0 in empty slots, which come last.
+    `start`, `duration`: s; 0 in empty slots.
     """
 
-    start: Array
-    duration: Array
-    mask: Array
+    start: Float[Array, " slots"]
+    duration: Float[Array, " slots"]
+    mask: Bool[Array, " slots"]
 
 
 class StickStatistic(abc.ABC):
@@ -56,7 +58,7 @@ class OfTotals(StickStatistic):
         return self.definition.unit
 
     @property
-    def is_blind_to_events(self) -> bool:
+    def ignores_stick_count(self) -> bool:
         """Whether sticks of zero length do not change it: then its derivative has no event part."""
         return self.definition.numerator.stick_count == self.definition.denominator.stick_count == 0
 
@@ -158,7 +160,7 @@ class StickFunctional(StickStatistic):
     Raises ValueError unless `function` can be called.
     """
 
-    function: Callable[[StickSequence], Any]
+    function: Callable[[StickSequence], ArrayLike]
     name: str = "user's functional"
     unit: str = "1"
 

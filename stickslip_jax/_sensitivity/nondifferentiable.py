@@ -1,24 +1,31 @@
-"""Warnings where no derivative exists: a first arc that exactly grazes in every trajectory; special base speeds."""
+"""Warnings where no derivative exists: a first arc that grazes exactly in every trajectory; special base speeds."""
 
 import warnings
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from .._dynamics.interval.engine import scales_of, start_motion
+from .._dynamics.interval.lanes import IntervalEngine
 from .._inputs.numbers import Parameter, Path, number_at, with_numbers
 from .._numerics.random_bits import random_words
 from .._types import Array
-from .edges import relative_excess
+from .boundaries import relative_excess
 from .problem import Problem
 
 _LANES = 64  # enough to draw every first velocity that is not rare
 _EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
 _SPECIAL = (1.0, 2.0, 3.0, 8.0, 15.0)  # values of w (docs/sensitivity.md)
+
+_Words: TypeAlias = tuple[Array, Array]
+"""The key data of each lane, two arrays (lanes,)."""
+_Function: TypeAlias = Callable[[IntervalEngine, _Words, np.dtype], Array]
+"""A number of each lane's first interval, (lanes, ...)."""
 
 
 def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
@@ -38,17 +45,17 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
     return tuple(moved)
 
 
-def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
+def warn_at_special_speeds(problem: Problem, already_warned: tuple[str, ...]) -> None:
     """RuntimeWarning where the base speed over ``a omega``, w, is one of `_SPECIAL`, and a parameter changes it.
 
     There the circle on which the mass leaves a stick passes through special points of the phase plane, or the mass,
     where the base reverses as it is farthest out, comes back on the edge of the stick band. The mean number of sticks
-    has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
+    has no derivative: differences grow as steps shrink. `already_warned`: parameters with a warning.
     """
     if not problem.by_intervals or _speed_differs(problem):
         return
     found, moved = _zeros(problem, _from_special_speeds)
-    moved = [name for name in moved if name not in warned]
+    moved = [name for name in moved if name not in already_warned]
     if moved:
         special = _SPECIAL[int(np.argmax(np.any(found, axis=0)))]
         warnings.warn(
@@ -60,21 +67,21 @@ def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
         )
 
 
-def _excess(engine: Any, key_data: Any, dtype: Any) -> Array:
-    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above. (lanes,)"""
+def _excess(engine: IntervalEngine, key_data: _Words, dtype: np.dtype) -> Float[Array, " lanes"]:
+    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above."""
     scales = scales_of(engine.system, engine.t1, dtype)
     motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
     return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(_velocities(engine, key_data, dtype))
 
 
-def _from_special_speeds(engine: Any, key_data: Any, dtype: Any) -> Array:
-    """``w`` of the first base speed less each special one, (lanes, special speeds); 1 for a base at rest."""
+def _from_special_speeds(engine: IntervalEngine, key_data: _Words, dtype: np.dtype) -> Float[Array, "lanes special"]:
+    """``w`` of the first base speed less each special one; 1 for a base at rest."""
     scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, key_data, dtype)[:, None]
     w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
     return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], dtype))
 
 
-def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
+def _velocities(engine: IntervalEngine, key_data: _Words, dtype: np.dtype) -> Float[Array, " lanes"]:
     """The first base velocity of each lane, m/s."""
 
     def of(high, low):
@@ -85,7 +92,7 @@ def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
     return jax.vmap(of)(*key_data)
 
 
-def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray, list[str]]:
+def _zeros(problem: Problem, function: _Function) -> tuple[Bool[np.ndarray, "..."], list[str]]:
     """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
     # Only where all samples are the same system; what differs in their starts does not matter here.
     problem = problem._replace(
@@ -117,7 +124,13 @@ def _is_shared(problem: Problem, parameter: Parameter) -> bool:
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
 def _with_slopes(
-    engine: Any, key_data: Any, values: Array, *, function: Callable[..., Array], paths: tuple[Path, ...], dtype: Any
+    engine: IntervalEngine,
+    key_data: _Words,
+    values: Array,
+    *,
+    function: _Function,
+    paths: tuple[Path, ...],
+    dtype: np.dtype,
 ) -> tuple[Array, Array]:
     """Values of the function, and its derivatives by the parameters along a last axis."""
 

@@ -2,59 +2,62 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
-from .._dynamics.lanes import Job, summarize
+from .._dynamics.lanes import Engine, Job, summarize
 from .._inputs.numbers import Path, number_at, with_numbers
 from .._numerics.compiling import CompiledNatively
 from .._numerics.moments import Moments
 from .._status import Status
-from .._types import AnyInteger, Array
-from .sequences import BufferSizes, features_of, record_sequences
+from .._types import AnyArray, AnyInteger, Array, IntArray
+from .sequences import BufferSizes, Features, RecordingEngine, features_of, record_sequences
 from .statistic import StickStatistic
+
+_Value = TypeVar("_Value")
+_Other = TypeVar("_Other")
 
 
 class Rows(NamedTuple):
-    """Results per sample: status (samples,); the numbers to take moments of, `columns` (samples, columns).
+    """Results per sample: status, the numbers to take moments of, and how many distances were inside each window."""
 
-    `near` (parameters, samples, windows): how many margins each window reached.
-    """
-
-    status: np.ndarray
-    columns: np.ndarray
-    near: np.ndarray
+    status: Int[np.ndarray, " samples"]
+    columns: Float[np.ndarray, "samples columns"]
+    in_window: Float[np.ndarray, "parameters samples windows"]
 
     @classmethod
     def of(
-        cls, status: np.ndarray, parts: np.ndarray, slopes: np.ndarray, pathwise: np.ndarray, near: np.ndarray
+        cls,
+        status: Int[np.ndarray, " samples"],
+        parts: Float[np.ndarray, "samples 2"],
+        slopes: Float[np.ndarray, "paths samples windows 2"],
+        pathwise: Float[np.ndarray, "paths samples 2"],
+        in_window: Float[np.ndarray, "parameters samples windows"],
     ) -> "Rows":
-        """Rows whose columns are numerator and denominator, their derivatives, and the pathwise parts of these.
-
-        - `parts`: (samples, 2); `slopes`: (parameters, samples, windows, 2); `pathwise`: (parameters, samples, 2).
-        """
+        """Rows whose columns are numerator and denominator, their derivatives, and the pathwise parts of these."""
         columns = (np.moveaxis(leaf, 1, 0).reshape(len(parts), -1) for leaf in (slopes, pathwise))
-        return cls(status, np.concatenate([parts, *columns], axis=1), near)
+        return cls(status, np.concatenate([parts, *columns], axis=1), in_window)
 
 
 class Accumulator(NamedTuple):
     """Sums over the finished samples: moments of the columns, for each half of the samples (every other one).
 
-    `near` (parameters, windows): how many margins the windows reached.
+    `in_window`: how many distances were inside each window.
     """
 
     halves: tuple[Moments, Moments]
-    near: np.ndarray
+    in_window: Float[np.ndarray, "parameters windows"]
 
     @classmethod
     def of(cls, rows: Rows) -> "Accumulator":
         """The sums of one chunk."""
         done = rows.status == Status.FINISHED
         first, second = (Moments.of(rows.columns[half::2][done[half::2]]) for half in (0, 1))
-        return cls((first, second), rows.near[:, done].sum(axis=1))
+        return cls((first, second), rows.in_window[:, done].sum(axis=1))
 
     @property
     def moments(self) -> Moments:
@@ -64,7 +67,7 @@ class Accumulator(NamedTuple):
     def merge(self, other: "Accumulator") -> "Accumulator":
         """The sums of both."""
         first, second = (one.merge(two) for one, two in zip(self.halves, other.halves, strict=True))
-        return Accumulator((first, second), self.near + other.near)
+        return Accumulator((first, second), self.in_window + other.in_window)
 
 
 def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Accumulator:
@@ -79,8 +82,8 @@ def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: in
 
 
 def derivatives_of(
-    function: Callable[[Array], tuple[Any, Any]], engine: Any, paths: tuple[Path, ...], dtype: Any
-) -> Any:
+    function: Callable[[Array], tuple[_Value, _Other]], engine: Engine, paths: tuple[Path, ...], dtype: np.dtype
+) -> tuple[_Value, _Value, _Other]:
     """Value of `function` of the engine's numbers at `paths`, its derivatives along a first axis, its other output.
 
     One pass simulates the motion once for all. The numbers are varied in units of their own size (1 where it is 0), so
@@ -95,14 +98,22 @@ def derivatives_of(
     return jax.vmap(along, out_axes=(None, 0, None))(jnp.diag(units))
 
 
-def units_of(engine: Any, paths: tuple[Path, ...]) -> np.ndarray:
-    """The units in which `derivatives_of` varies the numbers at `paths`, (paths,)."""
+def units_of(engine: Engine, paths: tuple[Path, ...]) -> Float[np.ndarray, " paths"]:
+    """The units in which `derivatives_of` varies the numbers at `paths`."""
     return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
 
 
+class CountedSlopes(NamedTuple):
+    """Derivatives of the fields of `Counted`."""
+
+    stick_time: Float[AnyArray, "paths rows lanes"]
+    event_parts: tuple[Float[AnyArray, "paths rows lanes"], ...]
+    in_window: tuple[Float[AnyArray, "paths rows lanes"], ...]
+
+
 def _count(
-    engine: Any,
-    own: Any,
+    engine: Engine,
+    own: tuple[AnyArray, ...],
     key_data: Array,
     first: AnyInteger,
     used_rows: AnyInteger,
@@ -110,64 +121,70 @@ def _count(
     paths: tuple[Path, ...],
     lanes: int,
     rows: int,
-    dtype: Any,
-) -> tuple[Any, Any, Any]:
-    """Totals, their derivatives by the numbers at `paths`, and status.
-
-    Total stick time and number of sticks (rows, lanes); the derivatives of stick time, `births` and `near` (paths,
-    rows, lanes), the last two for each window; status (rows, lanes).
-    """
+    dtype: np.dtype,
+) -> tuple[tuple[Array, Array], CountedSlopes, IntArray]:
+    """Total stick time and number of sticks, their derivatives by the numbers at `paths`, and status; (rows, lanes)."""
 
     def run(values):
         job = Job(with_numbers(engine, paths, values), key_data, first, used_rows, own)
         counted = summarize(job, lanes=lanes, rows=rows, dtype=dtype)
-        return (counted.stick_time, counted.births, counted.near), (counted.sticks, counted.status)
+        slopes = CountedSlopes(counted.stick_time, counted.event_parts, counted.in_window)
+        return slopes, (counted.sticks, counted.status)
 
-    (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
-    return (time, sticks), slopes, status
+    values, slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
+    return (values.stick_time, sticks), slopes, status
+
+
+class RecordedCounts(NamedTuple):
+    """Of every lane's sample: status, and how many slots its sticks and its candidates would need."""
+
+    status: Int[AnyArray, " lanes"]
+    sticks: Int[AnyArray, " lanes"]
+    candidates: Int[AnyArray, " lanes"]
 
 
 def _sequence(
     statistic: StickStatistic,
-    engine: Any,
-    own: Any,
-    bandwidths: Array,
+    engine: RecordingEngine,
+    own: tuple[AnyArray, ...],
+    bandwidths: AnyArray,
     key_data: Array,
-    first: Array,
+    first: AnyInteger,
     *,
     paths: tuple[Path, ...],
     lanes: int,
     buffer: BufferSizes,
-    dtype: Any,
-) -> Any:
-    """`Features`, their derivatives by the numbers at `paths` along a first axis, and (status, sticks, edges) (lanes,).
+    dtype: np.dtype,
+) -> tuple[Features, Features, RecordedCounts]:
+    """`Features`, their derivatives by the numbers at `paths` along a first axis, and the counts of each lane.
 
-    The derivatives are pathwise parts, event parts, and how many margins the windows reached.
+    The derivatives are pathwise parts, event parts, and how many distances the windows hold.
     """
 
     def run(values):
         varied = with_numbers(engine, paths, values)
         recorded = record_sequences(varied, own, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
         features = features_of(statistic, varied, recorded, bandwidths)
-        return features, (recorded.status, recorded.sticks, recorded.edges)
+        return features, RecordedCounts(recorded.status, recorded.sticks, recorded.candidates)
 
     return derivatives_of(run, engine, paths, dtype)
 
 
 def _values(
     statistic: StickStatistic,
-    engine: Any,
-    own: Any,
+    engine: RecordingEngine,
+    own: tuple[AnyArray, ...],
     key_data: Array,
-    first: Array,
+    first: AnyInteger,
     *,
     lanes: int,
     buffer: BufferSizes,
-    dtype: Any,
-) -> Any:
-    """Parts (lanes, 2), status and number of sticks (lanes,). `buffer.edges` must be 0."""
+    dtype: np.dtype,
+) -> tuple[Float[Array, "lanes 2"], RecordedCounts]:
+    """Parts of the statistic, and the counts of each lane. `buffer.candidates` must be 0."""
     recorded = record_sequences(engine, own, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
-    return features_of(statistic, engine, recorded, np.zeros(0)).parts, recorded.status, recorded.sticks
+    parts = features_of(statistic, engine, recorded, np.zeros(0)).parts
+    return parts, RecordedCounts(recorded.status, recorded.sticks, recorded.candidates)
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
