@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,24 +23,22 @@ _Other = TypeVar("_Other")
 
 
 class Rows(NamedTuple):
-    """Results per sample: status, the numbers to take moments of, and how many distances were inside each window."""
+    """Results of samples: numerator and denominator, their derivatives, and the pathwise parts of these.
+
+    `in_window`: how many distances were inside each window.
+    """
 
     status: Int[np.ndarray, " samples"]
-    columns: Float[np.ndarray, "samples columns"]
-    in_window: Float[np.ndarray, "parameters samples windows"]
+    parts: Float[np.ndarray, "samples 2"]
+    slopes: Float[np.ndarray, "paths samples windows 2"]
+    pathwise: Float[np.ndarray, "paths samples 2"]
+    in_window: Float[np.ndarray, "paths samples windows"]
 
-    @classmethod
-    def of(
-        cls,
-        status: Int[np.ndarray, " samples"],
-        parts: Float[np.ndarray, "samples 2"],
-        slopes: Float[np.ndarray, "paths samples windows 2"],
-        pathwise: Float[np.ndarray, "paths samples 2"],
-        in_window: Float[np.ndarray, "parameters samples windows"],
-    ) -> "Rows":
-        """Rows whose columns are numerator and denominator, their derivatives, and the pathwise parts of these."""
-        columns = (np.moveaxis(leaf, 1, 0).reshape(len(parts), -1) for leaf in (slopes, pathwise))
-        return cls(status, np.concatenate([parts, *columns], axis=1), in_window)
+    @property
+    def columns(self) -> Float[np.ndarray, "samples columns"]:
+        """The numbers to take moments of."""
+        columns = (np.moveaxis(leaf, 1, 0).reshape(len(self.parts), -1) for leaf in (self.slopes, self.pathwise))
+        return np.concatenate([self.parts, *columns], axis=1)
 
 
 class Accumulator(NamedTuple):
@@ -56,7 +54,8 @@ class Accumulator(NamedTuple):
     def of(cls, rows: Rows) -> "Accumulator":
         """The sums of one chunk."""
         done = rows.status == Status.FINISHED
-        first, second = (Moments.of(rows.columns[half::2][done[half::2]]) for half in (0, 1))
+        columns = rows.columns
+        first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
         return cls((first, second), rows.in_window[:, done].sum(axis=1))
 
     @property
@@ -103,12 +102,8 @@ def units_of(engine: Engine, paths: tuple[Path, ...]) -> Float[np.ndarray, " pat
     return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
 
 
-class CountedSlopes(NamedTuple):
-    """Derivatives of the fields of `Counted`."""
-
-    stick_time: Float[AnyArray, "paths rows lanes"]
-    event_parts: tuple[Float[AnyArray, "paths rows lanes"], ...]
-    in_window: tuple[Float[AnyArray, "paths rows lanes"], ...]
+_Slopes: TypeAlias = tuple[Array, tuple[Array, ...], tuple[Array, ...]]
+"""Derivatives of stick time, and of `event_parts` and `in_window` of `Counted`, (paths, rows, lanes)."""
 
 
 def _count(
@@ -122,17 +117,16 @@ def _count(
     lanes: int,
     rows: int,
     dtype: np.dtype,
-) -> tuple[tuple[Array, Array], CountedSlopes, IntArray]:
+) -> tuple[tuple[Array, Array], _Slopes, IntArray]:
     """Total stick time and number of sticks, their derivatives by the numbers at `paths`, and status; (rows, lanes)."""
 
     def run(values):
         job = Job(with_numbers(engine, paths, values), key_data, first, used_rows, own)
         counted = summarize(job, lanes=lanes, rows=rows, dtype=dtype)
-        slopes = CountedSlopes(counted.stick_time, counted.event_parts, counted.in_window)
-        return slopes, (counted.sticks, counted.status)
+        return (counted.stick_time, counted.event_parts, counted.in_window), (counted.sticks, counted.status)
 
-    values, slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
-    return (values.stick_time, sticks), slopes, status
+    (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
+    return (time, sticks), slopes, status
 
 
 class RecordedCounts(NamedTuple):

@@ -115,7 +115,7 @@ def _differences(
         slopes = np.moveaxis(np.reshape(slopes, (*shape, 2)), 2, 1)
         pathwise = np.zeros((parameters, number, 2)) if pathwise_of is None else pathwise_of(first, number)
         differs = np.moveaxis(np.reshape(differs, shape), 2, 1).astype(float)
-        return Rows.of(np.max([status, *statuses], axis=0), parts, slopes, pathwise, differs)
+        return Rows(np.max([status, *statuses], axis=0), parts, slopes, pathwise, differs)
 
     accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
     return accumulator, columns_of(parameters, steps, parameters)

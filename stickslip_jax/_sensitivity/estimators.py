@@ -5,7 +5,6 @@ from functools import partial
 from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from .._dynamics.lanes import Engine
 from .._inputs.numbers import Path
@@ -70,8 +69,8 @@ def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Estimated
     per_task, count = counter(problem, engine, tuple(paths))
 
     def simulate(first: int, samples: int) -> Rows:
-        found = count(first, samples)
-        return Rows.of(found.status, found.parts, found.slopes, found.pathwise, found.in_window[:number])
+        rows = count(first, samples)
+        return rows._replace(in_window=rows.in_window[:number])
 
     accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
     return accumulator, columns_of(number, max(1, len(bandwidths)), len(paths), pathwise)
@@ -112,44 +111,31 @@ def wrapped_paths(problem: Problem) -> tuple[Path, ...]:
     return tuple(map(wrapped_path, problem.paths()))
 
 
-class CountedParts(NamedTuple):
-    """What `counter` finds of samples: parts, their derivatives by every path, and the pathwise parts of these."""
-
-    parts: Float[np.ndarray, "samples 2"]
-    slopes: Float[np.ndarray, "paths samples windows 2"]
-    pathwise: Float[np.ndarray, "paths samples 2"]
-    in_window: Float[np.ndarray, "paths samples windows"]  # how many distances are inside
-    status: Int[np.ndarray, " samples"]
-
-
-def counter(
-    problem: Problem, engine: Engine, paths: tuple[Path, ...]
-) -> tuple[int, Callable[[int, int], CountedParts]]:
+def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> tuple[int, Callable[[int, int], Rows]]:
     """The largest number of samples of a task, and a function of a task's first sample and number of samples."""
     assert isinstance(problem.statistic, OfTotals)
     lanes, rows, per_task = lanes_and_rows(problem)
     weights = problem.statistic.weights(problem.t1)
     units = units_of(engine, paths)[:, None]
 
-    def count(first: int, number: int) -> CountedParts:
-        totals, slopes, status = count_chunk[is_own(engine)](
+    def count(first: int, number: int) -> Rows:
+        totals, (d_time, d_events, d_window), status = count_chunk[is_own(engine)](
             engine, problem.own_leaves(first, lanes * rows), problem.key_data, np.uint32(first),
             np.int32(-(-number // lanes)), paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
         )  # fmt: skip
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)
-        time = flat(slopes.stick_time, number) / units
-        event_parts = [flat(leaf, number) / units for leaf in slopes.event_parts]
+        time, event_parts = flat(d_time, number) / units, [flat(leaf, number) / units for leaf in d_events]
         # The number of sticks has no pathwise derivative: it is locally constant.
         pathwise = time[..., None] * weights[:, 0]
-        derivatives = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts] or [pathwise]
-        derivatives = np.stack(derivatives, axis=2)
-        in_window = [flat(leaf, number) for leaf in slopes.in_window]
-        in_window = np.stack(in_window, axis=-1) if in_window else np.zeros(derivatives.shape[:3])
+        slopes = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts] or [pathwise]
+        slopes = np.stack(slopes, axis=2)
+        in_window = [flat(leaf, number) for leaf in d_window]
+        in_window = np.stack(in_window, axis=-1) if in_window else np.zeros(slopes.shape[:3])
         for index, path in enumerate(paths):
             if "likelihood" in path:  # uses no window: it rests on all sticks
                 in_window[index] = totals[:, 1:]
         parts = totals @ weights[:, :2].T + weights[:, 2]
-        return CountedParts(parts, derivatives, pathwise, in_window, flat(status, number).astype(int))
+        return Rows(flat(status, number).astype(int), parts, slopes, pathwise, in_window)
 
     return per_task, count
 
@@ -164,7 +150,7 @@ def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Estimate
         pathwise, events = (np.asarray(leaf, float)[:, :number] for leaf in (slopes.parts, slopes.event_parts))
         derivatives = (pathwise[:, :, None] + events) / units[..., None]
         parts, in_window = np.asarray(features.parts, float)[:number], np.asarray(slopes.in_window, float)[:, :number]
-        return Rows.of(np.asarray(status)[:number], parts, derivatives, pathwise / units, in_window)
+        return Rows(np.asarray(status)[:number], parts, derivatives, pathwise / units, in_window)
 
     accumulator = run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
     return accumulator, columns_of(parameters, len(bandwidths), parameters)

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._dynamics.interval.engine import scales_of, start_motion
+from .._dynamics.interval.engine import Scales, scales_of, start_motion
 from .._dynamics.interval.lanes import IntervalEngine
+from .._dynamics.lanes import Engine
 from .._inputs.numbers import Parameter, Path, number_at, with_numbers
 from .._numerics.random_bits import random_words
 from .._types import Array
@@ -22,10 +23,8 @@ _LANES = 64  # enough to draw every first velocity that is not rare
 _EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
 _SPECIAL = (1.0, 2.0, 3.0, 8.0, 15.0)  # values of w (docs/sensitivity.md)
 
-_Words: TypeAlias = tuple[Array, Array]
-"""The key data of each lane, two arrays (lanes,)."""
-_Function: TypeAlias = Callable[[IntervalEngine, _Words, np.dtype], Array]
-"""A number of each lane's first interval, (lanes, ...)."""
+_Function: TypeAlias = Callable[[IntervalEngine, Scales, Float[Array, " lanes"]], Array]
+"""Of an engine, its scales, and the first base velocity of each lane: numbers of each lane, (lanes, ...)."""
 
 
 def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
@@ -67,21 +66,20 @@ def warn_at_special_speeds(problem: Problem, already_warned: tuple[str, ...]) ->
         )
 
 
-def _excess(engine: IntervalEngine, key_data: _Words, dtype: np.dtype) -> Float[Array, " lanes"]:
+def _excess(engine: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Float[Array, " lanes"]:
     """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above."""
-    scales = scales_of(engine.system, engine.t1, dtype)
     motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
-    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(_velocities(engine, key_data, dtype))
+    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(velocities)
 
 
-def _from_special_speeds(engine: IntervalEngine, key_data: _Words, dtype: np.dtype) -> Float[Array, "lanes special"]:
-    """``w`` of the first base speed less each special one; 1 for a base at rest."""
-    scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, key_data, dtype)[:, None]
+def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Array:
+    """``w`` of the first base speed less each special one, (lanes, special speeds); 1 for a base at rest."""
+    velocity = velocities[:, None]
     w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
-    return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], dtype))
+    return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], velocity.dtype))
 
 
-def _velocities(engine: IntervalEngine, key_data: _Words, dtype: np.dtype) -> Float[Array, " lanes"]:
+def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: np.dtype) -> Float[Array, " lanes"]:
     """The first base velocity of each lane, m/s."""
 
     def of(high, low):
@@ -102,9 +100,8 @@ def _zeros(problem: Problem, function: _Function) -> tuple[Bool[np.ndarray, "...
     if not problem.parameters:
         return np.zeros(0, bool), []
     key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
-    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
-    found, slopes = _with_slopes(engine, key_data, values, function=function, paths=problem.paths(), dtype=dtype)
+    found, slopes = _with_slopes(engine, key_data, function=function, paths=problem.paths(), dtype=dtype)
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
@@ -124,17 +121,13 @@ def _is_shared(problem: Problem, parameter: Parameter) -> bool:
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
 def _with_slopes(
-    engine: IntervalEngine,
-    key_data: _Words,
-    values: Array,
-    *,
-    function: _Function,
-    paths: tuple[Path, ...],
-    dtype: np.dtype,
+    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[Path, ...], dtype: np.dtype
 ) -> tuple[Array, Array]:
     """Values of the function, and its derivatives by the parameters along a last axis."""
 
     def of(values: Array) -> Array:
-        return function(with_numbers(engine, paths, values), key_data, dtype)
+        here = with_numbers(engine, paths, values)
+        return function(here, scales_of(here.system, here.t1, dtype), _velocities(here, key_data, dtype))
 
+    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
     return of(values), jax.jacfwd(of)(values)

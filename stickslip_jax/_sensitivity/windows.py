@@ -5,6 +5,7 @@ chooses for the other: given the choice, the error is that of a fixed window.
 """
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,9 @@ from .chunks import Accumulator
 from .estimate import Gradient, gradient_of_ratio
 from .estimators import DerivativeColumns
 
+_InWindow: TypeAlias = Float[np.ndarray, " windows"]
+"""How many sticks each window holds."""
+
 FEW = 100  # sticks: a narrower window with fewer is too noisy to judge others by
 _AGREE = 2.0  # standard errors
 _DISAGREE = 4.0  # standard errors: by chance alone two windows differ so much once in 16,000 times
@@ -21,15 +25,12 @@ _ROUND_OFF = 1e-12  # relative
 
 
 def estimate(
-    accumulator: Accumulator,
-    columns: DerivativeColumns,
-    in_window: Float[np.ndarray, " windows"],
-    elasticity_at: float | None,
+    accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow, elasticity_at: float | None
 ) -> tuple[Gradient, int]:
     """The derivative by one parameter, and the index of its window, the narrower one where the halves differ.
 
-    `in_window`: how many sticks each window holds. `elasticity_at`: the parameter's value, for elasticities. Where no
-    two windows agree (`windows_disagree`), the error is NaN: that of the narrowest window says nothing of its bias.
+    `elasticity_at`: the parameter's value, for elasticities. Where no two windows agree (`windows_disagree`), the error
+    is NaN: that of the narrowest window says nothing of its bias.
     """
 
     def derivative(moments: Moments, window: int) -> Gradient:
@@ -50,22 +51,18 @@ def estimate(
     return whole._replace(derivative=mixed, standard_error=error), max(for_first, for_second)
 
 
-def windows_disagree(
-    accumulator: Accumulator, columns: DerivativeColumns, in_window: Float[np.ndarray, " windows"]
-) -> bool:
+def windows_disagree(accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow) -> bool:
     """Whether even the two narrowest windows with enough sticks disagree by more than chance explains."""
     usable = _usable(columns, in_window)
     return len(usable) > 1 and _widest(accumulator.moments, columns, in_window, _DISAGREE) == usable[-1]
 
 
-def _usable(columns: DerivativeColumns, in_window: Float[np.ndarray, " windows"]) -> list[int]:
+def _usable(columns: DerivativeColumns, in_window: _InWindow) -> list[int]:
     """Indices of the widest window and of all others with enough sticks."""
     return [window for window in range(len(columns.derivative)) if window == 0 or in_window[window] >= FEW]
 
 
-def _widest(
-    moments: Moments, columns: DerivativeColumns, in_window: Float[np.ndarray, " windows"], agree: float
-) -> int:
+def _widest(moments: Moments, columns: DerivativeColumns, in_window: _InWindow, agree: float) -> int:
     """Index of the widest window whose derivative is within `agree` standard errors of those of all narrower ones."""
     usable = _usable(columns, in_window)
     mean, covariance = moments.mean, moments.covariance_of_mean
