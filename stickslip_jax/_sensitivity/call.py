@@ -19,15 +19,7 @@ from .differences import differenced, differenced_ensembles
 from .estimate import Estimator, Sensitivities, Sensitivity
 from .estimators import DerivativeColumns, Estimated, counted, recorded
 from .nondifferentiable import warn_at_special_speeds, warn_if_grazing
-from .pilot import (
-    COUNTED_WINDOWS,
-    PAIRED_WINDOWS,
-    RECORDED_WINDOWS,
-    problem_of,
-    relative_bandwidth_of,
-    require_correctable,
-    require_precision,
-)
+from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem
 from .statistic import StickStatistic
 
@@ -146,13 +138,13 @@ def _corrected(
     require_correctable(problem)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
     if problem.is_paired:
-        bandwidths = widest * np.array(PAIRED_WINDOWS)
+        bandwidths = widest * np.array(windows.PAIRED)
         estimated = differenced(problem, pilot, bandwidths, with_pathwise=True)
     elif problem.is_counted:
-        bandwidths = widest * np.array([1.0] if problem.ignores_stick_count else COUNTED_WINDOWS)
+        bandwidths = widest * np.array([1.0] if problem.ignores_stick_count else windows.COUNTED)
         estimated = counted(problem, pilot, np.zeros(0) if problem.ignores_stick_count else bandwidths)
     else:
-        bandwidths = widest * np.array(RECORDED_WINDOWS)
+        bandwidths = widest * np.array(windows.RECORDED)
         estimated = recorded(problem, pilot, bandwidths)
     grazing = warn_if_grazing(problem)
     results = _results(problem, estimated, bandwidths, elasticity, "corrected", grazing)
@@ -198,7 +190,7 @@ def _warn_of_disagreement(
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
     """Finite differences with the given `step`, or with the wider of two steps that agree."""
-    steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(PAIRED_WINDOWS)
+    steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(windows.PAIRED)
     if isinstance(problem.method, Regularized):
         estimated = differenced_ensembles(problem, steps)
     else:

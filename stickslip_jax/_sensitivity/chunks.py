@@ -14,8 +14,8 @@ from .._inputs.numbers import Path, number_at, with_numbers
 from .._numerics.compiling import CompiledNatively
 from .._numerics.moments import Moments
 from .._status import Status
-from .._types import AnyArray, AnyInteger, Array, IntArray
-from .sequences import BufferSizes, Features, RecordingEngine, features_of, record_sequences
+from .._types import AnyArray, Array, IntArray
+from .sequences import BufferSizes, Features, features_of, record_sequences
 from .statistic import StickStatistic
 
 _Value = TypeVar("_Value")
@@ -107,25 +107,16 @@ _Slopes: TypeAlias = tuple[Array, tuple[Array, ...], tuple[Array, ...]]
 
 
 def _count(
-    engine: Engine,
-    own: tuple[AnyArray, ...],
-    key_data: Array,
-    first: AnyInteger,
-    used_rows: AnyInteger,
-    *,
-    paths: tuple[Path, ...],
-    lanes: int,
-    rows: int,
-    dtype: np.dtype,
+    job: Job, *, paths: tuple[Path, ...], lanes: int, rows: int, dtype: np.dtype
 ) -> tuple[tuple[Array, Array], _Slopes, IntArray]:
     """Total stick time and number of sticks, their derivatives by the numbers at `paths`, and status; (rows, lanes)."""
 
     def run(values):
-        job = Job(with_numbers(engine, paths, values), key_data, first, used_rows, own)
-        counted = summarize(job, lanes=lanes, rows=rows, dtype=dtype)
+        varied = job._replace(engine=with_numbers(job.engine, paths, values))
+        counted = summarize(varied, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.event_parts, counted.in_window), (counted.sticks, counted.status)
 
-    (time, _, _), slopes, (sticks, status) = derivatives_of(run, engine, paths, dtype)
+    (time, _, _), slopes, (sticks, status) = derivatives_of(run, job.engine, paths, dtype)
     return (time, sticks), slopes, status
 
 
@@ -139,11 +130,8 @@ class RecordedCounts(NamedTuple):
 
 def _sequence(
     statistic: StickStatistic,
-    engine: RecordingEngine,
-    own: tuple[AnyArray, ...],
+    job: Job,
     bandwidths: AnyArray,
-    key_data: Array,
-    first: AnyInteger,
     *,
     paths: tuple[Path, ...],
     lanes: int,
@@ -156,28 +144,20 @@ def _sequence(
     """
 
     def run(values):
-        varied = with_numbers(engine, paths, values)
-        recorded = record_sequences(varied, own, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
-        features = features_of(statistic, varied, recorded, bandwidths)
+        varied = job._replace(engine=with_numbers(job.engine, paths, values))
+        recorded = record_sequences(varied, lanes=lanes, buffer=buffer, dtype=dtype)
+        features = features_of(statistic, varied.engine, recorded, bandwidths)
         return features, RecordedCounts(recorded.status, recorded.sticks, recorded.candidates)
 
-    return derivatives_of(run, engine, paths, dtype)
+    return derivatives_of(run, job.engine, paths, dtype)
 
 
 def _values(
-    statistic: StickStatistic,
-    engine: RecordingEngine,
-    own: tuple[AnyArray, ...],
-    key_data: Array,
-    first: AnyInteger,
-    *,
-    lanes: int,
-    buffer: BufferSizes,
-    dtype: np.dtype,
+    statistic: StickStatistic, job: Job, *, lanes: int, buffer: BufferSizes, dtype: np.dtype
 ) -> tuple[Float[Array, "lanes 2"], RecordedCounts]:
     """Parts of the statistic, and the counts of each lane. `buffer.candidates` must be 0."""
-    recorded = record_sequences(engine, own, key_data, first, lanes=lanes, buffer=buffer, dtype=dtype)
-    parts = features_of(statistic, engine, recorded, np.zeros(0)).parts
+    recorded = record_sequences(job, lanes=lanes, buffer=buffer, dtype=dtype)
+    parts = features_of(statistic, job.engine, recorded, np.zeros(0)).parts
     return parts, RecordedCounts(recorded.status, recorded.sticks, recorded.candidates)
 
 

@@ -133,10 +133,9 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
     _, count = counter(problem, counting_engine(problem, pilot, np.zeros(0)), wrapped_paths(problem))
 
     def values(engine: Engine, first: int, number: int) -> _Values:
-        engine, own = _drawn(problem, engine, first, lanes * rows)
-        job = Job(engine, problem.key_data, np.uint32(first), np.int32(-(-number // lanes)), own)
+        job = _drawn(problem.job(engine, first, lanes * rows, -(-number // lanes)))
         with_records = problem.random is not None and problem.random.inputs.has_sampled_law
-        results = chunks_of(engine, with_records=with_records).summarize(
+        results = chunks_of(job.engine, with_records=with_records).summarize(
             job, lanes=lanes, rows=rows, dtype=problem.dtype
         )
         totals = (flat(leaf, number) for leaf in (results.stick_time, results.sticks, results.status))
@@ -153,10 +152,10 @@ def _of_totals(
     return _Values(totals @ weights[:, :2].T + weights[:, 2], status.astype(int), sticks)
 
 
-def _drawn(problem: Problem, engine: Engine, first: int, number: int) -> tuple[Engine, tuple[AnyArray, ...]]:
-    """The engine, and the own leaves of its samples drawn: one of them then serves both ends of a difference."""
-    own = problem.own_leaves(first, number)
-    return engine.drawn(own) if isinstance(engine, RandomEngine) else (engine, own)
+def _drawn(job: Job) -> Job:
+    """The job with its random numbers drawn: both ends of a difference are then compiled once."""
+    engine, own = job.engine.drawn(job.own) if isinstance(job.engine, RandomEngine) else (job.engine, job.own)
+    return job._replace(engine=engine, own=own)
 
 
 def _by_sequences(problem: Problem, pilot: Pilot) -> _Source:
@@ -166,15 +165,12 @@ def _by_sequences(problem: Problem, pilot: Pilot) -> _Source:
     record = recorder(problem, buffer, np.zeros(0))
 
     def values(engine: Engine, first: int, number: int) -> _Values:
-        engine, own = _drawn(problem, engine, first, lanes)
-        recording_engine = wrapped(engine, partial(recording, fixed_start=problem.fixed_start))
+        job = _drawn(problem.job(engine, first, lanes))
+        job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
 
         def run(buffer: BufferSizes) -> tuple[tuple[AnyArray, RecordedCounts], RecordedCounts]:
-            parts, counts = value_chunk(
-                problem.statistic, recording_engine, own, problem.key_data, np.uint32(first), lanes=lanes,
-                buffer=buffer, dtype=problem.dtype,
-            )  # fmt: skip
-            return (parts, counts), counts
+            found = value_chunk(problem.statistic, job, lanes=lanes, buffer=buffer, dtype=problem.dtype)
+            return found, found[1]
 
         parts, counts = with_buffer(run, buffer)
         status, sticks = (np.asarray(leaf)[:number] for leaf in (counts.status, counts.sticks))

@@ -168,9 +168,8 @@ def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _M
 
         def chunk(first):
             mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, _LANES), own)
-            recorded = record_sequences(
-                here, mine, problem.key_data, first, lanes=_LANES, buffer=buffer, dtype=problem.dtype
-            )
+            job = Job(here, problem.key_data, first, np.int32(1), mine)
+            recorded = record_sequences(job, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
             features = features_of(problem.statistic, here, recorded, bandwidths)
             done = (recorded.status == Status.FINISHED)[:, None]
             lost = jnp.any((recorded.sticks >= buffer.slots) | (recorded.candidates > buffer.candidates))

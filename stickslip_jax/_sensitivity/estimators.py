@@ -119,10 +119,10 @@ def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> tuple[
     units = units_of(engine, paths)[:, None]
 
     def count(first: int, number: int) -> Rows:
+        job = problem.job(engine, first, lanes * rows, -(-number // lanes))
         totals, (d_time, d_events, d_window), status = count_chunk[is_own(engine)](
-            engine, problem.own_leaves(first, lanes * rows), problem.key_data, np.uint32(first),
-            np.int32(-(-number // lanes)), paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
-        )  # fmt: skip
+            job, paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype
+        )
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)
         time, event_parts = flat(d_time, number) / units, [flat(leaf, number) / units for leaf in d_events]
         # The number of sticks has no pathwise derivative: it is locally constant.
@@ -164,12 +164,12 @@ def recorder(
     paths, lanes = wrapped_paths(problem), sequence_lanes(problem)
 
     def record(first: int) -> tuple[Features, Features, AnyArray]:
-        own = problem.own_leaves(first, lanes)
+        job = problem.job(engine, first, lanes)
 
         def run(buffer: BufferSizes) -> tuple[tuple[Features, Features, AnyArray], RecordedCounts]:
             features, slopes, counts = sequence_chunk(
-                problem.statistic, engine, own, np.asarray(bandwidths, problem.dtype), problem.key_data,
-                np.uint32(first), paths=paths, lanes=lanes, buffer=buffer, dtype=problem.dtype,
+                problem.statistic, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=lanes, buffer=buffer,
+                dtype=problem.dtype,
             )  # fmt: skip
             return (features, slopes, counts.status), counts
 

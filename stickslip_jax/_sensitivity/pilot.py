@@ -20,8 +20,6 @@ from .._types import Array
 from .problem import Pilot, Problem
 from .statistic import StickStatistic, statistic_of
 
-COUNTED_WINDOWS, RECORDED_WINDOWS = (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # relative widths to choose from
-PAIRED_WINDOWS = (1.0, 0.25)
 _PILOT = 1024  # samples
 _RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # relative bandwidth of the widest window at so many sticks
 _LARGEST_BANDWIDTH = 0.05

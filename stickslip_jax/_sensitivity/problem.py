@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._dynamics.engine_choice import ByIntervals, engine_for
-from .._dynamics.lanes import BLOCK, Engine
+from .._dynamics.lanes import BLOCK, Engine, Job
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
@@ -123,6 +123,11 @@ class Problem(NamedTuple):
         if random is None or random.only_in_start:
             return random is None or random.in_lanes
         return random.in_lanes and (self.by_intervals or (self.is_counted and self.ignores_stick_count))
+
+    def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
+        """The job of `engine` for `used_rows` rows from sample `first` on, with the own leaves of so many `samples`."""
+        own = self.own_leaves(first, samples)
+        return Job(engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
 
     def engine(self) -> Engine:
         """The fastest engine that simulates the motion."""

@@ -16,18 +16,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from .._dynamics.lanes import Job, follow_block, lanes_at_start
-from .._types import AnyArray, AnyInteger, Array, BoolArray, FloatArray, IntArray
+from .._dynamics.lanes import Engine, Job, follow_block, lanes_at_start
+from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray
 from .boundaries import BoundaryDistances, vanishes_from_start
 from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel
-from .random_inputs import RandomEngine, constants_of, single_engine, wrapped
-from .recording import IntervalRecording, StepRecording
+from .random_inputs import constants_of, single_engine, wrapped
 from .statistic import StickSequence, StickStatistic
 
 _SAME = 64  # units in the last place by which two computed values of the same instant may differ
-
-RecordingEngine: TypeAlias = IntervalRecording | StepRecording | RandomEngine
-"""What `wrapped` makes of an engine by `recording`."""
 
 
 class BufferSizes(NamedTuple):
@@ -63,28 +59,19 @@ class Features(NamedTuple):
     in_window: Float[Array, "lanes windows"]
 
 
-def record_sequences(
-    engine: RecordingEngine,
-    own: tuple[AnyArray, ...],
-    key_data: Array,
-    first: AnyInteger,
-    *,
-    lanes: int,
-    buffer: BufferSizes,
-    dtype: np.dtype,
-) -> LaneSticks:
-    """Simulate samples ``first .. first + lanes - 1`` for up to `buffer.blocks` blocks; keep sticks and candidates.
+def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: np.dtype) -> LaneSticks:
+    """Simulate the first row of a job's samples for up to `buffer.blocks` blocks; keep sticks and candidates.
 
-    `own`: the own leaves of the samples.
+    The engine is one that `recording` made, or `wrapped` by it.
     """
-    engine = wrapped(engine, lambda engine: dataclasses.replace(engine, with_distances=buffer.candidates > 0))
-    start = lanes_at_start(Job(engine, key_data, first, np.int32(1), own).with_columns(), lanes, dtype)
+    engine = wrapped(job.engine, lambda engine: dataclasses.replace(engine, with_distances=buffer.candidates > 0))
+    start = lanes_at_start(job._replace(engine=engine).with_columns(), lanes, dtype)
 
     def advance(carry):
         # A lane that has ended idles: nothing happens after the horizon.
         now, ended = carry
         after, trace = follow_block(engine, now, dtype, stacked=True)
-        following = jax.tree.map(lambda new, old: _where(~ended, new, old), after, now)
+        following = jax.tree.map(lambda new, old: jax.vmap(jnp.where)(~ended, new, old), after, now)
         return (following, ended | jax.vmap(engine.ended)(after.motion, now.motion)), trace
 
     begun = start, jnp.zeros(lanes, bool)
@@ -125,9 +112,7 @@ def _gathered(exists: BoolArray, columns: Any, slots: int) -> tuple[Any, BoolArr
     return kept, filled, found[-1].astype(jnp.int32)
 
 
-def features_of(
-    statistic: StickStatistic, engine: RecordingEngine, recorded: LaneSticks, bandwidths: AnyArray
-) -> Features:
+def features_of(statistic: StickStatistic, engine: Engine, recorded: LaneSticks, bandwidths: AnyArray) -> Features:
     """The features of all samples; differentiate them to get pathwise and event parts (these from distances only).
 
     `bandwidths` (windows,): relative bandwidths of the kernels.
@@ -253,7 +238,3 @@ def _with(sticks: StickSequence, time: FloatArray, duration: FloatArray | int = 
         return jnp.where(numbers < place, column, jnp.where(numbers == place, value, jnp.roll(column, 1)))
 
     return StickSequence(put(sticks.start, time), put(sticks.duration, duration), put(sticks.mask, True))
-
-
-def _where(chosen: BoolArray, new: Array, old: Array) -> Array:
-    return jnp.where(chosen.reshape(chosen.shape + (1,) * (new.ndim - 1)), new, old)

@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -107,45 +107,33 @@ class _OfNumber(StickStatistic):
 
     number: int
     count_initial_rest: bool = False
+    unit = "s"
+    quantity: ClassVar[str]
 
     def __post_init__(self):
         _checks.whole_number("number", self.number)
 
-    @abc.abstractmethod
-    def value_of(self, sticks: StickSequence) -> Array:
-        """The quantity to average, for every stick, (slots,)."""
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
+        return f"mean {self.quantity} of stick {self.number}"
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         counted = sticks.mask if self.count_initial_rest else sticks.mask & (sticks.start > 0)
         chosen = counted & (jnp.cumsum(counted) == self.number)
-        value = jnp.sum(jnp.where(chosen, self.value_of(sticks), 0))
+        value = jnp.sum(jnp.where(chosen, getattr(sticks, self.quantity), 0))
         return value, jnp.any(chosen).astype(value.dtype)
 
 
 @dataclasses.dataclass(frozen=True)
 class StickStart(_OfNumber):
     __doc__ = f"The mean start of the i-th stick, s.\n{(_OfNumber.__doc__ or '').partition(chr(10))[2]}"
-    unit = "s"
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"mean start of stick {self.number}"
-
-    def value_of(self, sticks: StickSequence) -> Array:
-        return sticks.start
+    quantity = "start"
 
 
 @dataclasses.dataclass(frozen=True)
 class StickDuration(_OfNumber):
     __doc__ = f"The mean duration of the i-th stick, s.\n{(_OfNumber.__doc__ or '').partition(chr(10))[2]}"
-    unit = "s"
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"mean duration of stick {self.number}"
-
-    def value_of(self, sticks: StickSequence) -> Array:
-        return sticks.duration
+    quantity = "duration"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -211,7 +211,7 @@ def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray)
 def _flow(model: SwitchedModel, inputs: PyTree, y: State, length: FloatArray, sign: FloatArray) -> State:
     # The branch that is not chosen must stay finite too: see `advance`.
     slid = model.slip(inputs, y, jnp.where(sign == 0, 0, length), sign)
-    return tuple(jnp.where(sign == 0, a, b) for a, b in zip(model.stick(inputs, y, length), slid, strict=True))
+    return _either(sign == 0, model.stick(inputs, y, length), slid)
 
 
 def _search(
@@ -286,8 +286,7 @@ def _between(before: _Bracket, after: _Bracket) -> FloatArray:
 
 def _replaced(end: _Bracket, new: _Bracket, by_new: BoolArray) -> _Bracket:
     """An end, replaced by `new` where `by_new`; an end that stays has its weight halved (Illinois rule)."""
-    stays = end._replace(weight=end.weight / 2)
-    return _Bracket(*(jnp.where(by_new, a, b) for a, b in zip(new, stays, strict=True)))
+    return _either(by_new, new, end._replace(weight=end.weight / 2))
 
 
 def _at(model: SwitchedModel, segments: Segments, start: _Start, tau: FloatArray) -> _AtRoot:
@@ -383,5 +382,5 @@ def _stacked(*trees: _Tree) -> _Tree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
-def _either(first: BoolArray, one: State, other: State) -> State:
-    return tuple(jnp.where(first, a, b) for a, b in zip(one, other, strict=True))
+def _either(first: BoolArray, one: _Tree, other: _Tree) -> _Tree:
+    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)

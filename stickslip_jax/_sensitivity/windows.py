@@ -18,6 +18,7 @@ from .estimators import DerivativeColumns
 _InWindow: TypeAlias = Float[np.ndarray, " windows"]
 """How many sticks each window holds."""
 
+COUNTED, PAIRED, RECORDED = (1.0, 0.25), (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # relative widths to choose from
 FEW = 100  # sticks: a narrower window with fewer is too noisy to judge others by
 _AGREE = 2.0  # standard errors
 _DISAGREE = 4.0  # standard errors: by chance alone two windows differ so much once in 16,000 times

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.lanes import Job
 from stickslip_jax._inputs.numbers import with_numbers
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._numerics.roots import steepest_fall
@@ -56,9 +57,8 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
 
     def record(values, own, first):
         varied = with_numbers(engine, paths, values)
-        recorded = sequences.record_sequences(
-            varied, own, problem.key_data, first, lanes=LANES, buffer=buffer, dtype=problem.dtype
-        )
+        job = Job(varied, problem.key_data, first, np.int32(1), own)
+        recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances.two_sided
         is_active = jnp.stack([distance.is_active for distance in found])
         return jnp.stack([distance.value for distance in found]), (is_active, recorded.sticks)
@@ -98,9 +98,8 @@ def test_distances_move_as_their_derivatives_say(wrt):
 
     def distances(values):
         varied = with_numbers(engine, paths, values)
-        recorded = sequences.record_sequences(
-            varied, own, problem.key_data, jnp.uint32(0), lanes=LANES, buffer=buffer, dtype=problem.dtype
-        )
+        job = Job(varied, problem.key_data, jnp.uint32(0), np.int32(1), own)
+        recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances
         is_active = jnp.stack([distance.is_active for distance in found.two_sided])
         return jnp.stack([distance.value for distance in found.two_sided]), (is_active, found.time)
