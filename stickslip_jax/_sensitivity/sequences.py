@@ -8,7 +8,7 @@ splits a stick in two. The duration of a stick from t = 0 is a further distance.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_s
 from .random_inputs import constants_of, single_engine, wrapped
 from .statistic import StickSequence, StickStatistic
 
+_Tree = TypeVar("_Tree")
 _SAME = 64  # units in the last place by which two computed values of the same instant may differ
 
 
@@ -100,7 +101,7 @@ def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: np.dty
     return LaneSticks(start, end, ending, deterministic_until, status, sticks_found, candidates_found, distances)
 
 
-def _gathered(exists: BoolArray, columns: Any, slots: int) -> tuple[Any, BoolArray, IntArray]:
+def _gathered(exists: BoolArray, columns: _Tree, slots: int) -> tuple[_Tree, BoolArray, IntArray]:
     """The first `slots` existing rows of each lane: columns, which slots are filled, how many rows exist."""
     found = jnp.cumsum(exists, axis=0)
     # The slot of row k is the first at which k + 1 have been found. (A scatter would run serially.)

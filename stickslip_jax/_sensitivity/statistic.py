@@ -16,9 +16,12 @@ from .._types import Array, Scalar
 
 
 class StickSequence(NamedTuple):
-    """The sticks of one realisation in order of time; `mask` marks the filled slots, the empty ones come last.
+    """The sticks of one realisation in order of time.
 
-    `start`, `duration`: s; 0 in empty slots.
+    Attributes:
+        start: When each stick begins, s; 0 in empty slots.
+        duration: How long it lasts, s; 0 in empty slots.
+        mask: Marks the filled slots; the empty ones come last.
     """
 
     start: Float[Array, " slots"]
@@ -29,8 +32,10 @@ class StickSequence(NamedTuple):
 class StickStatistic(abc.ABC):
     """A statistic of the stick sequence: the mean over realisations of one number, divided by the mean of another.
 
-    `name`, `unit`: for tables and figures. `is_of_totals`: whether it depends only on the number of sticks and the
-    total stick time of each realisation.
+    Attributes:
+        name: For tables and figures.
+        unit: For tables and figures.
+        is_of_totals: Whether it depends only on the number of sticks and the total stick time of each realisation.
     """
 
     name: str
@@ -62,11 +67,8 @@ class OfTotals(StickStatistic):
         """Whether sticks of zero length do not change it: then its derivative has no event part."""
         return self.definition.numerator.stick_count == self.definition.denominator.stick_count == 0
 
-    def weights(self, t1: float) -> np.ndarray:
-        """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, (2, 3).
-
-        - `t1`: s.
-        """
+    def weights(self, t1: float) -> Float[np.ndarray, "2 3"]:
+        """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, for `t1` (s)."""
         return self.definition.weights(t1)[:, [0, 1, -1]]
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
@@ -98,11 +100,13 @@ class RealizationMeanDuration(StickStatistic):
 class _OfNumber(StickStatistic):
     """A mean over the i-th sticks of all realisations that have one.
 
-    - `number`: i = 1, 2, ...
-    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass starts at rest, counts. By default it
-      does not, and the next one is the first.
+    Args:
+        number: i = 1, 2, ...
+        count_initial_rest: Whether a stick that begins at t = 0, because the mass starts at rest, counts. By default
+            it does not, and the next one is the first.
 
-    Raises ValueError unless `number` is a whole number of at least 1.
+    Raises:
+        ValueError: Unless `number` is a whole number of at least 1.
     """
 
     number: int
@@ -140,12 +144,15 @@ class StickDuration(_OfNumber):
 class StickFunctional(StickStatistic):
     """The mean over realisations of a user-supplied function of the stick sequence.
 
-    - `function`: takes a `StickSequence` and returns one number, traceable by JAX. It must be smooth in starts and
-      durations as long as the number of sticks does not change, and must not depend on empty slots (where starts and
-      durations are 0).
-    - `name`, `unit`: for tables and figures.
+    Args:
+        function: Takes a `StickSequence` and returns one number, traceable by JAX. It must be smooth in starts and
+            durations as long as the number of sticks does not change, and must not depend on empty slots (where starts
+            and durations are 0).
+        name: For tables and figures.
+        unit: For tables and figures.
 
-    Raises ValueError unless `function` can be called.
+    Raises:
+        ValueError: Unless `function` can be called.
     """
 
     function: Callable[[StickSequence], ArrayLike]

@@ -187,7 +187,7 @@ def test_window_is_wide_unless_it_disagrees(monkeypatch):
     monkeypatch.setattr(windows, "_DISAGREE", np.inf)  # without that guard the error is finite
     assert windows.estimate(accumulator, where, accumulator.in_window[0], None) == (narrow, 1)
     # A narrow window that holds too little judges nothing.
-    assert windows.estimate(accumulator, where, np.array([1000, windows.FEW - 1]), None)[1] == 0
+    assert windows.estimate(accumulator, where, np.array([1000.0, windows.FEW - 1]), None)[1] == 0
 
 
 @pytest.mark.slow
