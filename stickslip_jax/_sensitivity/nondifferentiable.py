@@ -35,9 +35,9 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
     if moved:
         warnings.warn(
             f"The derivative with respect to {', '.join(moved)} does not exist: {np.mean(grazes):.0%} of the "
-            "trajectories begin with an arc that grazes the base velocity exactly, so that it makes a stick for "
-            "smaller changes of one sign and none for those of the other. It is given as NaN; change y0, or make it "
-            "random.",
+            "trajectories begin with an arc that grazes the base velocity exactly, so that a change of one sign, "
+            "however small, makes a stick there, and one of the other sign none. The derivative is given as NaN; "
+            "change y0, or make it random.",
             RuntimeWarning,
             stacklevel=4,
         )

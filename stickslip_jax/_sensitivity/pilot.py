@@ -71,8 +71,8 @@ def require_precision(problem: Problem) -> None:
     if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
         raise ValueError(
             "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
-            "velocity, in single precision: round-off hides how nearly an arc of any other motion missed, and how "
-            "slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
+            "velocity, in single precision: for any other motion round-off hides how close an arc came to the base "
+            "velocity, and how slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
             "estimator='finite-difference'."
         )
 
@@ -83,8 +83,8 @@ def require_correctable(problem: Problem) -> None:
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
             "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
-            "law is an object of your own with a method sample(key, t1), or where the parameter is one of a Beta "
-            "distribution, or of that of a switching rate."
+            "law is an object of your own with a method sample(key, t1), or where the parameter belongs to a Beta "
+            "distribution or to the distribution of a switching rate."
         )
 
 

@@ -125,7 +125,7 @@ class Problem(NamedTuple):
         return random.in_lanes and (self.by_intervals or (self.is_counted and self.ignores_stick_count))
 
     def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
-        """The job of `engine` for `used_rows` rows from sample `first` on, with the own leaves of so many `samples`."""
+        """A job of `used_rows` rows from sample `first` on; it holds the own leaves of `samples` samples."""
         own = self.own_leaves(first, samples)
         return Job(engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
 
