@@ -117,7 +117,7 @@ print(f"time of the pipeline: about {statistics.median(ratios):.1f} times that o
 # ## A loss and its gradient
 # How far the mean stick fraction is from the wish, squared, relative. The gradient is that of this very function with
 # its random numbers fixed, so differences of the function must reproduce it, and so must `jax.jvp` in any direction.
-# The step of the differences is tiny: a stick that is born where the mass grazes the base velocity grows like a square
+# The step of the differences is tiny: a stick that appears where the mass grazes the base velocity grows like a square
 # root, and a wide step reaches over such points.
 
 # %%
@@ -193,7 +193,7 @@ plt.show()
 # logarithms of the two factors, `g` is the gradient of the logarithm of the stick fraction. Each step goes half the way
 # to that point of the linearised condition which is nearest to the start. At the solution the change is parallel to `g`
 # (Lagrange's condition), and it is shorter than that of the normal force alone. The stick fraction of finitely many
-# samples bends sharply wherever a stick is born, so the condition holds approximately.
+# samples bends sharply wherever a stick appears, so the condition holds approximately.
 
 
 # %%

@@ -14,8 +14,8 @@
 # # Derivatives of means over sticks
 #
 # How does the mean duration of a stick change with the friction coefficient? Every stick's start and end are exact
-# functions of it, and JAX differentiates them. The derivative of the mean so computed is wrong all the same: sticks are
-# born and lost as the friction coefficient changes, and to automatic differentiation their number is a constant.
+# functions of it, and JAX differentiates them. The derivative of the mean so computed is wrong all the same: sticks
+# appear and vanish as the friction coefficient changes, and to automatic differentiation their number is a constant.
 # `ss.sensitivity` adds what is missing. This notebook shows the error, its cause, and the correction, and checks the
 # correction by differences and by dimensional analysis. The method: `docs/sensitivity.md`.
 
@@ -73,7 +73,7 @@ settings = {"t1": T1, "samples": SAMPLES, "key": KEY, "y0": Y0}
 names = ("mu", "normal_force", "mass", "stiffness", "speed", "rate")
 by_mu = ss.sensitivity(ss.mean_stick_duration, oscillator(MU), law, wrt=names, **settings)["mu"]
 print(by_mu)
-print(f"along the trajectories {by_mu.pathwise:.4f}, by sticks born and lost {by_mu.event:+.4f}")
+print(f"along the trajectories {by_mu.pathwise:.4f}, by sticks that appear and vanish {by_mu.event:+.4f}")
 print("automatic differentiation gives the first of these two:", np.isclose(naive, by_mu.pathwise, rtol=1e-9))
 
 # %% [markdown]
@@ -136,7 +136,7 @@ plt.show()
 # ## Why: the number of sticks is a staircase
 # Of one realisation of the base, at 2001 friction coefficients, the number of sticks is constant between jumps, so its
 # derivative is zero wherever there is one. The mean number over many realisations rises without steps. The mean
-# duration in the one realisation follows its own derivative between the jumps, and falls where a short stick is born.
+# duration in the one realisation follows its own derivative between the jumps, and falls where a short stick appears.
 
 # %%
 fine = np.linspace(mus[0], mus[-1], 2001)
@@ -162,7 +162,7 @@ plt.show()
 
 # %% [markdown]
 # ## What needs no correction
-# A stick that is born has length zero, so it adds nothing to the stick time. The stick time of each trajectory is
+# A stick that appears has length zero, so it adds nothing to the stick time. The stick time of each trajectory is
 # continuous in the friction coefficient, and the mean of its derivatives is right.
 
 # %%

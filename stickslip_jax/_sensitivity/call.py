@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -10,29 +10,24 @@ from .. import _checks
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
+from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
 from .._types import Array
 from . import windows
-from .estimate import Estimator, Gradient, Sensitivities, Sensitivity
-from .estimators import Columns, counted, differenced, differenced_ensembles, recorded
-from .exactness import warn_at_special_speeds, warn_if_grazing
-from .first_look import (
-    COUNTED_WINDOWS,
-    PAIRED_WINDOWS,
-    RECORDED_WINDOWS,
-    problem_of,
-    relative_bandwidth_of,
-    require_correctable,
-    require_precision,
-)
+from .chunks import Accumulator
+from .differences import differenced, differenced_ensembles
+from .estimate import Estimator, Sensitivities, Sensitivity
+from .estimators import DerivativeColumns, Estimated, counted, recorded
+from .nondifferentiable import warn_at_special_speeds, warn_if_grazing
+from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem
-from .runs import Accumulator
+from .statistic import StickStatistic
 
 _ESTIMATORS = get_args(Estimator)
 
 
 def sensitivity(
-    statistic: Any,
+    statistic: StatisticOfTotals | StickStatistic,
     system: System,
     law: BaseMotion,
     *,
@@ -41,7 +36,7 @@ def sensitivity(
     samples: int,
     key: Array | None = None,
     y0: InitialState | None = None,
-    elasticity: Any = False,
+    elasticity: bool = False,
     estimator: Estimator | None = None,
     step: float | None = None,
     relative_bandwidth: float | None = None,
@@ -53,32 +48,48 @@ def sensitivity(
 
     Sticks appear and vanish as parameters change: the derivative of the simulated mean is biased, this one corrected.
 
-    - `statistic`: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
-      `StickStatistic`: `RealizationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
-    - `wrt`: the name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
-      "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several; "law.speed" where a name is ambiguous.
-    - `system`, `law`, `t1` (s), `samples`, `key`, `y0`, `method`, `threads`, `chunk`: as in `simulate_ensemble`; the
-      law or `y0` must be random. The result does not depend on `threads`, nor, except for the order of summation, on
-      `chunk`. Of regularised dynamics there are differences only; a threshold that is not given follows the parameter.
-    - `elasticity`: whether to give ``d log statistic / d log parameter``.
-    - `estimator`: "corrected", or "finite-difference": central differences with common random numbers. By default the
-      one with the smaller error in the same time (the result's `estimator` names it): corrected for statistics of
-      totals on bases of piecewise-constant velocity, without damping and force, and for those that sticks of zero
-      length do not change (`stick_fraction`); else differences. The other one is an independent check.
-    - `step`: that of the differences, relative to the parameter's value; by default `relative_bandwidth`, or a quarter
-      of it where the two disagree. The bias is of order ``step^2``.
-    - `relative_bandwidth`: width of the corrected estimator's kernel, as a relative change of the parameter: a stick
-      counts as about to appear or vanish if it moves its margin through zero. By default ``0.005 (sticks /
-      10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
-
     The method: docs/sensitivity.md. With `mu_static` a stick that appears changes all later motion, and a `MotorCart`
-    that nearly stops may run away: there the event part comes from pairs of trajectories with the parameter changed up
-    and down by `relative_bandwidth`.
+    that nearly stops may run away: no kernel can estimate the event part there. With ``estimator="corrected"`` it then
+    comes from pairs of trajectories with the parameter changed up and down by `relative_bandwidth`, so that the
+    derivative is that of central differences, taken apart into its two parts.
 
-    Returns a `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the
-    event part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
-    speeds w = 1, 2, 3, 8 and 15, and where all first arcs graze the base velocity exactly (no derivative exists: NaN).
-    Raises ValueError for invalid arguments, in single precision also where there is no closed form.
+    Args:
+        statistic: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
+            `StickStatistic`: `RealizationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
+        system: As in `simulate_ensemble`.
+        law: As in `simulate_ensemble`; it or `y0` must be random.
+        wrt: The name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
+            "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several; "law.speed" where a name is
+            ambiguous.
+        t1: As in `simulate_ensemble`, s.
+        samples: As in `simulate_ensemble`.
+        key: As in `simulate_ensemble`.
+        y0: As in `simulate_ensemble`.
+        elasticity: Whether to give ``d log statistic / d log parameter``.
+        estimator: "corrected": the pathwise derivative and the event part, which kernels estimate, or where they cannot
+            (see above) pairs of trajectories. Or "finite-difference": central differences with common random numbers.
+            By default the one with the smaller error in the same time (the result's `estimator` names it): corrected
+            for statistics of totals on bases of piecewise-constant velocity, without damping and force, and for those
+            that sticks of zero length do not change (`stick_fraction`); else differences. The other one is an
+            independent check.
+        step: That of the differences, relative to the parameter's value; by default `relative_bandwidth`, or a quarter
+            of it where the two disagree. The bias is of order ``step^2``.
+        relative_bandwidth: Width of the corrected estimator's kernel, as a relative change of the parameter: a stick
+            counts as about to appear or vanish if this change, to first order, would make it do so. By default ``0.005
+            (sticks / 10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
+        method: As in `simulate_ensemble`. Of regularised dynamics there are differences only; a threshold that is not
+            given follows the parameter.
+        threads: As in `simulate_ensemble`; the result does not depend on it.
+        chunk: As in `simulate_ensemble`; the result depends on it only by the order of summation.
+
+    Returns:
+        A `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the event
+        part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
+        speeds w = 1, 2, 3, 8 and 15, and where all first arcs graze the base velocity exactly (no derivative exists:
+        NaN).
+
+    Raises:
+        ValueError: For invalid arguments, in single precision also where there is no closed form.
     """
     _check_options(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(
@@ -93,30 +104,30 @@ def sensitivity(
     return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
 
 
-def _asked_for(step: float | None, relative_bandwidth: float | None) -> str | None:
+def _asked_for(step: float | None, relative_bandwidth: float | None) -> Estimator | None:
     """The estimator that the given option belongs to, if any."""
     if step is not None:
         return "finite-difference"
     return None if relative_bandwidth is None else "corrected"
 
 
-def _cheaper(problem: Problem) -> str:
+def _cheaper(problem: Problem) -> Estimator:
     """The estimator with the smaller error in the same time (measured: docs/sensitivity.md)."""
     if isinstance(problem.method, Regularized):
         return "finite-difference"
     if not problem.is_counted or problem.has_sudden_switches or not problem.can_be_corrected:
         return "finite-difference"
-    by_steps = problem.is_blind_to_events and problem.dtype.itemsize == 8  # else `require_precision` refuses
+    by_steps = problem.ignores_stick_count and problem.dtype.itemsize == 8  # else `require_precision` refuses
     return "corrected" if problem.by_intervals or by_steps else "finite-difference"
 
 
-def _require_differences(estimator: str | None, method: Exact | Regularized) -> None:
+def _require_differences(estimator: Estimator | None, method: Exact | Regularized) -> None:
     """Raise ValueError where the corrected method is asked of regularised dynamics: it needs exact events."""
     if isinstance(method, Regularized) and estimator == "corrected":
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here), and relative_bandwidth left out, with "
             f"regularised dynamics, but method={_checks.show(method)} was given: a stick is a time below a threshold "
-            "there, and the corrected estimator knows the margins of exact events only. Take method=Exact() for it."
+            "there, and the corrected estimator needs exact events. Take method=Exact() for it."
         )
 
 
@@ -127,30 +138,20 @@ def _corrected(
     require_correctable(problem)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
     if problem.is_paired:
-        bandwidths = widest * np.array(PAIRED_WINDOWS)
-        accumulator, columns = differenced(problem, pilot, bandwidths, with_pathwise=True)
+        bandwidths = widest * np.array(windows.PAIRED)
+        estimated = differenced(problem, pilot, bandwidths, with_pathwise=True)
     elif problem.is_counted:
-        bandwidths = widest * np.array([1.0] if problem.is_blind_to_events else COUNTED_WINDOWS)
-        accumulator, columns = counted(problem, pilot, np.zeros(0) if problem.is_blind_to_events else bandwidths)
+        bandwidths = widest * np.array([1.0] if problem.ignores_stick_count else windows.COUNTED)
+        estimated = counted(problem, pilot, np.zeros(0) if problem.ignores_stick_count else bandwidths)
     else:
-        bandwidths = widest * np.array(RECORDED_WINDOWS)
-        accumulator, columns = recorded(problem, pilot, bandwidths)
+        bandwidths = widest * np.array(windows.RECORDED)
+        estimated = recorded(problem, pilot, bandwidths)
     grazing = warn_if_grazing(problem)
-    results = {}
-    for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
-        got, chosen = windows.estimate(
-            accumulator, where, accumulator.near[index], parameter.value if elasticity else None
-        )
-        if parameter.name in grazing:
-            got = got._replace(derivative=math.nan, standard_error=math.nan)
-        near = int(accumulator.near[index, chosen])
-        results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "corrected", accumulator, near, float(bandwidths[chosen])
-        )
-    if problem.is_blind_to_events and not problem.has_sudden_switches:
+    results = _results(problem, estimated, bandwidths, elasticity, "corrected", grazing)
+    if problem.ignores_stick_count and not problem.has_sudden_switches:
         return results
     warn_at_special_speeds(problem, grazing)
-    _warn_of_torn(accumulator, columns, results, grazing)
+    _warn_of_disagreement(*estimated, results, grazing)
     _warn_of_few(results)
     return results
 
@@ -165,20 +166,23 @@ def _warn_of_few(results: dict[str, Sensitivity]) -> None:
         )
 
 
-def _warn_of_torn(
-    accumulator: Accumulator, columns: tuple[Columns, ...], results: dict[str, Sensitivity], warned: tuple[str, ...]
+def _warn_of_disagreement(
+    accumulator: Accumulator,
+    columns: tuple[DerivativeColumns, ...],
+    results: dict[str, Sensitivity],
+    already_warned: tuple[str, ...],
 ) -> None:
-    """RuntimeWarning where windows disagree, except for the parameters `warned` of already."""
-    torn = [
+    """RuntimeWarning where windows disagree, except for the parameters `already_warned` of."""
+    found = [
         name
-        for name, where, near in zip(results, columns, accumulator.near, strict=True)
-        if name not in warned and windows.is_torn(accumulator, where, near)
+        for name, where, in_window in zip(results, columns, accumulator.in_window, strict=True)
+        if name not in already_warned and windows.windows_disagree(accumulator, where, in_window)
     ]
-    if torn:
+    if found:
         warnings.warn(
-            f"No two windows agree on the derivative with respect to {', '.join(torn)}: it depends on how far one "
-            "looks for sticks about to be born or lost, or does not exist. That of the narrowest window is given, with "
-            "a standard error of NaN; compare with estimator='finite-difference' at several steps.",
+            f"No two windows agree on the derivative with respect to {', '.join(found)}: it depends on how far one "
+            "looks for sticks about to appear or vanish, or does not exist. That of the narrowest window is given, "
+            "with a standard error of NaN; compare with estimator='finite-difference' at several steps.",
             RuntimeWarning,
             stacklevel=4,
         )
@@ -186,55 +190,55 @@ def _warn_of_torn(
 
 def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
     """Finite differences with the given `step`, or with the wider of two steps that agree."""
-    steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(PAIRED_WINDOWS)
+    steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(windows.PAIRED)
     if isinstance(problem.method, Regularized):
-        accumulator, columns = differenced_ensembles(problem, steps)
+        estimated = differenced_ensembles(problem, steps)
     else:
-        accumulator, columns = differenced(problem, pilot, steps, with_pathwise=False)
-    results = {}
-    for index, (parameter, where) in enumerate(zip(problem.parameters, columns, strict=True)):
-        got, chosen = windows.estimate(
-            accumulator, where, accumulator.near[index], parameter.value if elasticity else None
-        )
-        near, got = int(accumulator.near[index, chosen]), got._replace(pathwise=math.nan)
-        results[parameter.name] = _result(
-            problem, parameter, got, elasticity, "finite-difference", accumulator, near, float(steps[chosen])
-        )
-    _warn_of_torn(accumulator, columns, results, ())
+        estimated = differenced(problem, pilot, steps, with_pathwise=False)
+    results = _results(problem, estimated, steps, elasticity, "finite-difference", ())
+    _warn_of_disagreement(*estimated, results, ())
     return results
 
 
-def _result(
+def _results(
     problem: Problem,
-    parameter: Any,
-    got: Gradient,
+    estimated: Estimated,
+    widths: np.ndarray,
     elasticity: bool,
     estimator: Estimator,
-    accumulator: Accumulator,
-    near: int,
-    relative_bandwidth: float,
-) -> Sensitivity:
-    return Sensitivity(
-        statistic=problem.statistic.name,
-        parameter=parameter.name,
-        parameter_value=parameter.value,
-        unit=problem.statistic.unit,
-        value=got.value,
-        value_error=got.value_error,
-        derivative=got.derivative,
-        standard_error=got.standard_error,
-        pathwise=got.pathwise,
-        event=got.derivative - got.pathwise,
-        is_elasticity=elasticity,
-        estimator=estimator,
-        samples=accumulator.moments.number,
-        asked=problem.samples,
-        sticks_in_window=near,
-        relative_bandwidth=relative_bandwidth,
-    )
+    without_derivative: tuple[str, ...],
+) -> dict[str, Sensitivity]:
+    """The results by the names of the parameters; NaN by those `without_derivative`."""
+    results, (accumulator, columns) = {}, estimated
+    for parameter, where, in_window in zip(problem.parameters, columns, accumulator.in_window, strict=True):
+        found, chosen = windows.estimate(accumulator, where, in_window, parameter.value if elasticity else None)
+        if parameter.name in without_derivative:
+            found = found._replace(derivative=math.nan, standard_error=math.nan)
+        pathwise = found.pathwise if estimator == "corrected" else math.nan
+        results[parameter.name] = Sensitivity(
+            statistic=problem.statistic.name,
+            parameter=parameter.name,
+            parameter_value=parameter.value,
+            unit=problem.statistic.unit,
+            value=found.value,
+            value_error=found.value_error,
+            derivative=found.derivative,
+            standard_error=found.standard_error,
+            pathwise=pathwise,
+            event=found.derivative - pathwise,
+            is_elasticity=elasticity,
+            estimator=estimator,
+            samples=accumulator.moments.number,
+            asked=problem.samples,
+            sticks_in_window=int(in_window[chosen]),
+            relative_bandwidth=float(widths[chosen]),
+        )
+    return results
 
 
-def _check_options(elasticity: Any, estimator: Any, step: Any, relative_bandwidth: Any) -> None:
+def _check_options(
+    elasticity: bool, estimator: Estimator | None, step: float | None, relative_bandwidth: float | None
+) -> None:
     if not isinstance(elasticity, bool):
         raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
     if estimator is not None:

@@ -2,33 +2,36 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from .._dynamics.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
 from .._excitation.random import InitialState
+from .._statistics.totals import StatisticOfTotals
 from .._status import Status
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, FloatArray
 from .._uncertainty.numbers import with_numbers
-from .estimators import counting_engine, counting_paths, score_path
-from .first_look import problem_of, relative_bandwidth_of, require_correctable, require_precision
+from .estimators import counting_engine, score_path, wrapped_paths
+from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem, buffer_sizes_for
-from .random_inputs import over
+from .random_inputs import wrapped
+from .recording import recording
 from .sequences import BufferSizes, features_of, record_sequences
-from .statistic import OfTotals
-from .traces import traced
+from .statistic import OfTotals, StickStatistic
 
 _LANES = 256
 
 
 def differentiable(
-    statistic: Any,
+    statistic: StatisticOfTotals | StickStatistic,
     system: System,
     law: BaseMotion,
     *,
@@ -37,7 +40,7 @@ def differentiable(
     samples: int,
     key: Array | None = None,
     y0: InitialState | None = None,
-) -> Callable[[Any], Array]:
+) -> Callable[[ArrayLike], Array]:
     """A function of the values of the parameters `wrt` that estimates `statistic`, to use under ``jax.jit``.
 
     Call it with one number (`wrt` a name) or an array (as many as names). Differentiating it, in forward or reverse
@@ -46,9 +49,24 @@ def differentiable(
     random numbers, so there is no noise from call to call, but the function has small jumps. It has no second
     derivatives.
 
-    Arguments and errors as for `sensitivity`; the windows of the kernels are chosen once, from the parameters of
-    `system` and `law` given here. `samples` is rounded up to a multiple of 256. The result is NaN where the statistic
-    is defined for no sample, or where a sample has far more sticks than at the parameters given here.
+    The windows of the kernels are chosen once, from the parameters of `system` and `law` given here.
+
+    Args:
+        statistic: As for `sensitivity`.
+        system: As for `sensitivity`.
+        law: As for `sensitivity`.
+        wrt: As for `sensitivity`.
+        t1: As for `sensitivity`, s.
+        samples: Number of samples, rounded up to a multiple of 256.
+        key: As for `sensitivity`.
+        y0: As for `sensitivity`.
+
+    Returns:
+        The function. Its result is NaN where the statistic is defined for no sample, or where a sample has far more
+        sticks than at the parameters given here.
+
+    Raises:
+        ValueError: As for `sensitivity` with ``estimator="corrected"``.
     """
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
     require_precision(problem)
@@ -58,7 +76,7 @@ def differentiable(
     estimate = _ratio(means, bandwidth if problem.is_paired else None)
     number = len(problem.parameters)
 
-    def of(values: Any) -> Array:
+    def of(values: ArrayLike) -> Array:
         values = jnp.asarray(values, problem.dtype)
         if values.shape != (() if isinstance(wrt, str) else (number,)):
             raise ValueError(
@@ -70,19 +88,21 @@ def differentiable(
     return of
 
 
-# Means of numerator and denominator at parameter values; to differentiate, pass the same values again as the second
-# argument and differentiate by that.
-Means = Callable[..., Array]
+_Means: TypeAlias = Callable[..., Float[Array, "2"]]
+"""Means of numerator and denominator at parameter values, (values,).
+
+To differentiate, pass the same values again as the second argument and differentiate by that.
+"""
 
 
-def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
+def _ratio(means: _Means, step: float | None) -> Callable[[Float[Array, " values"]], FloatArray]:
     """The ratio of both means, with its derivative by the quotient rule, all in one pass.
 
     With a `step` (relative to each value), the derivatives of the means are central differences.
     """
 
-    def slopes(values: Array, units: Array) -> Array:
-        """Derivatives of both means by every value, measured in `units`, (values, 2)."""
+    def slopes(values: Array, units: Array) -> Float[Array, "values 2"]:
+        """Derivatives of both means by every value, measured in `units`."""
 
         def along(direction):
             if step is not None:
@@ -108,13 +128,13 @@ def _ratio(means: Means, step: float | None) -> Callable[[Array], Array]:
     return estimate
 
 
-def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
+def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
     """Means by the engines that count sticks."""
     assert isinstance(problem.statistic, OfTotals)
     # One window, the widest: comparing several is not possible inside a compiled function.
     engine = counting_engine(problem, pilot, np.array([] if problem.is_paired else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
-    paths = counting_paths(problem)
+    paths = wrapped_paths(problem)
     own = problem.own_leaves(0, rows * _LANES)
     by = tuple(score_path(engine, path) or path for path in paths)
     by_score = tuple(other for path, other in zip(paths, by, strict=True) if other != path)
@@ -128,33 +148,32 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Mea
         job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), own)
         counted = summarize(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
-        sticks = sum(counted.births, jnp.asarray(counted.sticks, problem.dtype))
+        sticks = sum(counted.event_parts, jnp.asarray(counted.sticks, problem.dtype))
         totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]
         return weights @ jnp.stack([jnp.sum(leaf, dtype=problem.dtype) for leaf in totals])
 
     return means
 
 
-def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> Means:
+def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
     """Means by recorded stick sequences."""
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
-    buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.edges)
+    buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.candidates)
     bandwidths = np.array([bandwidth])
     own = tuple(jnp.asarray(column) for column in problem.own_leaves(0, rows * _LANES))
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = with_numbers(engine, paths, values if varied is None else varied)
-        here = over(here, partial(traced, fixed_start=problem.fixed_start))
+        here = wrapped(here, partial(recording, fixed_start=problem.fixed_start))
 
         def chunk(first):
             mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, _LANES), own)
-            recorded = record_sequences(
-                here, mine, problem.key_data, first, lanes=_LANES, buffer=buffer, dtype=problem.dtype
-            )
+            job = Job(here, problem.key_data, first, np.int32(1), mine)
+            recorded = record_sequences(job, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
             features = features_of(problem.statistic, here, recorded, bandwidths)
             done = (recorded.status == Status.FINISHED)[:, None]
-            lost = jnp.any((recorded.sticks >= buffer.slots) | (recorded.edges > buffer.edges))
-            parts = jnp.where(done, features.parts + features.events[:, 0], 0)
+            lost = jnp.any((recorded.sticks >= buffer.slots) | (recorded.candidates > buffer.candidates))
+            parts = jnp.where(done, features.parts + features.event_parts[:, 0], 0)
             return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
 
         firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(_LANES)

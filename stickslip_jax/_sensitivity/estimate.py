@@ -17,16 +17,28 @@ Estimator: TypeAlias = Literal["corrected", "finite-difference"]
 class Sensitivity:
     """The derivative of one statistic with respect to one parameter.
 
-    - `value`, `value_error`: the statistic and its standard error, in `unit`.
-    - `derivative`, `standard_error`: derivative of the expectation, in `unit` divided by the parameter's unit; a pure
-      number if `is_elasticity`. The error is NaN where no two windows (or steps) agree.
-    - `pathwise`: the part that automatic differentiation of each trajectory gives; `event`: the rest, of sticks that
-      appear and vanish (of a switching rate also what the score function corrects). They add up to `derivative`; NaN
-      for finite differences, which do not separate them.
-    - `parameter_value`, `estimator`, `samples` (that reached t1, of `asked`).
-    - `sticks_in_window`: how many sticks and near misses the event part rests on (for finite differences: in how many
-      trajectories the number of sticks differs). `relative_bandwidth`: width of the kernel as a relative change of the
-      parameter (for finite differences: the step).
+    Attributes:
+        statistic: The statistic's name.
+        parameter: The parameter's name.
+        parameter_value: The parameter's value.
+        unit: The statistic's unit.
+        value: The statistic, in `unit`.
+        value_error: Its standard error, in `unit`.
+        derivative: The derivative of the expectation, in `unit` divided by the parameter's unit; a pure number if
+            `is_elasticity`.
+        standard_error: That of the derivative. It is NaN where no two windows (or steps) agree.
+        pathwise: The part that automatic differentiation of each trajectory gives; NaN with the estimator
+            "finite-difference", which does not separate the two parts.
+        event: The rest, of sticks that appear and vanish (of a switching rate also what the score function corrects):
+            `derivative` less `pathwise`, and NaN where that is.
+        is_elasticity: Whether it is ``d log statistic / d log parameter``.
+        estimator: "corrected" or "finite-difference".
+        samples: Number of samples that reached ``t1``.
+        asked: Number of samples asked for.
+        sticks_in_window: How many sticks and near misses the event part rests on; where it comes from differences, in
+            how many trajectories the number of sticks differs.
+        relative_bandwidth: Width of the kernel as a relative change of the parameter; where the event part comes from
+            differences, their step.
 
     >>> law, settings = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 200.0, "samples": 2000, "y0": (0.0, 0.5)}
     >>> found = ss.sensitivity(
@@ -54,7 +66,7 @@ class Sensitivity:
     relative_bandwidth: float
 
     @property
-    def lanes_used(self) -> float:
+    def finished_fraction(self) -> float:
         """The share of all trajectories that reached ``t1`` and so entered the estimate."""
         return self.samples / self.asked
 
@@ -95,11 +107,11 @@ class Gradient(NamedTuple):
     pathwise: float
 
 
-def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: float | None) -> Gradient:
+def gradient_of_ratio(moments: Moments, column: int, path_column: int, elasticity_at: float | None) -> Gradient:
     """The derivative of ``a / b`` by a parameter, from the `moments` of rows ``[a, b, ...]``.
 
     Columns `column` and the next hold the derivatives of a and b, `path_column` and the next their pathwise parts.
-    `log_by`: the parameter's value, for elasticities. Undefined results are NaN.
+    `elasticity_at`: the parameter's value, for elasticities. Undefined results are NaN.
     """
     mean, covariance = moments.mean, moments.covariance_of_mean
     a, b = mean[:2]
@@ -110,10 +122,10 @@ def gradient_of_ratio(moments: Moments, column: int, path_column: int, log_by: f
     of_value[:2] = 1 / b, -value / b
     derivative, of_derivative = _ratio_derivative(mean, column)
     pathwise, _ = _ratio_derivative(mean, path_column)
-    if log_by is not None:
+    if elasticity_at is not None:
         if value == 0:
             return Gradient(0.0, _error(of_value, covariance), math.nan, math.nan, math.nan)
-        factor = log_by / value
+        factor = elasticity_at / value
         of_derivative = factor * (of_derivative - derivative / value * of_value)
         derivative, pathwise = factor * derivative, factor * pathwise
     return Gradient(value, _error(of_value, covariance), derivative, _error(of_derivative, covariance), pathwise)

@@ -1,77 +1,63 @@
 """Kernel weights that turn sticks about to appear or vanish into derivatives of expectations.
 
-Let the margin ``g`` be positive while a stick exists and 0 where it vanishes, with density ``f(0)`` there. Sticks that
-appear and vanish add ``f(0) E[dg/dtheta | g = 0]`` times its jump to the derivative of the mean of a functional. A
-kernel ``K`` of width ``h`` estimates that as the mean of the sum of ``K(g / h) / h * dg/dtheta`` times the jump. With
-``int K = 1`` and ``int u K = 0`` its bias is of order ``h^2`` (boundary kernels: Jones 1993, "Simple boundary
-correction for kernel density estimation"; of flux: Liu and Hong 2011, "Kernel estimation of the Greeks for options with
-discontinuous payoffs").
+Let the signed distance ``g`` be positive while a stick exists and 0 where it vanishes, with density ``f(0)`` there.
+Sticks that appear and vanish add ``f(0) E[dg/dtheta | g = 0]`` times its jump to the derivative of the mean of a
+functional. A kernel ``K`` of width ``h`` estimates that as the mean of the sum of ``K(g / h) / h * dg/dtheta`` times
+the jump. With ``int K = 1`` and ``int u K = 0`` its bias is of order ``h^2`` (one-sided kernels: Jones 1993, "Simple
+boundary correction for kernel density estimation"; derivatives of expectations: Liu and Hong 2011, "Kernel estimation
+of the Greeks for options with discontinuous payoffs").
 """
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import Array, BoolArray, FloatArray
-from .edges import Edges
+from .._types import BoolArray, FloatArray
+from .boundaries import BoundaryDistances
 
-Kernel = Callable[[FloatArray, Array, BoolArray], Array]
-
-
-@jax.custom_jvp
-def crossing(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
-    """Zero, whose derivative estimates that of the expected count of positive `distance`, a margin known on both sides.
-
-    The kernel is as wide as `distance` moves, to first order, when the parameters move `bandwidth` times the direction
-    of differentiation: ``u = distance / (bandwidth |d distance|)``, and the derivative is ``sign(d distance) K(u) /
-    bandwidth`` with Epanechnikov's ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every weight is bounded, margins that do
-    not move have none, and the result is, to first order, that of a central difference of this step. It is linear in
-    the direction only in expectation: use forward mode only.
-    """
-    return 0 * distance
+Kernel: TypeAlias = Callable[[FloatArray, FloatArray, BoolArray], FloatArray]
+"""A function of distance, bandwidth and where the distance is active."""
 
 
-@crossing.defjvp
-def _crossing_jvp(primals, tangents):
-    weight, sign, hit = _moved(primals, tangents)
-    return 0 * primals[0], jnp.where(hit, sign * 0.75 * (1 - weight * weight) / primals[1], 0)
+def _kernel(slope: Callable[[FloatArray, FloatArray, FloatArray], FloatArray]) -> Kernel:
+    """Zero, whose derivative is ``slope(u, sign(d distance), bandwidth)`` where the distance is active and |u| < 1."""
+
+    @jax.custom_jvp
+    def zero(distance, bandwidth, where):
+        return 0 * distance
+
+    @zero.defjvp
+    def _(primals, tangents):
+        distance, bandwidth, where = primals
+        change = jnp.abs(tangents[0])
+        inside = where & (jnp.abs(distance) < bandwidth * change)
+        u = distance / jnp.where(inside, bandwidth * change, 1)
+        return 0 * distance, jnp.where(inside, slope(u, jnp.sign(tangents[0]), bandwidth), 0)
+
+    return zero
 
 
-@jax.custom_jvp
-def ending(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
-    """Like `crossing`, for a `distance` known only while positive, with ``K(u) = 4 - 6 u`` for 0 < u < 1."""
-    return 0 * distance
+two_sided_kernel = _kernel(lambda u, sign, bandwidth: sign * 0.75 * (1 - u * u) / bandwidth)
+"""Zero, whose derivative estimates that of the expected count of positive `distance`, known on both sides of 0.
+
+The kernel is as wide as `distance` moves, to first order, when the parameters move `bandwidth` times the direction of
+differentiation: ``u = distance / (bandwidth |d distance|)``, and the derivative is ``sign(d distance) K(u) /
+bandwidth`` with Epanechnikov's ``K(u) = 3/4 (1 - u^2)`` for -1 < u < 1. So every weight is bounded, distances that do
+not move have none, and the result is, to first order, that of a central difference of this step. It is linear in the
+direction only in expectation: use forward mode only.
+"""
+
+one_sided_kernel = _kernel(lambda u, sign, bandwidth: jnp.where(u > 0, sign * (4 - 6 * u) / bandwidth, 0))
+"""Like `two_sided_kernel`, for a `distance` known only while positive, with ``K(u) = 4 - 6 u`` for 0 < u < 1."""
+
+inside_window = _kernel(lambda u, sign, bandwidth: jnp.ones_like(u))
+"""Zero, whose derivative is 1 inside the window of the other two: counts the distances that they rest on."""
 
 
-@ending.defjvp
-def _ending_jvp(primals, tangents):
-    weight, sign, hit = _moved(primals, tangents)
-    return 0 * primals[0], jnp.where(hit & (weight > 0), sign * (4 - 6 * weight) / primals[1], 0)
-
-
-@jax.custom_jvp
-def hits(distance: FloatArray, bandwidth: Array, where: BoolArray) -> Array:
-    """Zero, whose derivative is 1 inside the window of `crossing` and `ending`: counts the margins they rest on."""
-    return 0 * distance
-
-
-@hits.defjvp
-def _hits_jvp(primals, tangents):
-    weight, _, hit = _moved(primals, tangents)
-    return 0 * primals[0], hit.astype(weight.dtype)
-
-
-def _moved(primals, tangents):
-    """``u``, the sign of ``d distance``, and whether ``|u| < 1`` and `where` is true."""
-    distance, bandwidth, where = primals
-    change = jnp.abs(tangents[0])
-    hit = where & (jnp.abs(distance) < bandwidth * change)
-    return distance / jnp.where(hit, bandwidth * change, 1), jnp.sign(tangents[0]), hit
-
-
-def weighted_flux(weight: Array, distance: FloatArray, where: BoolArray) -> Array:
+def zero_with_derivative(weight: FloatArray, distance: FloatArray, where: BoolArray) -> FloatArray:
     """Zero, whose derivative is ``weight * d distance`` where `where` is true.
 
     Added to a count, it makes the count's derivative an unbiased estimate of that of its expectation, if `weight` is
@@ -81,8 +67,10 @@ def weighted_flux(weight: Array, distance: FloatArray, where: BoolArray) -> Arra
     return jnp.where(where, lax.stop_gradient(weight), 0) * (distance - lax.stop_gradient(distance))
 
 
-def through(edges: Edges, bandwidth: Array, both_sides: Kernel, one_side: Kernel) -> Array:
-    """The sum over all margins of `edges`: the flux with kernels `crossing` and `ending`, their number with `hits`."""
-    found = [both_sides(number.value, bandwidth, number.decides) for number in edges.both_sides]
-    found += [one_side(number.value, bandwidth, number.decides) for number in edges.one_side]
+def sum_over_boundaries(
+    distances: BoundaryDistances, bandwidth: FloatArray, two_sided: Kernel, one_sided: Kernel
+) -> FloatArray:
+    """The sum over all `distances`: their event part with the kernels, their number with `inside_window` twice."""
+    found = [two_sided(distance.value, bandwidth, distance.is_active) for distance in distances.two_sided]
+    found += [one_sided(distance.value, bandwidth, distance.is_active) for distance in distances.one_sided]
     return sum(found[1:], found[0])

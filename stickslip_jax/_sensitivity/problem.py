@@ -1,15 +1,19 @@
 """A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
 
 from .._dynamics.engine_choice import ByIntervals, engine_for
-from .._dynamics.lanes import BLOCK, Engine
-from .._dynamics.method import EXACT
+from .._dynamics.lanes import BLOCK, Engine, Job
+from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
-from .._excitation.excitation import place_in_excitation
+from .._excitation.excitation import BaseMotion, place_in_excitation
+from .._excitation.laws import BangBangLaw
 from .._excitation.merged import merged, place_in_merged
-from .._types import AnyArray, Array
+from .._systems.system import System
+from .._types import AnyArray, Array, Scalar
 from .._uncertainty.inputs import Inputs, Model
 from .._uncertainty.numbers import Parameter, Path
 from .random_inputs import RandomInputs
@@ -36,17 +40,17 @@ class Problem(NamedTuple):
     """
 
     statistic: StickStatistic
-    system: Any
-    law: Any
+    system: System
+    law: BaseMotion
     t1: float
-    y0: tuple[Any, ...]
-    method: Any
+    y0: tuple[Scalar, ...]
+    method: Exact | Regularized
     key_data: Array
     parameters: tuple[Parameter, ...]
     samples: int
     threads: int
     chunk: int | None
-    dtype: Any
+    dtype: np.dtype
     random: RandomInputs | None = None
     model: Model | None = None
 
@@ -93,8 +97,8 @@ class Problem(NamedTuple):
 
     @property
     def is_paired(self) -> bool:
-        """Whether the event part is a difference between pairs of trajectories, because kernels would not find it."""
-        by_kernels = self.is_blind_to_events or not self.system.stops_are_unstable
+        """Whether the event part is a difference between pairs of trajectories, because kernels cannot estimate it."""
+        by_kernels = self.ignores_stick_count or not self.system.stops_are_unstable
         return self.has_sudden_switches or not by_kernels
 
     @property
@@ -103,9 +107,9 @@ class Problem(NamedTuple):
         return self.statistic.is_of_totals
 
     @property
-    def is_blind_to_events(self) -> bool:
-        """Whether sticks of zero length change nothing: no event part then, unless there are sudden switches."""
-        return isinstance(self.statistic, OfTotals) and self.statistic.is_blind_to_events
+    def ignores_stick_count(self) -> bool:
+        """Whether sticks of zero length do not change it: no event part then, unless there are sudden switches."""
+        return isinstance(self.statistic, OfTotals) and self.statistic.ignores_stick_count
 
     @property
     def can_be_corrected(self) -> bool:
@@ -114,11 +118,16 @@ class Problem(NamedTuple):
         if random is not None and random.inputs.has_sampled_law:
             return False
         in_rate = any(one.path[:2] == ("law", "rate") and len(one.path) > 2 for one in self.parameters)
-        if in_rate and self.by_intervals and self.is_counted and not self.is_blind_to_events:
+        if in_rate and self.by_intervals and self.is_counted and not self.ignores_stick_count:
             return False  # the likelihood of the number of switches knows one rate of all samples
         if random is None or random.only_in_start:
             return random is None or random.in_lanes
-        return random.in_lanes and (self.by_intervals or (self.is_counted and self.is_blind_to_events))
+        return random.in_lanes and (self.by_intervals or (self.is_counted and self.ignores_stick_count))
+
+    def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
+        """A job of `used_rows` rows from sample `first` on; it holds the own leaves of `samples` samples."""
+        own = self.own_leaves(first, samples)
+        return Job(engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
 
     def engine(self) -> Engine:
         """The fastest engine that simulates the motion."""
@@ -148,8 +157,10 @@ def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
     """Buffer sizes that suffice for nearly every realisation; callers enlarge them when they do not."""
     assert pilot.most is not None
     if problem.by_intervals:
+        assert isinstance(problem.law, BangBangLaw)
         intervals = problem.law.checked_capacity(problem.t1)
     else:
+        assert isinstance(problem.method, Exact)
         excitation, step = checked_step(problem.system, problem.law, problem.method, problem.t1, "law")
         intervals = steps_for(problem.system, excitation, problem.t1, step)
     slots = 8 * -(-pilot.most // 8) + 8

@@ -7,17 +7,23 @@ distribution moves it smoothly, and derivatives of an expectation are those of t
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._dynamics.engine_choice import engines_of_all, sample_engines
+from .._dynamics.lanes import Engine
+from .._dynamics.method import Exact, Regularized
 from .._dynamics.varying import VaryingEngine
 from .._types import AnyArray
 from .._uncertainty.inputs import Inputs
 from .._uncertainty.numbers import Path
 from .._uncertainty.random_number import RandomNumber
+from .boundaries import BoundaryDistances
+
+_Made = TypeVar("_Made", bound=Engine)
 
 
 class RandomEngine(VaryingEngine):
@@ -42,9 +48,9 @@ class RandomEngine(VaryingEngine):
     def after_block(self, samples: Any, motions: Any, records: Any) -> Any:
         return self.template.after_block(self.constants(samples), motions, records)
 
-    def edges(self, samples: Any, moments: Any) -> Any:
-        """As `TracedSteps.edges`."""
-        return self.template.edges(self.constants(samples), moments)
+    def distances(self, samples: Any, candidates: Any) -> BoundaryDistances:
+        """As `StepRecording.distances`."""
+        return self.template.distances(self.constants(samples), candidates)
 
 
 class RandomInputs(NamedTuple):
@@ -56,12 +62,14 @@ class RandomInputs(NamedTuple):
     inputs: Inputs
     engine: RandomEngine
     origins: tuple[int | None, ...]
-    method: Any
+    method: Exact | Regularized
     t1: float
-    dtype: Any
+    dtype: np.dtype
 
     @classmethod
-    def of(cls, inputs: Inputs, method: Any, t1: float, dtype: Any, paths: tuple[Path, ...]) -> "RandomInputs":
+    def of(
+        cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: np.dtype, paths: tuple[Path, ...]
+    ) -> "RandomInputs":
         """The engine of all samples of `inputs`; distributions with parameters at `paths` are its sources."""
         template, places, _, origins = engines_of_all(inputs, method, t1, dtype)
 
@@ -82,7 +90,7 @@ class RandomInputs(NamedTuple):
         )
 
     def path(self, path: Path, in_engine: Path) -> Path:
-        """The path in `engine` of the number at `path` of the model, which plain engines have at `in_engine`."""
+        """The path in `engine` of the number at `path` of the model, which a `single_engine` has at `in_engine`."""
         for place, origin in enumerate(self.origins):
             entry = None if origin is None else self.inputs.entries[origin]
             if entry is not None and path[: len(entry.path)] == entry.path:
@@ -100,8 +108,8 @@ class RandomInputs(NamedTuple):
         return all(source is None or source.in_lanes for source in self.engine.sources)
 
 
-def over(engine: Any, make: Callable[[Any], Any]) -> Any:
-    """What `make` makes of an engine; of a `RandomEngine`, with the same places.
+def wrapped(engine: Engine, make: Callable[[Any], _Made]) -> _Made | RandomEngine:
+    """What `make` makes of an engine; of a `RandomEngine`, one with the same places whose template `make` made.
 
     `make` must keep the engine's leaves as the first ones of its result.
     """
@@ -113,18 +121,18 @@ def over(engine: Any, make: Callable[[Any], Any]) -> Any:
     return dataclasses.replace(engine, template=template)
 
 
-def plain(engine: Any) -> Any:
-    """The engine of one sample, for what all samples share."""
+def single_engine(engine: Engine) -> Any:
+    """The engine of a single sample, for what all samples share."""
     return engine.template if isinstance(engine, RandomEngine) else engine
 
 
-def constants_of(engine: Any, sample: Any) -> Any:
-    """The constants of samples as the plain engine knows them."""
+def constants_of(engine: Engine, sample: Any) -> Any:
+    """The constants of samples as the `single_engine` knows them."""
     return engine.constants(sample) if isinstance(engine, RandomEngine) else sample
 
 
-def inside(path: Path, *outer: str) -> Path:
-    """The path of a number whose engine has become the field `outer` of another."""
+def wrapped_path(path: Path) -> Path:
+    """The path of a number whose engine has become the field `engine` of another, by `wrapped`."""
     if path[0] == "sources":
         return path
-    return ("template", *outer, *path[1:]) if path[0] == "template" else (*outer, *path)
+    return ("template", "engine", *path[1:]) if path[0] == "template" else ("engine", *path)

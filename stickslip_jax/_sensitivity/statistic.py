@@ -3,10 +3,12 @@
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Float
 
 from .. import _checks
 from .._statistics.totals import DIFFERENTIABLE, Linear, StatisticOfTotals
@@ -14,21 +16,26 @@ from .._types import Array, Scalar
 
 
 class StickSequence(NamedTuple):
-    """The sticks of one realisation in order of time; arrays (slots,), in which `mask` marks the filled slots.
+    """The sticks of one realisation in order of time.
 
-    `start`, `duration`: s; 0 in empty slots, which come last.
+    Attributes:
+        start: When each stick begins, s; 0 in empty slots.
+        duration: How long it lasts, s; 0 in empty slots.
+        mask: Marks the filled slots; the empty ones come last.
     """
 
-    start: Array
-    duration: Array
-    mask: Array
+    start: Float[Array, " slots"]
+    duration: Float[Array, " slots"]
+    mask: Bool[Array, " slots"]
 
 
 class StickStatistic(abc.ABC):
     """A statistic of the stick sequence: the mean over realisations of one number, divided by the mean of another.
 
-    `name`, `unit`: for tables and figures. `is_of_totals`: whether it depends only on the number of sticks and the
-    total stick time of each realisation.
+    Attributes:
+        name: For tables and figures.
+        unit: For tables and figures.
+        is_of_totals: Whether it depends only on the number of sticks and the total stick time of each realisation.
     """
 
     name: str
@@ -56,15 +63,12 @@ class OfTotals(StickStatistic):
         return self.definition.unit
 
     @property
-    def is_blind_to_events(self) -> bool:
+    def ignores_stick_count(self) -> bool:
         """Whether sticks of zero length do not change it: then its derivative has no event part."""
         return self.definition.numerator.stick_count == self.definition.denominator.stick_count == 0
 
-    def weights(self, t1: float) -> np.ndarray:
-        """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, (2, 3).
-
-        - `t1`: s.
-        """
+    def weights(self, t1: float) -> Float[np.ndarray, "2 3"]:
+        """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, for `t1` (s)."""
         return self.definition.weights(t1)[:, [0, 1, -1]]
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
@@ -96,69 +100,62 @@ class RealizationMeanDuration(StickStatistic):
 class _OfNumber(StickStatistic):
     """A mean over the i-th sticks of all realisations that have one.
 
-    - `number`: i = 1, 2, ...
-    - `count_initial_rest`: whether a stick that begins at t = 0, because the mass starts at rest, counts. By default it
-      does not, and the next one is the first.
+    Args:
+        number: i = 1, 2, ...
+        count_initial_rest: Whether a stick that begins at t = 0, because the mass starts at rest, counts. By default
+            it does not, and the next one is the first.
 
-    Raises ValueError unless `number` is a whole number of at least 1.
+    Raises:
+        ValueError: Unless `number` is a whole number of at least 1.
     """
 
     number: int
     count_initial_rest: bool = False
+    unit = "s"
+    quantity: ClassVar[str]
 
     def __post_init__(self):
         _checks.whole_number("number", self.number)
 
-    @abc.abstractmethod
-    def value_of(self, sticks: StickSequence) -> Array:
-        """The quantity to average, for every stick, (slots,)."""
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
+        return f"mean {self.quantity} of stick {self.number}"
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         counted = sticks.mask if self.count_initial_rest else sticks.mask & (sticks.start > 0)
         chosen = counted & (jnp.cumsum(counted) == self.number)
-        value = jnp.sum(jnp.where(chosen, self.value_of(sticks), 0))
+        value = jnp.sum(jnp.where(chosen, getattr(sticks, self.quantity), 0))
         return value, jnp.any(chosen).astype(value.dtype)
 
 
 @dataclasses.dataclass(frozen=True)
 class StickStart(_OfNumber):
     __doc__ = f"The mean start of the i-th stick, s.\n{(_OfNumber.__doc__ or '').partition(chr(10))[2]}"
-    unit = "s"
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"mean start of stick {self.number}"
-
-    def value_of(self, sticks: StickSequence) -> Array:
-        return sticks.start
+    quantity = "start"
 
 
 @dataclasses.dataclass(frozen=True)
 class StickDuration(_OfNumber):
     __doc__ = f"The mean duration of the i-th stick, s.\n{(_OfNumber.__doc__ or '').partition(chr(10))[2]}"
-    unit = "s"
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"mean duration of stick {self.number}"
-
-    def value_of(self, sticks: StickSequence) -> Array:
-        return sticks.duration
+    quantity = "duration"
 
 
 @dataclasses.dataclass(frozen=True)
 class StickFunctional(StickStatistic):
     """The mean over realisations of a user-supplied function of the stick sequence.
 
-    - `function`: takes a `StickSequence` and returns one number, traceable by JAX. It must be smooth in starts and
-      durations as long as the number of sticks does not change, and must not depend on empty slots (where starts and
-      durations are 0).
-    - `name`, `unit`: for tables and figures.
+    Args:
+        function: Takes a `StickSequence` and returns one number, traceable by JAX. It must be smooth in starts and
+            durations as long as the number of sticks does not change, and must not depend on empty slots (where starts
+            and durations are 0).
+        name: For tables and figures.
+        unit: For tables and figures.
 
-    Raises ValueError unless `function` can be called.
+    Raises:
+        ValueError: Unless `function` can be called.
     """
 
-    function: Callable[[StickSequence], Any]
+    function: Callable[[StickSequence], ArrayLike]
     name: str = "user's functional"
     unit: str = "1"
 

@@ -1,6 +1,6 @@
 """Counts of sticks as in `counting.py`, for any motion that is simulated in time steps.
 
-In most steps no stick is about to appear or vanish. The others are collected for a block, and their margins are found
+Most steps are close to no boundary. The others are collected for a block, and their signed distances are found
 together.
 """
 
@@ -14,100 +14,108 @@ from jax import lax
 from .._dynamics.lanes import Engine
 from .._dynamics.switched.lanes import Shared, SwitchedEngine
 from .._events.sticks import StickRecord
-from .._status import Ending
-from .._types import AnyArray, Array, BoolArray
-from .counting import Counted, Flux
-from .kernels import crossing, ending, hits, through
-from .traces import Sample, StepMotion, Trace, TracedSteps
+from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray
+from .boundaries import vanishes_from_start
+from .counting import BoundarySums, Counted
+from .kernels import Kernel, inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel
+from .recording import StepMotion, StepRecording, StepSample, Trace
 
 
 class _Motion(NamedTuple):
-    """The motion of one lane, and its flux so far."""
+    """The motion of one lane, and its sums so far."""
 
-    traced: StepMotion
-    flux: Flux
+    recorded: StepMotion
+    sums: BoundarySums
 
 
 class StepCounting(Engine):
-    """Engine that counts the sticks that `steps` simulates; `bandwidths`, `fixed_start` as for `IntervalCounting`.
+    """Engine that counts the sticks that `engine` simulates; `bandwidths`, `fixed_start` as for `IntervalCounting`.
 
     Without `bandwidths` it gives only pathwise derivatives.
     """
 
-    steps: SwitchedEngine
+    engine: SwitchedEngine
     bandwidths: AnyArray
     fixed_start: bool = eqx.field(static=True)
     looks_back = True
 
     @property
-    def _traced(self) -> TracedSteps:
-        return TracedSteps(self.steps, self.fixed_start, with_edges=len(self.bandwidths) > 0)
+    def _recording(self) -> StepRecording:
+        return StepRecording(self.engine, self.fixed_start, with_distances=len(self.bandwidths) > 0)
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, _Motion]:
-        sample, traced = self._traced.begin(key_data, dtype)
-        return sample, _Motion(traced, Flux.none(len(self.bandwidths), dtype))
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, _Motion]:
+        sample, motion = self._recording.begin(key_data, dtype)
+        return sample, _Motion(motion, BoundarySums.start(len(self.bandwidths), dtype))
 
     def shared(self, dtype) -> Shared:
-        return self.steps.shared(dtype)
+        return self.engine.shared(dtype)
 
-    def step(self, shared: Shared, sample: Sample, motion: _Motion, drawn: None) -> tuple[_Motion, Trace]:
-        traced, trace = self._traced.step(shared, sample, motion.traced, drawn)
-        return _Motion(traced, motion.flux), trace
+    def step(self, shared: Shared, sample: StepSample, motion: _Motion, drawn: None) -> tuple[_Motion, Trace]:
+        moved, trace = self._recording.step(shared, sample, motion.recorded, drawn)
+        return _Motion(moved, motion.sums), trace
 
-    def after_block(self, samples: Sample, motions: _Motion, records: Trace) -> _Motion:
-        if records.moments is None:
+    def after_block(self, samples: StepSample, motions: _Motion, records: Trace) -> _Motion:
+        if records.candidates is None:
             return motions
-        return motions._replace(flux=self._with_flux(samples, motions.flux, records))
+        return motions._replace(sums=self._with_block(samples, motions.sums, records))
 
     def ended(self, motion: _Motion, before: _Motion) -> BoolArray:
-        return self._traced.ended(motion.traced, before.traced)
+        return self._recording.ended(motion.recorded, before.recorded)
 
-    def results(self, sample: Sample, motion: _Motion) -> Counted:
-        totals = self.steps.results(sample.own, motion.traced.lane)
-        return Counted(totals.status, totals.stick_time, totals.sticks, *motion.flux)
+    def results(self, sample: StepSample, motion: _Motion) -> Counted:
+        totals = self.engine.results(sample.smooth, motion.recorded.lane)
+        return Counted(totals.status, totals.stick_time, totals.sticks, *motion.sums)
 
-    def _with_flux(self, samples: Sample, flux: Flux, trace: Trace) -> Flux:
-        """`flux` with that of all margins of a block added."""
-        bandwidths = jnp.asarray(self.bandwidths, samples.certain.dtype)
-        flux = self._from_start(samples, flux, trace.sticks, bandwidths)
-        assert trace.may_be_near is not None
-        steps, lanes = trace.may_be_near.shape
-        found = jnp.cumsum(trace.may_be_near.reshape(-1))
-        moments = jax.tree.map(lambda leaf: leaf.reshape(steps * lanes, *leaf.shape[2:]), trace.moments)
+    def _with_block(self, samples: StepSample, sums: BoundarySums, trace: Trace) -> BoundarySums:
+        """`sums` with those over all candidates of a block added."""
+        bandwidths = jnp.asarray(self.bandwidths, samples.deterministic_until.dtype)
+        sums = _with_first_sticks(samples, sums, trace.sticks, bandwidths)
+        assert trace.is_candidate is not None
+        steps, lanes = trace.is_candidate.shape
+        found = jnp.cumsum(trace.is_candidate.reshape(-1))
+        taken = jax.tree.map(lambda leaf: leaf.reshape(steps * lanes, *leaf.shape[2:]), trace.candidates)
 
         def some_more(carry):
-            done, flux = carry
+            # As many candidates at once as there are lanes: the k-th is where k have been found.
+            done, sums = carry
             wanted = done + jnp.arange(1, lanes + 1)
             at = jnp.minimum(jnp.searchsorted(found, wanted), steps * lanes - 1)
             lane, exists = at % lanes, wanted <= found[-1]
-            smooth, certain = jax.tree.map(lambda leaf: leaf[lane], samples)
-            edges = self._traced.edges_of(jax.tree.map(lambda leaf: leaf[at], moments), smooth)
-            edges = edges.only(exists & (edges.time >= certain), exists)
+            smooth, deterministic_until = jax.tree.map(lambda leaf: leaf[lane], samples)
+            distances = self._recording.distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
+            # Before anything random happens no distance has a density, except that to the base's first change.
+            distances = distances.only(exists & (distances.time >= deterministic_until), exists)
 
-            def add(kept, both_sides, one_side):
-                return tuple(_put(so_far, lane, through(edges, bandwidth, both_sides, one_side))
+            def add(kept: tuple[Array, ...], two_sided: Kernel, one_sided: Kernel) -> tuple[Array, ...]:
+                return tuple(_put(so_far, lane, sum_over_boundaries(distances, bandwidth, two_sided, one_sided))
                              for so_far, bandwidth in zip(kept, bandwidths, strict=True))  # fmt: skip
 
-            return done + lanes, Flux(add(flux.births, crossing, ending), add(flux.near, hits, hits))
-
-        return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), flux))[1]
-
-    def _from_start(self, samples: Sample, flux: Flux, sticks: StickRecord, bandwidths: Array) -> Flux:
-        """`flux` with that of sticks from t = 0, which vanish as their duration falls to 0."""
-
-        def add(flux, stick):
-            is_random = (samples.certain == 0) | (stick.ending == Ending.BASE_SWITCHED)
-            may_vanish = (stick.ending >= 0) & (stick.start == 0) & (stick.ending != Ending.HORIZON) & is_random
-            duration = stick.end - stick.start
-            births, near = (
-                tuple(kernel(duration, bandwidth, may_vanish) for bandwidth in bandwidths) for kernel in (ending, hits)
+            return done + lanes, BoundarySums(
+                add(sums.event_parts, two_sided_kernel, one_sided_kernel),
+                add(sums.in_window, inside_window, inside_window),
             )
-            return jax.tree.map(jnp.add, flux, Flux(births, near)), None
 
-        return lax.scan(add, flux, sticks)[0]
+        return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), sums))[1]
 
 
-def _put(so_far: Array, lane: Array, more: Array) -> Array:
+def _with_first_sticks(
+    samples: StepSample, sums: BoundarySums, sticks: StickRecord, bandwidths: FloatArray
+) -> BoundarySums:
+    """`sums` with those over sticks from t = 0, which vanish as their duration falls to 0."""
+
+    def add(sums, stick):
+        may_vanish = vanishes_from_start(stick.start, stick.ending, samples.deterministic_until)
+        duration = stick.end - stick.start
+        more = (
+            tuple(kernel(duration, bandwidth, may_vanish) for bandwidth in bandwidths)
+            for kernel in (one_sided_kernel, inside_window)
+        )
+        return jax.tree.map(jnp.add, sums, BoundarySums(*more)), None
+
+    return lax.scan(add, sums, sticks)[0]
+
+
+def _put(so_far: FloatArray, lane: IntArray, more: FloatArray) -> FloatArray:
     """`so_far` (lanes,) with each of `more` added to its lane. (XLA does not compile a scatter to a native loop.)"""
 
     def one(i, kept):

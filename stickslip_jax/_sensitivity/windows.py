@@ -5,35 +5,43 @@ chooses for the other: given the choice, the error is that of a fixed window.
 """
 
 import math
+from typing import TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from .._numerics.moments import Moments
+from .chunks import Accumulator
 from .estimate import Gradient, gradient_of_ratio
-from .estimators import Columns
-from .runs import Accumulator
+from .estimators import DerivativeColumns
 
+_InWindow: TypeAlias = Float[np.ndarray, " windows"]
+"""How many sticks each window holds."""
+
+COUNTED, PAIRED, RECORDED = (1.0, 0.25), (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # relative widths to choose from
 FEW = 100  # sticks: a narrower window with fewer is too noisy to judge others by
 _AGREE = 2.0  # standard errors
+_DISAGREE = 4.0  # standard errors: by chance alone two windows differ so much once in 16,000 times
 _ROUND_OFF = 1e-12  # relative
-_TORN = 4.0  # standard errors: by chance alone two windows differ so much once in 16,000 times
 
 
-def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by: float | None) -> tuple[Gradient, int]:
+def estimate(
+    accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow, elasticity_at: float | None
+) -> tuple[Gradient, int]:
     """The derivative by one parameter, and the index of its window, the narrower one where the halves differ.
 
-    `near` (windows,): how many sticks each window reached. `log_by`: the parameter's value, for elasticities. Where no
-    two windows agree (`is_torn`), the error is NaN: that of the narrowest window says nothing of what it misses.
+    `elasticity_at`: the parameter's value, for elasticities. Where no two windows agree (`windows_disagree`), the error
+    is NaN: that of the narrowest window says nothing of its bias.
     """
 
     def derivative(moments: Moments, window: int) -> Gradient:
-        return gradient_of_ratio(moments, where.derivative[window], where.pathwise, log_by)
+        return gradient_of_ratio(moments, columns.derivative[window], columns.pathwise, elasticity_at)
 
-    if is_torn(accumulator, where, near):
-        narrowest = _usable(where, near)[-1]
+    if windows_disagree(accumulator, columns, in_window):
+        narrowest = _usable(columns, in_window)[-1]
         return derivative(accumulator.moments, narrowest)._replace(standard_error=math.nan), narrowest
     halves = accumulator.halves
-    for_second, for_first = (_widest(half, where, near, _AGREE) for half in halves)
+    for_second, for_first = (_widest(half, columns, in_window, _AGREE) for half in halves)
     whole = derivative(accumulator.moments, max(for_first, for_second))
     if for_first == for_second:
         return whole, for_first
@@ -44,27 +52,28 @@ def estimate(accumulator: Accumulator, where: Columns, near: np.ndarray, log_by:
     return whole._replace(derivative=mixed, standard_error=error), max(for_first, for_second)
 
 
-def is_torn(accumulator: Accumulator, where: Columns, near: np.ndarray) -> bool:
+def windows_disagree(accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow) -> bool:
     """Whether even the two narrowest windows with enough sticks disagree by more than chance explains."""
-    usable = _usable(where, near)
-    return len(usable) > 1 and _widest(accumulator.moments, where, near, _TORN) == usable[-1]
+    usable = _usable(columns, in_window)
+    return len(usable) > 1 and _widest(accumulator.moments, columns, in_window, _DISAGREE) == usable[-1]
 
 
-def _usable(where: Columns, near: np.ndarray) -> list[int]:
+def _usable(columns: DerivativeColumns, in_window: _InWindow) -> list[int]:
     """Indices of the widest window and of all others with enough sticks."""
-    return [window for window in range(len(where.derivative)) if window == 0 or near[window] >= FEW]
+    return [window for window in range(len(columns.derivative)) if window == 0 or in_window[window] >= FEW]
 
 
-def _widest(moments: Moments, where: Columns, near: np.ndarray, agree: float) -> int:
+def _widest(moments: Moments, columns: DerivativeColumns, in_window: _InWindow, agree: float) -> int:
     """Index of the widest window whose derivative is within `agree` standard errors of those of all narrower ones."""
-    usable = _usable(where, near)
+    usable = _usable(columns, in_window)
     mean, covariance = moments.mean, moments.covariance_of_mean
     a, b = mean[:2]
     if moments.number < 2 or not b > 0:
         return usable[0]
 
-    def weights(window: int) -> np.ndarray:
-        of, column = np.zeros(len(mean)), where.derivative[window]
+    def weights(window: int) -> Float[np.ndarray, " columns"]:
+        # Of the derivative (da - (a / b) db) / b, linear in the means of its two columns.
+        of, column = np.zeros(len(mean)), columns.derivative[window]
         of[column : column + 2] = 1 / b, -a / b**2
         return of
 

@@ -123,7 +123,7 @@ class System(Checked):
     def stops_are_unstable(self) -> bool:
         """Whether friction changes with the position of a stop, so that a near stop may grow into motion of any size.
 
-        How near it was then follows a parameter too unevenly for first-order margins (docs/sensitivity.md).
+        How near it was then follows a parameter too unevenly for signed distances of first order (docs/sensitivity.md).
         """
         return False
 

@@ -92,7 +92,8 @@ def test_rates_and_starts():
     agree(by_rate, difference(ss.mean_stick_count, rate, 3.0, 0.2, 5, t1=2.0, samples=400_000))
     agree(by_start, difference(ss.mean_stick_count, start, 0.1, 0.01, 6, t1=2.0, samples=400_000))
     assert by_rate.estimator == "finite-difference"
-    with pytest.raises(ValueError, match="or of that of a switching rate"):  # how often it switches is in no path
+    # How often it switches is in no path.
+    with pytest.raises(ValueError, match="or to the distribution of a switching rate"):
         ss.sensitivity(ss.mean_stick_count, system, law, wrt="rate.high", estimator="corrected", **options)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax._numerics.random_bits import random_words, uniform
-from stickslip_jax._sensitivity.kernels import crossing, ending
+from stickslip_jax._sensitivity.kernels import one_sided_kernel, two_sided_kernel
 
 STATISTICS = {
     "count": ss.mean_stick_count,
@@ -291,7 +291,7 @@ def test_stick_time_has_no_event_part():
     mu = system.friction.mu
     assert relative.derivative == pytest.approx(fraction.derivative * mu / fraction.value, rel=1e-12)
     assert relative.is_elasticity
-    assert fraction.lanes_used == 1
+    assert fraction.finished_fraction == 1
     pooled = ss.sensitivity(ss.mean_stick_duration, system, law, elasticity=True, **options)
     count = ss.sensitivity(ss.mean_stick_count, system, law, elasticity=True, **options)
     # log(mean) = log(time) - log(count)
@@ -322,7 +322,7 @@ def test_independent_of_threads_chunks_and_other_parameters():
     assert other.standard_error == pytest.approx(one.standard_error, rel=1e-9)
 
 
-@pytest.mark.parametrize("kernel", [crossing, ending])
+@pytest.mark.parametrize("kernel", [two_sided_kernel, one_sided_kernel])
 def test_kernels_on_a_uniform_number(kernel):
     """``P(c theta - U > 0) = c theta`` for U uniform on [0, 1]: its derivative is c, whatever c's size."""
     numbers = (np.arange(200_000) + 0.5) / 200_000
@@ -331,7 +331,7 @@ def test_kernels_on_a_uniform_number(kernel):
 
         def count(theta, c=c):
             distance = c * (theta - 0.5) + 0.5 - numbers
-            seen = jnp.ones(len(numbers), bool) if kernel is crossing else distance > 0
+            seen = jnp.ones(len(numbers), bool) if kernel is two_sided_kernel else distance > 0
             return jnp.mean(kernel(distance, jnp.asarray(0.1), seen))
 
         value, slope = jax.jvp(count, (theta,), (1.0,))

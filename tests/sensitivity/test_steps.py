@@ -1,4 +1,4 @@
-"""Sensitivities of motion that is followed turn by turn: the default method, the counting lanes, references."""
+"""Sensitivities of motion that is followed in time steps: the default method, the counting lanes, references."""
 
 import math
 
@@ -12,7 +12,7 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._sensitivity import windows
 from stickslip_jax._sensitivity.estimators import counted, recorded
-from stickslip_jax._sensitivity.first_look import problem_of
+from stickslip_jax._sensitivity.pilot import problem_of
 
 JUMPS = ss.PoissonSwitching(1.0, 1.0)
 
@@ -150,7 +150,7 @@ def test_counted_as_recorded(system, law):
             (
                 accumulator.moments.mean[:2],
                 [accumulator.moments.mean[list(of.derivative)] for of in columns],
-                accumulator.near,
+                accumulator.in_window,
             )
         )
     for one, other in zip(*means, strict=True):
@@ -210,11 +210,11 @@ def test_corrected_at_twelve_points():
 
 @pytest.mark.slow
 def test_cart_that_nearly_stops(monkeypatch):
-    """At mu = 0.45 sticks of a tenth of a second are born within 0.05 % of mu. Count and pooled duration by mu against
+    """At mu = 0.45 sticks of a tenth of a second appear within 0.05 % of mu. Count and pooled duration by mu against
     plain differences of ensembles with other random numbers, at two steps, with the guard against windows that disagree
     switched off.
     """
-    monkeypatch.setattr(windows, "_TORN", math.inf)
+    monkeypatch.setattr(windows, "_DISAGREE", math.inf)
     law, y0, mu, number = ss.RandomPhase(ss.SourceVoltage()), (ss.Uniform(0.0, 6.283), 0.0, 0.0), 0.45, 32_768
 
     def totals(mu):

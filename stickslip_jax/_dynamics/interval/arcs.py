@@ -136,11 +136,19 @@ def _seen_from_center(x, p, q, a):
 
 @computed_once
 def _meeting(at_rest, D, p, q, a):
-    excess = D * D + (p - q) * (p + q)  # R^2 - q^2, free of cancellation near p = q
+    excess = excess_of(D, p, q)
     reaches = at_rest | (excess > jnp.where(p < q, touch(D, q, a), 0))
     positive = excess > 0
     h = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
     return excess, reaches, h
+
+
+def excess_of(D: FloatArray, p: FloatArray, q: FloatArray) -> FloatArray:
+    """``R^2 - q^2``, free of cancellation near p = q; positive if the arc through ``(D, p)`` reaches the base velocity.
+
+    Any unit will do that `D`, `p` and `q` share.
+    """
+    return D * D + (p - q) * (p + q)
 
 
 def touch(D: FloatArray, q: FloatArray, a: FloatArray) -> FloatArray:

@@ -1,24 +1,30 @@
-"""Warnings where no derivative exists: a first arc that exactly grazes in every trajectory; special base speeds."""
+"""Warnings where no derivative exists: a first arc that grazes exactly in every trajectory; special base speeds."""
 
 import warnings
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
-from .._dynamics.interval.engine import scales_of, start_motion
+from .._dynamics.interval.engine import Scales, scales_of, start_motion
+from .._dynamics.interval.lanes import IntervalEngine
+from .._dynamics.lanes import Engine
 from .._numerics.random_bits import random_words
 from .._types import Array
 from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
-from .edges import relative_excess
+from .boundaries import relative_excess
 from .problem import Problem
 
 _LANES = 64  # enough to draw every first velocity that is not rare
 _EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
 _SPECIAL = (1.0, 2.0, 3.0, 8.0, 15.0)  # values of w (docs/sensitivity.md)
+
+_Function: TypeAlias = Callable[[IntervalEngine, Scales, Float[Array, " lanes"]], Array]
+"""Of an engine, its scales, and the first base velocity of each lane: numbers of each lane, (lanes, ...)."""
 
 
 def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
@@ -29,26 +35,26 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
     if moved:
         warnings.warn(
             f"The derivative with respect to {', '.join(moved)} does not exist: {np.mean(grazes):.0%} of the "
-            "trajectories begin with an arc that grazes the base velocity exactly, so that it makes a stick for "
-            "smaller changes of one sign and none for those of the other. It is given as NaN; change y0, or make it "
-            "random.",
+            "trajectories begin with an arc that grazes the base velocity exactly, so that a change of one sign, "
+            "however small, makes a stick there, and one of the other sign none. The derivative is given as NaN; "
+            "change y0, or make it random.",
             RuntimeWarning,
             stacklevel=4,
         )
     return tuple(moved)
 
 
-def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
+def warn_at_special_speeds(problem: Problem, already_warned: tuple[str, ...]) -> None:
     """RuntimeWarning where the base speed over ``a omega``, w, is one of `_SPECIAL`, and a parameter changes it.
 
     There the circle on which the mass leaves a stick passes through special points of the phase plane, or the mass,
     where the base reverses as it is farthest out, comes back on the edge of the stick band. The mean number of sticks
-    has no derivative: differences grow as steps shrink. `warned`: parameters with a warning already.
+    has no derivative: differences grow as steps shrink. `already_warned`: parameters with a warning.
     """
     if not problem.by_intervals or _speed_differs(problem):
         return
     found, moved = _zeros(problem, _from_special_speeds)
-    moved = [name for name in moved if name not in warned]
+    moved = [name for name in moved if name not in already_warned]
     if moved:
         special = _SPECIAL[int(np.argmax(np.any(found, axis=0)))]
         warnings.warn(
@@ -60,21 +66,20 @@ def warn_at_special_speeds(problem: Problem, warned: tuple[str, ...]) -> None:
         )
 
 
-def _excess(engine: Any, key_data: Any, dtype: Any) -> Array:
-    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above. (lanes,)"""
-    scales = scales_of(engine.system, engine.t1, dtype)
+def _excess(engine: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Float[Array, " lanes"]:
+    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above."""
     motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
-    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(_velocities(engine, key_data, dtype))
+    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(velocities)
 
 
-def _from_special_speeds(engine: Any, key_data: Any, dtype: Any) -> Array:
+def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Array:
     """``w`` of the first base speed less each special one, (lanes, special speeds); 1 for a base at rest."""
-    scales, velocity = scales_of(engine.system, engine.t1, dtype), _velocities(engine, key_data, dtype)[:, None]
+    velocity = velocities[:, None]
     w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
-    return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], dtype))
+    return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], velocity.dtype))
 
 
-def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
+def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: np.dtype) -> Float[Array, " lanes"]:
     """The first base velocity of each lane, m/s."""
 
     def of(high, low):
@@ -85,7 +90,7 @@ def _velocities(engine: Any, key_data: Any, dtype: Any) -> Array:
     return jax.vmap(of)(*key_data)
 
 
-def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray, list[str]]:
+def _zeros(problem: Problem, function: _Function) -> tuple[Bool[np.ndarray, "..."], list[str]]:
     """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
     # Only where all samples are the same system; what differs in their starts does not matter here.
     problem = problem._replace(
@@ -95,9 +100,8 @@ def _zeros(problem: Problem, function: Callable[..., Array]) -> tuple[np.ndarray
     if not problem.parameters:
         return np.zeros(0, bool), []
     key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
-    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in problem.paths()])
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
-    found, slopes = _with_slopes(engine, key_data, values, function=function, paths=problem.paths(), dtype=dtype)
+    found, slopes = _with_slopes(engine, key_data, function=function, paths=problem.paths(), dtype=dtype)
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
@@ -117,11 +121,13 @@ def _is_shared(problem: Problem, parameter: Parameter) -> bool:
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
 def _with_slopes(
-    engine: Any, key_data: Any, values: Array, *, function: Callable[..., Array], paths: tuple[Path, ...], dtype: Any
+    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[Path, ...], dtype: np.dtype
 ) -> tuple[Array, Array]:
     """Values of the function, and its derivatives by the parameters along a last axis."""
 
     def of(values: Array) -> Array:
-        return function(with_numbers(engine, paths, values), key_data, dtype)
+        here = with_numbers(engine, paths, values)
+        return function(here, scales_of(here.system, here.t1, dtype), _velocities(here, key_data, dtype))
 
+    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
     return of(values), jax.jacfwd(of)(values)

@@ -1,6 +1,4 @@
-"""Check of the arguments, and a short pilot simulation, from which the widths of the kernels are chosen."""
-
-from typing import Any
+"""Check of the arguments, and a pilot simulation of few samples, from which the widths of the kernels are chosen."""
 
 import jax.numpy as jnp
 
@@ -9,40 +7,41 @@ from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
-from .._excitation.excitation import GivenSteps, is_random, key_data_for, law_of
+from .._excitation.excitation import BaseMotion, GivenSteps, is_random, key_data_for, law_of
 from .._excitation.piecewise import VelocitySteps
+from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._processor import cores
-from .._systems.system import require_system
+from .._statistics.totals import StatisticOfTotals
+from .._systems.system import System, require_system
+from .._types import Array
 from .._uncertainty.inputs import Inputs, Model
 from .._uncertainty.numbers import parameters_of
 from .problem import Pilot, Problem
-from .statistic import statistic_of
+from .statistic import StickStatistic, statistic_of
 
-COUNTED_WINDOWS, RECORDED_WINDOWS = (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # relative widths to choose from
-PAIRED_WINDOWS = (1.0, 0.25)
 _PILOT = 1024  # samples
 _RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # relative bandwidth of the widest window at so many sticks
 _LARGEST_BANDWIDTH = 0.05
 
 
 def problem_of(
-    statistic: Any,
-    system: Any,
-    law: Any,
-    wrt: Any,
+    statistic: StatisticOfTotals | StickStatistic,
+    system: System,
+    law: BaseMotion,
+    wrt: str | tuple[str, ...] | list[str],
     t1: float,
     samples: int,
-    key: Any,
-    y0: Any,
+    key: Array | None,
+    y0: InitialState | None,
     *,
-    method: Any = EXACT,
+    method: Exact | Regularized = EXACT,
     threads: int | None = None,
     chunk: int | None = None,
 ) -> tuple[Problem, Pilot]:
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
     require_threads_of_jax()
-    statistic = statistic_of(statistic)
+    of_sticks = statistic_of(statistic)
     threads = cores() if threads is None else _checks.whole_number("threads", threads)
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
     check_method(method)
@@ -55,25 +54,25 @@ def problem_of(
     inputs = inputs.with_start(first.y0)
     _require_chance(first.law, inputs)
     smoothed = isinstance(method, Regularized)
-    keep: Keep = "totals" if statistic.is_of_totals and not smoothed else "sticks"
+    keep: Keep = "totals" if of_sticks.is_of_totals and not smoothed else "sticks"
     pilot = _pilot(inputs, t1, key, method, keep, threads)
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
-    law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
-    law = GivenSteps(law) if isinstance(law, VelocitySteps) else law
+    base = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
+    base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
     problem = Problem(
-        statistic, first.system, law, float(t1), first.y0, method, key_data, parameters, number, threads, size,
+        of_sticks, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
         dtype,
     )  # fmt: skip
     return problem._replace(model=inputs.model) if smoothed else problem.with_inputs(inputs), pilot
 
 
 def require_precision(problem: Problem) -> None:
-    """Raise ValueError where float32 resolves neither near misses nor derivatives of slips that begin slowly."""
+    """Raise ValueError where float32 resolves neither near misses nor the derivatives of slips that begin slowly."""
     if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
         raise ValueError(
             "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
-            "velocity, in single precision: round-off hides how nearly an arc of any other motion missed, and how "
-            "slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
+            "velocity, in single precision: for any other motion round-off hides how close an arc came to the base "
+            "velocity, and how slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
             "estimator='finite-difference'."
         )
 
@@ -84,8 +83,8 @@ def require_correctable(problem: Problem) -> None:
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
             "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
-            "law is an object of your own with a method sample(key, t1), or where the parameter is one of a Beta "
-            "distribution, or of that of a switching rate."
+            "law is an object of your own with a method sample(key, t1), or where the parameter belongs to a Beta "
+            "distribution or to the distribution of a switching rate."
         )
 
 
@@ -98,7 +97,9 @@ def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
     return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
 
 
-def _pilot(inputs: Inputs, t1: float, key: Any, method: Exact | Regularized, keep: Keep, threads: int) -> Pilot:
+def _pilot(
+    inputs: Inputs, t1: float, key: Array | None, method: Exact | Regularized, keep: Keep, threads: int
+) -> Pilot:
     """A pilot simulation, which also checks the arguments."""
     number = min(inputs.samples, _PILOT)
     system, law, y0 = inputs.head(number)
@@ -111,7 +112,7 @@ def _pilot(inputs: Inputs, t1: float, key: Any, method: Exact | Regularized, kee
     return Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
 
 
-def _require_chance(law: Any, inputs: Inputs) -> None:
+def _require_chance(law: BaseMotion, inputs: Inputs) -> None:
     """Raise ValueError where nothing is random."""
     if not is_random(law) and not inputs.are_random:
         raise ValueError(

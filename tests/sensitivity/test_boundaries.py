@@ -1,4 +1,4 @@
-"""The parts of a sensitivity: edges of existence, what they change in a sequence of sticks, the choice of a window."""
+"""The parts of a sensitivity: signed distances, what boundaries change in a sequence of sticks, choice of a window."""
 
 import jax
 import jax.numpy as jnp
@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.lanes import Job
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._numerics.roots import steepest_fall
 from stickslip_jax._sensitivity import sequences, windows
+from stickslip_jax._sensitivity.chunks import Accumulator, derivatives_of
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
-from stickslip_jax._sensitivity.estimators import Columns
-from stickslip_jax._sensitivity.first_look import problem_of
+from stickslip_jax._sensitivity.estimators import DerivativeColumns
+from stickslip_jax._sensitivity.pilot import problem_of
 from stickslip_jax._sensitivity.problem import buffer_sizes_for
-from stickslip_jax._sensitivity.random_inputs import inside, over
-from stickslip_jax._sensitivity.runs import Accumulator, derivatives_of
+from stickslip_jax._sensitivity.random_inputs import wrapped, wrapped_path
+from stickslip_jax._sensitivity.recording import recording
 from stickslip_jax._sensitivity.statistic import StickSequence
-from stickslip_jax._sensitivity.traces import traced
 from stickslip_jax._uncertainty.numbers import with_numbers
 
 LANES = 512
@@ -44,38 +45,34 @@ MOTIONS = {
 @pytest.mark.parametrize(
     "name", ["bang-bang", *(pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS if name != "bang-bang")]
 )
-def test_what_is_near_happens(name):
-    """A number that is 0 at a relative change u of the parameter, to first order: changing it by 2 u makes or loses one
-    stick, as the number's sign tells. Of those with u < 5e-4, nearly all do.
+def test_what_is_close_to_a_boundary_crosses_it(name):
+    """A signed distance that is 0 at a relative change u of the parameter, to first order: changing it by 2 u makes or
+    loses one stick, as the distance's sign tells. Of those with u < 5e-4, nearly all do.
     """
     system, law, t1, y0, chunks = MOTIONS[name]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
-    engine, buffer = (
-        over(problem.engine(), lambda engine: traced(engine, False)),
-        buffer_sizes_for(problem, pilot._replace(most=39))._replace(edges=120),
-    )
-    paths, mu = (inside(problem.paths()[0], "engine"),), problem.parameters[0].value
+    engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
+    buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
+    paths, mu = (wrapped_path(problem.paths()[0]),), problem.parameters[0].value
 
     def record(values, own, first):
         varied = with_numbers(engine, paths, values)
-        recorded = sequences.record_sequences(
-            varied, own, problem.key_data, first, lanes=LANES, buffer=buffer, dtype=problem.dtype
-        )
-        numbers = recorded.near.both_sides
-        return jnp.stack([number.value for number in numbers]), (
-            jnp.stack([number.decides for number in numbers]), recorded.sticks
-        )  # fmt: skip
+        job = Job(varied, problem.key_data, first, np.int32(1), own)
+        recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
+        found = recorded.distances.two_sided
+        is_active = jnp.stack([distance.is_active for distance in found])
+        return jnp.stack([distance.value for distance in found]), (is_active, recorded.sticks)
 
     @jax.jit
-    def near(own, first):
+    def distances(own, first):
         return derivatives_of(lambda values: record(values, own, first), engine, paths, problem.dtype)
 
     counts = jax.jit(lambda values, own, first: record(values, own, first)[1][1])
     right = seen = 0
     for first in range(0, chunks * LANES, LANES):
         own = problem.own_leaves(first, LANES)
-        value, slope, (decides, sticks) = near(own, np.uint32(first))
-        u = np.where(decides, value / np.where(slope[0] == 0, np.nan, slope[0]), np.nan)
+        value, slope, (is_active, sticks) = distances(own, np.uint32(first))
+        u = np.where(is_active, value / np.where(slope[0] == 0, np.nan, slope[0]), np.nan)
         for kind, slot, lane in zip(*np.nonzero(np.abs(u) < 5e-4), strict=True):
             if np.sum(np.abs(u[:, :, lane]) < 2e-3) == 1:  # alone
                 shifted = counts(jnp.array([mu * (1 - 2 * u[kind, slot, lane])]), own, np.uint32(first))
@@ -88,38 +85,35 @@ def test_what_is_near_happens(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wrt", ["mu", "amplitude", "angular_frequency"])
-def test_numbers_move_as_their_derivatives_say(wrt):
-    """All numbers of a harmonic base's edges against central differences of themselves. A few samples meet one edge
-    more at one end of the difference, which moves all later ones to other slots.
+def test_distances_move_as_their_derivatives_say(wrt):
+    """All signed distances on a harmonic base against central differences of themselves. A few samples have one
+    candidate more at one end of the difference, which moves all later ones to other slots.
     """
     system, law, t1, y0, _ = MOTIONS["harmonic"]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
-    engine, buffer = (
-        over(problem.engine(), lambda engine: traced(engine, False)),
-        buffer_sizes_for(problem, pilot._replace(most=39))._replace(edges=120),
-    )
-    paths, value = (inside(problem.paths()[0], "engine"),), problem.parameters[0].value
+    engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
+    buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
+    paths, value = (wrapped_path(problem.paths()[0]),), problem.parameters[0].value
     own = problem.own_leaves(0, LANES)
 
-    def numbers(values):
+    def distances(values):
         varied = with_numbers(engine, paths, values)
-        recorded = sequences.record_sequences(
-            varied, own, problem.key_data, jnp.uint32(0), lanes=LANES, buffer=buffer, dtype=problem.dtype
-        )
-        near = recorded.near
-        decides = jnp.stack([number.decides for number in near.both_sides])
-        return jnp.stack([number.value for number in near.both_sides]), (decides, near.time)
+        job = Job(varied, problem.key_data, jnp.uint32(0), np.int32(1), own)
+        recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
+        found = recorded.distances
+        is_active = jnp.stack([distance.is_active for distance in found.two_sided])
+        return jnp.stack([distance.value for distance in found.two_sided]), (is_active, found.time)
 
-    _, slopes, (decides, _) = jax.jit(lambda: derivatives_of(numbers, engine, paths, problem.dtype))()
+    _, slopes, (is_active, _) = jax.jit(lambda: derivatives_of(distances, engine, paths, problem.dtype))()
     (low, (_, before)), (high, (_, after)) = (
-        jax.jit(numbers)(jnp.array([value * (1 + sign * 1e-6)])) for sign in (-1, 1)
+        jax.jit(distances)(jnp.array([value * (1 + sign * 1e-6)])) for sign in (-1, 1)
     )
     differences = (np.asarray(high) - np.asarray(low)) / 2e-6
     for kind in range(len(differences)):
-        same = np.asarray(decides[kind]) & (np.abs(before - after) < 1e-3)
+        same = np.asarray(is_active[kind]) & (np.abs(before - after) < 1e-3)
         right = np.abs(differences[kind] - slopes[0][kind]) <= 1e-2 * (np.abs(slopes[0][kind]) + 1e-3)
         assert np.sum(same & ~right) <= 0.12 * np.sum(same), kind
-    assert np.sum(decides) > 500
+    assert np.sum(is_active) > 500
 
 
 def sequence(*sticks):
@@ -174,26 +168,26 @@ def tally_of(rng, bias, number=4000):
     wide, narrow = 1 + bias + rng.normal(size=number), 1 + 2 * rng.normal(size=number)
     zero = np.zeros(number)
     rows = np.stack([zero, zero + 1, wide, zero, narrow, zero, zero, zero], axis=1)
-    near = np.array([[1000.0, 250.0]])
-    return Accumulator((Moments.of(rows[::2]), Moments.of(rows[1::2])), near), Columns((2, 4), 6)
+    in_window = np.array([[1000.0, 250.0]])
+    return Accumulator((Moments.of(rows[::2]), Moments.of(rows[1::2])), in_window), DerivativeColumns((2, 4), 6)
 
 
 def test_window_is_wide_unless_it_disagrees(monkeypatch):
     accumulator, where = tally_of(np.random.default_rng(3), 0.0)
-    got, window = windows.estimate(accumulator, where, accumulator.near[0], None)
+    got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
     assert window == 0
     assert got == gradient_of_ratio(accumulator.moments, 2, 6, None)
     # No two windows agree: the error of the narrowest alone would be too sure of itself, and is not given.
     accumulator, where = tally_of(np.random.default_rng(3), 1.0)
-    got, window = windows.estimate(accumulator, where, accumulator.near[0], None)
+    got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
     narrow = gradient_of_ratio(accumulator.moments, 4, 6, None)
     assert (window, got.derivative) == (1, narrow.derivative)
     assert np.isnan(got.standard_error)
-    assert windows.is_torn(accumulator, where, accumulator.near[0])
-    monkeypatch.setattr(windows, "_TORN", np.inf)  # without that guard the error is finite
-    assert windows.estimate(accumulator, where, accumulator.near[0], None) == (narrow, 1)
+    assert windows.windows_disagree(accumulator, where, accumulator.in_window[0])
+    monkeypatch.setattr(windows, "_DISAGREE", np.inf)  # without that guard the error is finite
+    assert windows.estimate(accumulator, where, accumulator.in_window[0], None) == (narrow, 1)
     # A narrow window that holds too little judges nothing.
-    assert windows.estimate(accumulator, where, np.array([1000, windows.FEW - 1]), None)[1] == 0
+    assert windows.estimate(accumulator, where, np.array([1000.0, windows.FEW - 1]), None)[1] == 0
 
 
 @pytest.mark.slow
@@ -204,10 +198,10 @@ def test_choosing_a_window_leaves_errors_honest():
     rng, scores, own, narrow = np.random.default_rng(5), [], [], 0
     for _ in range(2000):
         accumulator, where = tally_of(rng, 0.0, number=400)
-        got, window = windows.estimate(accumulator, where, accumulator.near[0], None)
+        got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
         scores.append((got.derivative - 1) / got.standard_error)
         narrow += window
-        chosen = where.derivative[windows._widest(accumulator.moments, where, accumulator.near[0], windows._AGREE)]
+        chosen = where.derivative[windows._widest(accumulator.moments, where, accumulator.in_window[0], windows._AGREE)]
         naive = gradient_of_ratio(accumulator.moments, chosen, 6, None)
         own.append((naive.derivative - 1) / naive.standard_error)
     bound = 4 / np.sqrt(2 * 2000)

@@ -1,0 +1,192 @@
+"""Signed distances to the boundaries at which sticks, or slips between two sticks, appear and vanish.
+
+A boundary is the set of samples in which a stick has zero length: a small change of a parameter makes it last for some
+time, or leaves none. The signed distance of a sample is positive while the stick exists, and zero on the boundary. Here
+the distances are found for a base of piecewise-constant velocity, from the closed forms: at most one stick begins in
+each interval, when the mass arrives at the base velocity q inside the stick band. `step_boundaries.py` does the same
+for any system.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._dynamics.interval.arcs import carry_across, excess_of, touch
+from .._dynamics.interval.engine import Motion, Scales, cross_interval
+from .._events.sticks import StickRecord, Totals
+from .._excitation.laws import BangBangLaw
+from .._numerics.elementary import angle_of
+from .._status import Ending
+from .._types import Array, BoolArray, FloatArray, IntArray
+
+
+class SignedDistance(NamedTuple):
+    """Positive while a stick or slip exists, 0 on the boundary; `is_active`: whether its existence depends on it."""
+
+    value: FloatArray
+    is_active: BoolArray
+
+
+class BoundaryDistances(NamedTuple):
+    """The signed distances of one interval or step.
+
+    - `time`: when the stick or slip begins, or would begin, s. `exists`: whether there is one. `is_slip`: whether it is
+      a slip between two sticks, and not a stick.
+    - Known on both sides of the boundary: `grazing`, how far an arc goes beyond the base velocity, or the friction that
+      a stick needs beyond what it can hold; `switch`, time from the arrival to the next change of the base motion, s;
+      `horizon`, time from it to `t1`, s; `crossing`, how far friction is from being unable to hold an arrival.
+    - Known only while positive: `crossing_held`, how far an arrival that is held is from the edge of the stick band.
+
+    Each engine gives one of `crossing` and `crossing_held`; the other is None.
+    """
+
+    time: FloatArray
+    exists: BoolArray
+    is_slip: BoolArray
+    grazing: SignedDistance
+    switch: SignedDistance
+    horizon: SignedDistance
+    crossing: SignedDistance | None = None
+    crossing_held: SignedDistance | None = None
+
+    @property
+    def two_sided(self) -> tuple[SignedDistance, ...]:
+        """All distances that are known on both sides of the boundary."""
+        known = (self.grazing, self.switch, self.horizon, self.crossing)
+        return tuple(distance for distance in known if distance is not None)
+
+    @property
+    def one_sided(self) -> tuple[SignedDistance, ...]:
+        """All distances that are known only while positive."""
+        return () if self.crossing_held is None else (self.crossing_held,)
+
+    @property
+    def any_active(self) -> BoolArray:
+        """Whether any distance is active."""
+        found = jnp.zeros_like(self.exists)
+        for distance in self.two_sided + self.one_sided:
+            found = found | distance.is_active
+        return found
+
+    def only(self, where: BoolArray, switch_where: BoolArray) -> "BoundaryDistances":
+        """The same distances, active only `where` that is true; that to the switch only `switch_where` is."""
+        limited = {
+            name: distance._replace(is_active=distance.is_active & (switch_where if name == "switch" else where))
+            for name, distance in self._asdict().items()
+            if isinstance(distance, SignedDistance)
+        }
+        return self._replace(**limited)
+
+
+def vanishes_from_start(start: FloatArray, ending: IntArray, deterministic_until: FloatArray) -> BoolArray:
+    """Whether the stick in a record begins at t = 0 and may vanish, as its duration falls to 0.
+
+    `deterministic_until`: when the first random thing happens in the sample, s. A stick that ended before, but for the
+    first change of the base itself, has the same duration in all samples; one that lasts until `t1` is not short.
+    """
+    is_random = (deterministic_until == 0) | (ending == Ending.BASE_SWITCHED)
+    return (ending >= 0) & (start == 0) & (ending != Ending.HORIZON) & is_random
+
+
+class IntervalLane(NamedTuple):
+    """One lane between two intervals; `memory`: the state of the base's law.
+
+    `cut_velocity`: base velocity during the last interval if a switch of the base cut a stick short there, else 0, m/s.
+    """
+
+    memory: Any
+    motion: Motion
+    totals: Totals
+    cut_velocity: FloatArray
+
+
+def cross_with_distances(
+    law: BangBangLaw, scales: Scales, lane: IntervalLane, drawn: Any
+) -> tuple[IntervalLane, StickRecord, BoundaryDistances, FloatArray]:
+    """Cross the next interval: the lane after it, its stick, its signed distances, its length (s)."""
+    memory, motion, totals, cut_velocity = lane
+    duration, velocity, memory = law.next_interval(memory, drawn, motion.t.dtype)
+    duration = jnp.where(duration >= scales.t1, scales.t1, duration)  # no infinity enters the arithmetic
+    moved, totals, stick = cross_interval(scales, motion, totals, duration, velocity)
+    distances = _distances(scales, motion, cut_velocity, stick, duration, velocity)
+    cut = jnp.where(stick.ending == Ending.BASE_SWITCHED, velocity, 0)
+    return IntervalLane(memory, moved, totals, cut), stick, distances, duration
+
+
+def _distances(
+    scales: Scales,
+    motion: Motion,
+    cut_velocity: FloatArray,
+    stick: StickRecord,
+    duration: FloatArray,
+    velocity: FloatArray,
+) -> BoundaryDistances:
+    """The signed distances of one interval."""
+    stuck, moving = stick.ending >= 0, velocity != 0
+    arc = _first_arc(scales, motion, cut_velocity, duration, velocity)
+    speed = jnp.abs(jnp.where(moving, velocity, 1))
+    # When the mass would have arrived, crossings included, had the interval lasted a little longer: the distance to the
+    # switch is then known also where the switch came first. One revolution more is beyond the width of any kernel.
+    span = (jnp.minimum(motion.t + duration, scales.t1) - motion.t) * scales.omega + 2 * np.pi
+    longer = carry_across(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width, span)
+    arrival = jnp.where(stuck, stick.start - motion.t, longer.entered * scales.inverse_omega)
+    end, to_switch, to_horizon = motion.t + duration, duration - arrival, scales.t1 - (motion.t + arrival)
+    # An arc from below ends in a stick that lasts, or grazes. Only one from above, or from a crossing, may arrive at
+    # the edge of the band where sticks are released: a little beyond it the mass crosses, and the stick is gone.
+    may_cross = stuck & moving & ~arc.sticks_from_below
+    to_edge = (scales.half_width - jnp.sign(velocity) * stick.position) / speed
+    # A missed arrival counts for the end that came first; if both came before it, a small change brings no stick.
+    misses = longer.stuck & ~stuck & (motion.t < scales.t1)
+    after_switch = misses & (to_switch <= 0) & (to_horizon > 0)
+    after_horizon = misses & (to_horizon <= 0) & (to_switch > 0)
+    missed = jnp.where(after_switch, end, jnp.where(after_horizon, scales.t1, motion.t + arc.top))
+    return BoundaryDistances(
+        time=jnp.where(stuck, stick.start, missed),
+        exists=stuck,
+        is_slip=jnp.zeros_like(stuck),
+        grazing=SignedDistance(arc.excess, arc.has_top),
+        switch=SignedDistance(to_switch, stuck | after_switch),
+        horizon=SignedDistance(to_horizon, stuck | after_horizon),
+        crossing_held=SignedDistance(to_edge, may_cross),
+    )
+
+
+class _Arc(NamedTuple):
+    """The first arc of an interval on a moving base."""
+
+    excess: FloatArray  # of one from below: R^2 - q^2 in (m/s)^2, R its radius; where positive it reaches q
+    top: FloatArray  # when it comes nearest to q, s from its beginning
+    is_below: BoolArray
+    has_top: BoolArray  # whether the interval holds its top: a change of the excess's sign then adds or removes a stick
+    sticks_from_below: BoolArray  # whether it meets q inside the band from below, if the interval lasts long enough
+
+
+def _first_arc(
+    scales: Scales, motion: Motion, cut_velocity: FloatArray, duration: FloatArray, velocity: FloatArray
+) -> _Arc:
+    # The quantities of `_dynamics/interval/arcs.py`, as velocities: all lengths times omega.
+    forward = jnp.where(velocity < 0, -1, 1)
+    p, q, a = forward * motion.p * scales.omega, jnp.abs(velocity), scales.half_width * scales.omega
+    D = (forward * motion.x - scales.half_width) * scales.omega
+    is_below = p < q
+    excess = excess_of(D, p, q)
+    # Clockwise from (D, p) to the top, (0, R). It decides whether the interval holds the top; no derivative needs it.
+    back, up = lax.stop_gradient(D), lax.stop_gradient(p)
+    angle = angle_of(jnp.abs(back), up)
+    top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * scales.inverse_omega
+    # After a stick cut short by a reversal of the base, R >= q always (the excess is a square): no stick can appear.
+    is_reversed = cut_velocity == -velocity
+    # Back on the circle on which it left a stick, R = q for all parameters: the sign of the excess is round-off there.
+    not_tangent = jnp.abs(excess) > touch(D, q, a)
+    has_top = (q > 0) & is_below & ~is_reversed & not_tangent & (top < duration) & (motion.t + top < scales.t1)
+    return _Arc(excess, top, is_below, has_top, is_below & (excess > 0) & (excess <= (2 * a) ** 2))
+
+
+def relative_excess(scales: Scales, motion: Motion, velocity: Array) -> Array:
+    """``R^2 - q^2`` of the first arc on a base of this velocity, relative to its terms; 1 for an arc from above."""
+    nothing = jnp.zeros_like(motion.x)
+    arc = _first_arc(scales, motion, nothing, jnp.full_like(nothing, jnp.inf), velocity)
+    size = velocity * velocity + (scales.half_width * scales.omega) ** 2
+    return jnp.where(arc.is_below & (velocity != 0), arc.excess / lax.stop_gradient(size), 1)

@@ -1,0 +1,210 @@
+"""Finite differences with common random numbers: of every trajectory, or between ensembles.
+
+Regularised dynamics, which only ensembles simulate, has no boundaries: there a stick is a time below a threshold. The
+options of the method that follow from the system, such as the threshold, follow the parameter.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, TypeAlias, TypeVar
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._dynamics.compiled import chunks_of
+from .._dynamics.lanes import Engine, Job
+from .._ensemble.call import simulate_batch
+from .._ensemble.parts import RETAINED
+from .._ensemble.setup import EnsembleSetup
+from .._events.sticks import FlatSticks
+from .._statistics.accumulator import Numbering
+from .._types import AnyArray
+from .._uncertainty.inputs import Model
+from .._uncertainty.numbers import Parameter, Path, check_numbers, with_numbers
+from .chunks import RecordedCounts, Rows, run_chunks, units_of, value_chunk
+from .estimators import Estimated, columns_of, counter, counting_engine, flat, recorder, with_buffer, wrapped_paths
+from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
+from .random_inputs import RandomEngine, wrapped
+from .recording import recording
+from .sequences import BufferSizes
+from .statistic import OfTotals, StickSequence, StickStatistic
+
+_ALL = Numbering(1, True)  # counts a stick that begins at t = 0, as the statistics do
+
+_Tree = TypeVar("_Tree")
+
+
+class _Values(NamedTuple):
+    """Of some samples: the statistic's numerator and denominator, status, and number of sticks."""
+
+    parts: Float[np.ndarray, "samples 2"]
+    status: Int[np.ndarray, " samples"]
+    sticks: np.ndarray
+
+
+_ValuesOf: TypeAlias = Callable[[int, int], _Values]
+"""A function of a task's first sample and its number of samples."""
+_Pathwise: TypeAlias = Callable[[int, int], Float[np.ndarray, "parameters samples 2"]]
+"""The pathwise derivatives, likewise."""
+_Pairs: TypeAlias = list[tuple[float, list[_ValuesOf]]]
+"""The difference's half-width and the values at both ends, for all parameters and steps."""
+
+
+def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool) -> Estimated:
+    """Derivatives by all parameters as central differences of every trajectory, ``(f(p + s) - f(p - s)) / (2 s)``.
+
+    `steps`: s, relative to the parameter's size. Both ends use the same random numbers. In place of the distances
+    inside a window, the trajectories are counted whose number of sticks differs between the ends.
+    """
+    engine, paths = problem.engine(), problem.paths()
+    values, per_task, pathwise = _by_totals(problem, pilot) if problem.is_counted else _by_sequences(problem, pilot)
+    pairs = [
+        (length, [partial(values, end) for end in _ends_of(engine, path, parameter, length)])
+        for path, parameter, unit in zip(paths, problem.parameters, units_of(engine, paths), strict=True)
+        for length in steps * unit
+    ]
+    return _differences(problem, partial(values, engine), pairs, per_task, pathwise if with_pathwise else None)
+
+
+def differenced_ensembles(problem: Problem, steps: np.ndarray) -> Estimated:
+    """As `differenced`, of whole ensembles: of regularised dynamics."""
+    model = problem.model
+    assert model is not None
+    pairs = [
+        (length, [_simulated(problem, end) for end in _ends_of(model, parameter.path, parameter, length)])
+        for parameter in problem.parameters
+        for length in steps * (abs(parameter.value) or 1.0)
+    ]
+    return _differences(problem, _simulated(problem, model), pairs, lanes_and_rows(problem)[2], None)
+
+
+def _ends_of(tree: _Tree, path: Path, parameter: Parameter, length: float) -> list[_Tree]:
+    """An engine or model with the parameter at `path` lowered and raised by `length`.
+
+    Raises ValueError if a value is not allowed.
+    """
+    ends = [with_numbers(tree, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
+    try:
+        for end in ends:
+            check_numbers(end)
+    except ValueError as error:
+        raise ValueError(
+            f"Argument step (or relative_bandwidth) must be smaller: {parameter.name} = {parameter.value:g} is to be "
+            f"varied by {length:g}, which it does not allow. {error}"
+        ) from error
+    return ends
+
+
+def _differences(
+    problem: Problem, centre: _ValuesOf, pairs: _Pairs, per_task: int, pathwise_of: _Pathwise | None
+) -> Estimated:
+    """Moments of the parts and their differences."""
+    parameters = len(problem.parameters)
+    steps = len(pairs) // parameters
+
+    def simulate(first: int, number: int) -> Rows:
+        def difference(length: float, ends: list[_ValuesOf]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            low, high = (end(first, number) for end in ends)
+            slope = (high.parts - low.parts) / (2 * length)
+            return slope, np.maximum(low.status, high.status), low.sticks != high.sticks
+
+        parts, status, _ = centre(first, number)
+        slopes, statuses, differs = zip(*(difference(*pair) for pair in pairs), strict=True)
+        shape = (parameters, steps, number)
+        slopes = np.moveaxis(np.reshape(slopes, (*shape, 2)), 2, 1)
+        pathwise = np.zeros((parameters, number, 2)) if pathwise_of is None else pathwise_of(first, number)
+        differs = np.moveaxis(np.reshape(differs, shape), 2, 1).astype(float)
+        return Rows(np.max([status, *statuses], axis=0), parts, slopes, pathwise, differs)
+
+    accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
+    return accumulator, columns_of(parameters, steps, parameters)
+
+
+# The values of an engine's samples; the largest number of samples of a task; the pathwise derivatives.
+_Source: TypeAlias = tuple[Callable[[Engine, int, int], _Values], int, _Pathwise]
+
+
+def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
+    """What `differenced` needs, for statistics of totals."""
+    statistic = problem.statistic
+    assert isinstance(statistic, OfTotals)
+    lanes, rows, per_task = lanes_and_rows(problem)
+    _, count = counter(problem, counting_engine(problem, pilot, np.zeros(0)), wrapped_paths(problem))
+
+    def values(engine: Engine, first: int, number: int) -> _Values:
+        job = _drawn(problem.job(engine, first, lanes * rows, -(-number // lanes)))
+        with_records = problem.random is not None and problem.random.inputs.has_sampled_law
+        results = chunks_of(job.engine, with_records=with_records).summarize(
+            job, lanes=lanes, rows=rows, dtype=problem.dtype
+        )
+        totals = (flat(leaf, number) for leaf in (results.stick_time, results.sticks, results.status))
+        return _of_totals(statistic, problem.t1, *totals)
+
+    return values, per_task, lambda first, number: count(first, number).pathwise
+
+
+def _of_totals(
+    statistic: OfTotals, t1: float, stick_time: np.ndarray, sticks: np.ndarray, status: np.ndarray
+) -> _Values:
+    weights = statistic.weights(t1)
+    totals = np.stack([np.asarray(stick_time, float), np.asarray(sticks, float)], axis=-1)
+    return _Values(totals @ weights[:, :2].T + weights[:, 2], status.astype(int), sticks)
+
+
+def _drawn(job: Job) -> Job:
+    """The job with its random numbers drawn: both ends of a difference are then compiled once."""
+    engine, own = job.engine.drawn(job.own) if isinstance(job.engine, RandomEngine) else (job.engine, job.own)
+    return job._replace(engine=engine, own=own)
+
+
+def _by_sequences(problem: Problem, pilot: Pilot) -> _Source:
+    """What `differenced` needs, for statistics of recorded sequences."""
+    lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
+    buffer = buffer_sizes_for(problem, pilot)._replace(candidates=0)
+    record = recorder(problem, buffer, np.zeros(0))
+
+    def values(engine: Engine, first: int, number: int) -> _Values:
+        job = _drawn(problem.job(engine, first, lanes))
+        job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
+
+        def run(buffer: BufferSizes) -> tuple[tuple[AnyArray, RecordedCounts], RecordedCounts]:
+            found = value_chunk(problem.statistic, job, lanes=lanes, buffer=buffer, dtype=problem.dtype)
+            return found, found[1]
+
+        parts, counts = with_buffer(run, buffer)
+        status, sticks = (np.asarray(leaf)[:number] for leaf in (counts.status, counts.sticks))
+        return _Values(np.asarray(parts, float)[:number], status, sticks)
+
+    def pathwise(first: int, number: int) -> np.ndarray:
+        return np.asarray(record(first)[1].parts, float)[:, :number] / units
+
+    return values, lanes, pathwise
+
+
+def _simulated(problem: Problem, model: Model) -> _ValuesOf:
+    """The values of the samples of an ensemble of `model`."""
+    key = jax.random.wrap_key_data(problem.key_data)
+    options = (problem.samples, 0, key, None, problem.method, "sticks", _ALL)
+    run = EnsembleSetup.checked(model, problem.t1, *options)
+
+    def values(first: int, number: int) -> _Values:
+        many = simulate_batch(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
+        totals, statistic = many.totals, problem.statistic
+        assert totals is not None
+        if isinstance(statistic, OfTotals):
+            return _of_totals(statistic, problem.t1, totals.stick_time, totals.sticks, totals.status)
+        parts = _parts_of_sequences(statistic, many.require_sticks(), problem.t1, problem.dtype)
+        return _Values(parts, totals.status.astype(int), totals.sticks)
+
+    return values
+
+
+def _parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: np.dtype) -> np.ndarray:
+    most = 8 * -(-(int(sticks.count.max()) + 1) // 8)  # few sizes: each is compiled
+    slots = np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count)
+    columns = np.zeros((2, len(sticks.count), most), dtype)
+    columns[:, sticks.sample, slots] = sticks.start, sticks.duration
+    mask = np.arange(most) < sticks.count[:, None]
+    one = jax.jit(jax.vmap(lambda *sequence: statistic.parts(StickSequence(*sequence), t1)))
+    return np.stack([np.asarray(part, float) for part in one(*columns, mask)], axis=-1)
