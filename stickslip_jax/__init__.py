@@ -13,12 +13,19 @@ from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps
 from ._excitation.ground import GroundAcceleration, GroundMotion
-from ._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
-from ._excitation.piecewise import VelocitySteps
+from ._excitation.piecewise_constant import (
+    Constant,
+    PiecewiseConstant,
+    PiecewiseConstantLaw,
+    PoissonSwitching,
+    RandomSteps,
+    SquareWave,
+)
 from ._excitation.random import InitialState, RandomPhase
 from ._excitation.recorded import Recorded
 from ._excitation.segments import SegmentLaw, VelocitySegments
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
+from ._excitation.velocity_steps import VelocitySteps
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity
@@ -132,7 +139,6 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "BangBangLaw",
     "BaseMotion",
     "Beta",
     "CloughPenzienSpectrum",
@@ -172,6 +178,7 @@ __all__ = [
     "Normal",
     "OrderStatistics",
     "PiecewiseConstant",
+    "PiecewiseConstantLaw",
     "PoissonSwitching",
     "PowerSpectrum",
     "Quantity",

@@ -18,7 +18,7 @@ import numpy as np
 
 from . import _checks
 from ._distributions.families import Uniform
-from ._excitation.laws import BangBangLaw, Constant, PoissonSwitching, RandomSteps, SquareWave
+from ._excitation.piecewise_constant import Constant, PiecewiseConstantLaw, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage
@@ -51,7 +51,7 @@ class SetUp(NamedTuple):
     """
 
     system: System
-    law: BangBangLaw | RandomPhase | Harmonic
+    law: PiecewiseConstantLaw | RandomPhase | Harmonic
     t1: float
     y0: tuple[Scalar | Uniform, ...]
 

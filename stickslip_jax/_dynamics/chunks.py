@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 
 from .._numerics.compiling import CompiledNatively
-from .._systems.own import is_own
+from .._systems.built_in import is_built_in
 from . import lanes
 from .regularized import lanes as regularized_lanes
 
@@ -31,16 +31,16 @@ def chunks_of(engine: lanes.Engine, *, with_records: bool = False) -> Chunks:
     """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
     arrays, which are too large for native loops.
     """
-    return _COMPILED[is_own(engine) and not with_records]
+    return _COMPILED[is_built_in(engine) and not with_records]
 
 
 # filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
 solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
-def _compiled(is_own: bool) -> Chunks:
-    compiled = partial(CompiledNatively, compiler_options=_WIDE) if is_own else jax.jit
-    options = _WIDE if is_own else None
+def _compiled(is_built_in: bool) -> Chunks:
+    compiled = partial(CompiledNatively, compiler_options=_WIDE) if is_built_in else jax.jit
+    options = _WIDE if is_built_in else None
     return Chunks(
         compiled(lanes.summarize, static_argnames=("lanes", "rows", "dtype")),
         jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
@@ -50,4 +50,4 @@ def _compiled(is_own: bool) -> Chunks:
 
 # The disabled LLVM passes do not speed up these loops, and take a quarter of the compilation time.
 _WIDE = {"xla_cpu_prefer_vector_width": 512, "xla_llvm_disable_expensive_passes": True}
-_COMPILED = {is_own: _compiled(is_own) for is_own in (True, False)}
+_COMPILED = {is_built_in: _compiled(is_built_in) for is_built_in in (True, False)}

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._excitation.excitation import GivenSteps, excitation_of
-from .._excitation.laws import BangBangLaw
 from .._excitation.merged import merged
-from .._excitation.piecewise import VelocitySteps
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._excitation.velocity_steps import VelocitySteps
 from .._inputs.inputs import Inputs
 from .._numerics.known import largest
 from .._systems.system import System
@@ -112,7 +112,7 @@ def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scala
     if isinstance(method, Regularized):
         return Smoothed(system, base, method, t1)
     warn_of_soft_spring(system, method.solver, t1)
-    steady = isinstance(base, (VelocitySteps, BangBangLaw)) and system.has_interval_form
+    steady = isinstance(base, (VelocitySteps, PiecewiseConstantLaw)) and system.has_interval_form
     if steady and method.step is None and method.solver is None:
         return ByIntervals(system, base, method, t1)
     return BySteps(system, base, method, t1)
@@ -122,7 +122,7 @@ def lanes_for(
     system: System, law: Any, method: Exact | Regularized, t1: float, y0: tuple[Any, ...], dtype
 ) -> Engine | AdaptiveBatch:
     """The engine that simulates samples of `law`, with its arguments checked."""
-    if isinstance(law, BangBangLaw):
+    if isinstance(law, PiecewiseConstantLaw):
         law.checked_capacity(t1)
     return engine_for(system, law, method, t1).lanes(y0, dtype)
 

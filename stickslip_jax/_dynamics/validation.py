@@ -9,9 +9,9 @@ import numpy as np
 
 from .. import _checks
 from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_random, longest_time
-from .._excitation.laws import BangBangLaw
-from .._excitation.piecewise import VelocitySteps
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._excitation.smooth import UserMotion
+from .._excitation.velocity_steps import VelocitySteps
 from .._inputs.inputs import varying
 from .._inputs.numbers import shown
 from .._numerics.known import plain
@@ -67,7 +67,7 @@ def one_realization(system: System, base: Any, t1: Scalar) -> Any:
     check_length(system, base, t1)
     if isinstance(smooth, UserMotion) and not isinstance(base, WithJumps):
         return smooth
-    return base.sample(None, t1) if isinstance(base, BangBangLaw) else base
+    return base.sample(None, t1) if isinstance(base, PiecewiseConstantLaw) else base
 
 
 def check_length(system: System, base: Any, t1: Scalar) -> None:

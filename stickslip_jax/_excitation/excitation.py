@@ -13,13 +13,13 @@ from .._claims import keeps
 from .._numerics.random_bits import key_data_of, random_words
 from .._types import Array, KeyData, Scalar
 from .ground import GroundAcceleration, GroundMotion
-from .laws import BangBangLaw
-from .piecewise import VelocitySteps
+from .piecewise_constant import PiecewiseConstantLaw
 from .random import RandomSignal
 from .recorded import Recorded
 from .sampled import SampledLaw, UserLaw
 from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
+from .velocity_steps import VelocitySteps
 from .voltage import SourceVoltage
 
 _SEGMENTS = "draw", "next_segment"  # a record that is continued by another rule has another length
@@ -37,14 +37,14 @@ class WithJumps(eqx.Module):
     """
 
     motion: Any = eqx.field(converter=lambda v: UserMotion(v) if _is_users(v) else v)
-    jumps: BangBangLaw | VelocitySteps
+    jumps: PiecewiseConstantLaw | VelocitySteps
 
     def __check_init__(self):
-        if not isinstance(self.jumps, (BangBangLaw, VelocitySteps)):
+        if not isinstance(self.jumps, (PiecewiseConstantLaw, VelocitySteps)):
             raise ValueError(
                 f"Argument jumps must be a law such as PoissonSwitching, but {_checks.show(self.jumps)} was given."
             )
-        if isinstance(self.motion, (BangBangLaw, VelocitySteps, GroundMotion, WithJumps, SourceVoltage)):
+        if isinstance(self.motion, (PiecewiseConstantLaw, VelocitySteps, GroundMotion, WithJumps, SourceVoltage)):
             raise ValueError(
                 "Argument motion must be a continuous base velocity such as a Harmonic, but "
                 f"{_checks.show(self.motion)} was given."
@@ -61,12 +61,12 @@ class WithJumps(eqx.Module):
             motion = motion.sample(own[1], t1)
         elif isinstance(motion, SegmentLaw) and motion.is_random and own[0] is not None:
             motion = motion.sample(jax.random.fold_in(own[0], _MOTION), t1)
-        if isinstance(jumps, BangBangLaw):
+        if isinstance(jumps, PiecewiseConstantLaw):
             jumps = jumps.sample(own[0], t1, capacity=capacity)
         return WithJumps(motion, jumps)
 
 
-class GivenSteps(BangBangLaw):
+class GivenSteps(PiecewiseConstantLaw):
     """A realisation of a base velocity that jumps, as a law with this one realisation."""
 
     steps: VelocitySteps

@@ -10,18 +10,18 @@ from jax import lax
 from .._fields import is_of_package
 from .._types import Scalar
 from .excitation import WithJumps
-from .laws import BangBangLaw, Interval
-from .sound import marked
+from .interval_checks import marked
+from .piecewise_constant import Interval, PiecewiseConstantLaw
 
 
-class Merged(BangBangLaw):
+class Merged(PiecewiseConstantLaw):
     """The same realisations as those of `law`, until `t1` (s); neighbours of equal velocity are one interval.
 
     An impossible interval has the duration NaN; after it, and after one of duration 0, there are no more. Only laws of
     users need it: those of the package never repeat a velocity.
     """
 
-    law: BangBangLaw
+    law: PiecewiseConstantLaw
     t1: Scalar
 
     @property
@@ -73,7 +73,7 @@ def merged(base: Any, t1: Scalar) -> Any:
     if isinstance(base, WithJumps):
         jumps = merged(base.jumps, t1)
         return base if jumps is base.jumps else eqx.tree_at(lambda whole: whole.jumps, base, jumps)
-    is_theirs = isinstance(base, BangBangLaw) and not is_of_package(base)
+    is_theirs = isinstance(base, PiecewiseConstantLaw) and not is_of_package(base)
     return Merged(base, t1) if is_theirs else base
 
 

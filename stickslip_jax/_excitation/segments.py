@@ -20,7 +20,7 @@ from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
-from .sound import check_drawn
+from .interval_checks import check_drawn
 
 LARGEST_CAPACITY = 2**31
 """Segments of one realisation are numbered in 32 bits."""
@@ -82,7 +82,7 @@ class SegmentLaw(Checked):
 
     Class attributes: `is_random`, whether realisations differ; `jumps`, whether the velocity (m/s) jumps between
     segments: a stick on a base whose velocity jumps ends there. For piecewise-constant velocity subclass
-    `BangBangLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
+    `PiecewiseConstantLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
     """
 
     is_random: ClassVar[bool]

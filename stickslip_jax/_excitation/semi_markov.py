@@ -15,14 +15,14 @@ from .._distributions.random_number import RandomNumber, Truncated
 from .._fields import Choice, is_of_package
 from .._numerics.random_bits import fine_uniform, random_words
 from .._types import Array, FloatArray, Scalar
-from .laws import BangBangLaw, Interval
+from .piecewise_constant import Interval, PiecewiseConstantLaw
 from .segments import BEGINNING
 
 _CHANCE = 1e-9  # bound of the probability that a realisation needs more intervals than `capacity`
 _CELLS = 1024  # of the quantiles that `capacity` looks at
 
 
-class SemiMarkovSwitching(BangBangLaw):
+class SemiMarkovSwitching(PiecewiseConstantLaw):
     """A base velocity that switches after independent gaps of any distribution, to speeds of any distribution.
 
     - `gap`: distribution of the time between switches, s, such as ``Weibull(scale=2.0, shape=1.5)``, whose draws are

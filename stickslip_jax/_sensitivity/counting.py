@@ -15,7 +15,7 @@ from .._dynamics.interval.engine import Scales, scales_of, start_motion, status_
 from .._dynamics.interval.lanes import is_over
 from .._dynamics.lanes import Engine
 from .._events.sticks import start_totals
-from .._excitation.laws import BangBangLaw
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._systems.mass_spring import MassSpring
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .edges import Edges, IntervalLane, cross_with_edges
@@ -74,7 +74,7 @@ class IntervalCounting(Engine):
     """
 
     system: MassSpring
-    law: BangBangLaw
+    law: PiecewiseConstantLaw
     t1: Scalar
     y0: tuple[Any, ...]
     bandwidths: AnyArray

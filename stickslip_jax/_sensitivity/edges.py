@@ -14,7 +14,7 @@ from jax import lax
 from .._dynamics.interval.arcs import carry_across
 from .._dynamics.interval.engine import Motion, Scales, cross_interval
 from .._events.sticks import StickRecord, Totals
-from .._excitation.laws import BangBangLaw
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.elementary import angle_of
 from .._status import Ending
 from .._types import Array, BoolArray, FloatArray
@@ -93,7 +93,7 @@ class IntervalLane(NamedTuple):
 
 
 def cross_with_edges(
-    law: BangBangLaw, scales: Scales, lane: IntervalLane, drawn: Any
+    law: PiecewiseConstantLaw, scales: Scales, lane: IntervalLane, drawn: Any
 ) -> tuple[IntervalLane, StickRecord, Edges, FloatArray]:
     """Cross the next interval: the lane after it, its stick, its margins, its length (s)."""
     memory, motion, totals, cut_velocity = lane

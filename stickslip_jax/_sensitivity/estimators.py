@@ -10,7 +10,7 @@ from .._dynamics.chunks import chunks_of
 from .._dynamics.lanes import Engine, Job
 from .._inputs.numbers import Parameter, Path, check_numbers, with_numbers
 from .._status import Status
-from .._systems.own import is_own
+from .._systems.built_in import is_built_in
 from .counting import IntervalCounting, Likelihood
 from .ensembles import ends_of, samples_per_task, simulated
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
@@ -121,7 +121,7 @@ def _counter(problem: Problem, engine: Any, paths: tuple[Path, ...]) -> tuple[in
     units = units_of(engine, paths)[:, None]
 
     def record(first: int, number: int) -> Any:
-        totals, (d_time, d_births, near), status = count_chunk[is_own(engine)](
+        totals, (d_time, d_births, near), status = count_chunk[is_built_in(engine)](
             engine, problem.own_leaves(first, lanes * rows), problem.key_data, np.uint32(first),
             np.int32(-(-number // lanes)), paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype,
         )  # fmt: skip

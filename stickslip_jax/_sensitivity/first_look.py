@@ -10,7 +10,7 @@ from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
 from .._excitation.excitation import GivenSteps, is_random, key_data_for
-from .._excitation.piecewise import VelocitySteps
+from .._excitation.velocity_steps import VelocitySteps
 from .._fast_cpu import cores
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Inputs, Model

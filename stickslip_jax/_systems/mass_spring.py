@@ -24,9 +24,9 @@ from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
+from .built_in import is_built_in
 from .friction import FrictionLaw, times_of_slips
-from .own import is_own
-from .resonance import check_no_resonance, steady_response
+from .steady_response import check_no_resonance, steady_response
 from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
@@ -125,7 +125,7 @@ class MassSpring(System):
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
         # A solver of one's own takes the steps it is given, unless the friction law is one's own too.
-        controlled = solver is None or not is_own(self)
+        controlled = solver is None or not is_built_in(self)
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:

@@ -23,9 +23,9 @@ from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
 from .._types import BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .friction import Coulomb, FrictionLaw
-from .own_checks import check_fields, check_motion
 from .switched_model import NOISE_ULPS, Base, Segments, State, SwitchedModel
-from .system import OWN_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+from .user_system_checks import check_fields, check_motion
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
@@ -144,7 +144,7 @@ class SwitchedSystem(System):
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         return {
-            OWN_TIME: TimeScale(self.shortest_time, SOLVED),
+            SHORTEST_TIME: TimeScale(self.shortest_time, SOLVED),
             "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
         }
 

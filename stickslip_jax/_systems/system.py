@@ -61,7 +61,7 @@ class StepCount(NamedTuple):
 PERIOD, SOLVED = StepCount(16.0, 10.0), StepCount(48.0, 12.0)
 
 
-OWN_TIME = "shortest time of the system"
+SHORTEST_TIME = "shortest time of the system"
 
 
 class TimeScale(NamedTuple):

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._excitation.laws import BangBangLaw
-from .._excitation.piecewise import VelocitySteps
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._excitation.velocity_steps import VelocitySteps
 from .._simulation.result import Simulation
 from .._status import Status
 from ._band import stick_band
@@ -78,7 +78,7 @@ def check_window(window: Window | None, t1: float) -> Window:
 
 def has_steady_base(one: Simulation) -> bool:
     """Whether the mass rubs on a base whose velocity is constant between jumps."""
-    return one.system.rides_base and isinstance(one.base, (VelocitySteps, BangBangLaw))
+    return one.system.rides_base and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
 
 
 def segments_of(one: Simulation, window: Window) -> list[Segment]:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
-from ..._excitation.laws import BangBangLaw
+from ..._excitation.piecewise_constant import PiecewiseConstantLaw
 from ..._numerics.compiling import computed_once
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
@@ -34,7 +34,7 @@ class IntervalEngine(Engine):
     """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0`."""
 
     system: MassSpring
-    law: BangBangLaw
+    law: PiecewiseConstantLaw
     t1: Scalar
     y0: tuple[Any, ...]
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from ... import _diffrax as diffrax
 from ..._events.sticks import StickRecord
 from ..._excitation.excitation import Excitation
-from ..._excitation.table import SegmentTable
+from ..._excitation.segment_table import SegmentTable
 from ..._status import Status
 from ..._systems.switched_model import Segments
 from ..._types import Array, BoolArray, FloatArray, IntArray

@@ -5,7 +5,7 @@ from typing import Any
 from .._fields import PACKAGE, modules_in
 
 
-def is_own(tree: Any) -> bool:
+def is_built_in(tree: Any) -> bool:
     """Whether every module in `tree` is the package's own, or a solver of diffrax."""
     return all(
         type(module).__module__.startswith((f"{PACKAGE}.", "diffrax."))

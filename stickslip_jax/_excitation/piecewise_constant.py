@@ -22,14 +22,14 @@ from .._fields import Choice, Quantity, is_of_package
 from .._numerics.known import NotKnown, largest, smallest
 from .._numerics.random_bits import exponential, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
-from .piecewise import VelocitySteps
+from .interval_checks import check_drawn, joined, marked
 from .segments import BEGINNING, LARGEST_CAPACITY, SegmentLaw, checked_capacity
-from .sound import check_drawn, joined, marked
+from .velocity_steps import VelocitySteps
 
 Interval = tuple[FloatArray, FloatArray, Any]
 
 
-class BangBangLaw(SegmentLaw):
+class PiecewiseConstantLaw(SegmentLaw):
     """Base class of the laws of piecewise-constant base velocity. Subclass it to add one."""
 
     jumps = True
@@ -121,7 +121,7 @@ class BangBangLaw(SegmentLaw):
             ) from None
 
 
-class Constant(BangBangLaw):
+class Constant(PiecewiseConstantLaw):
     """A base that moves with constant velocity.
 
     `speed`: the velocity, m/s, of either sign; 0 for a base at rest. Raises ValueError if it is not finite.
@@ -143,7 +143,7 @@ class Constant(BangBangLaw):
         return 1
 
 
-class SquareWave(BangBangLaw):
+class SquareWave(PiecewiseConstantLaw):
     """A square wave: ``-speed`` in the first half of each period, ``+speed`` in the second.
 
     - `speed`: m/s, positive. `period`: s, positive. The frequency ratio r of the papers gives
@@ -169,7 +169,7 @@ class SquareWave(BangBangLaw):
         return math.ceil(2 * largest(t1) / smallest(self.period)) + 1
 
 
-class PoissonSwitching(BangBangLaw):
+class PoissonSwitching(PiecewiseConstantLaw):
     """``+speed`` or ``-speed``, the sign changing at the points of a Poisson process (Lima and Sampaio 2017).
 
     - `speed`: m/s, positive. `rate`: the mean number of sign changes per second, 1/s, positive.
@@ -209,7 +209,7 @@ class PoissonSwitching(BangBangLaw):
         return math.ceil(mean + 6 * math.sqrt(mean) + 12)
 
 
-class RandomSteps(BangBangLaw):
+class RandomSteps(PiecewiseConstantLaw):
     """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
 
     - `speed`: m/s, positive. `interval`: s, positive (the papers' ``1 / f_b``).
@@ -266,7 +266,7 @@ class RandomSteps(BangBangLaw):
         return math.ceil(largest(t1) / smallest(self.interval)) + 1
 
 
-class PiecewiseConstant(BangBangLaw):
+class PiecewiseConstant(PiecewiseConstantLaw):
     """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one lasts for ever.
 
     - `times`: s, increasing, the first one 0, (intervals,).
@@ -315,7 +315,7 @@ class PiecewiseConstant(BangBangLaw):
 
 
 @partial(jax.jit, static_argnames=("capacity", "dtype"))
-def _sample(law: BangBangLaw, key_data: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
+def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
     """Durations and velocities of the first `capacity` intervals."""
     drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
     return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)
