@@ -21,7 +21,7 @@ from ._excitation.piecewise_constant import (
     RandomSteps,
     SquareWave,
 )
-from ._excitation.random import InitialState, RandomPhase
+from ._excitation.random import RandomPhase
 from ._excitation.recorded import Recorded
 from ._excitation.segments import SegmentLaw, VelocitySegments
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
@@ -53,6 +53,7 @@ from ._sweep.errors import StudyError
 from ._systems.friction import Coulomb, FrictionCurve, FrictionLaw, Stribeck, VelocityWeakening
 from ._systems.mass_spring import MassSpring
 from ._systems.system import Coordinate, System
+from ._types import InitialState
 
 __version__ = "0.1.0"
 

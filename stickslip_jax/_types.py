@@ -1,5 +1,6 @@
 """Names of types for annotations: shapes are in the annotations, units in the docstrings."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ForwardRef, TypeAlias
 
 import numpy as np
@@ -20,8 +21,15 @@ AnyInteger: TypeAlias = Array | np.integer
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
 IntArray: TypeAlias = Int[Array, "..."]
+FloatScalar: TypeAlias = Float[Array, ""]
+BoolScalar: TypeAlias = Bool[Array, ""]
 KeyData: TypeAlias = UInt32[Array | np.ndarray, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
 """The two 32-bit words of a threefry key, as one array or as two."""
+
+InitialState: TypeAlias = Sequence[Number] | AnyArray
+"""An initial state: a number for each coordinate of the system; in ensembles also an array (samples,) or a distribution
+of it, or an array (samples, coordinates) of all.
+"""
 
 State: TypeAlias = tuple[FloatArray, ...]
 """The state of a system: one array for each of its coordinates, all of one shape."""
@@ -40,9 +48,12 @@ __all__ = [
     "Array",
     "Bool",
     "BoolArray",
+    "BoolScalar",
     "ExplicitSolver",
     "Float",
     "FloatArray",
+    "FloatScalar",
+    "InitialState",
     "Int",
     "IntArray",
     "KeyData",

@@ -22,14 +22,13 @@ from .._dynamics.regularized.lanes import AdaptiveBatch
 from .._dynamics.regularized.settings import as_arrays
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._fast_cpu import cores
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Model
 from .._numerics.packing import Layout, packed
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from .origins import check_extendable
 from .parts import EnsembleAccumulator, Keep, Part, prepare
 from .progress import progress_bar

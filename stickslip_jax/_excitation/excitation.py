@@ -178,14 +178,14 @@ def excitation_of(base: Any, name: str = "base") -> Excitation:
     )
 
 
-def place_in_excitation(base: BaseMotion, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+def path_in_excitation(base: BaseMotion, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
     """Where in ``excitation_of(base)`` the number is that `base` has at `path`."""
     if isinstance(base, WithJumps):
         part, *rest = path
         if part == "jumps":
             return "base", -1, *rest
         apart = isinstance(base.motion, SegmentLaw) and base.motion.is_random
-        return place_in_excitation(base.motion, ("law", *rest) if apart else tuple(rest))
+        return path_in_excitation(base.motion, ("law", *rest) if apart else tuple(rest))
     if isinstance(base, GroundMotion):
         return "ground", 0, *path
     if isinstance(base, SegmentLaw):

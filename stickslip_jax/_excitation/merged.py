@@ -77,8 +77,8 @@ def merged(base: Any, t1: Scalar) -> Any:
     return Merged(base, t1) if is_theirs else base
 
 
-def place_in_merged(base: Any, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+def path_in_merged(base: Any, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
     """Where in ``merged(base, t1)`` the number is that `base` has at `path`."""
     if isinstance(base, WithJumps) and path[:1] == ("jumps",):
-        return "jumps", *place_in_merged(base.jumps, path[1:])
+        return "jumps", *path_in_merged(base.jumps, path[1:])
     return ("law", *path) if merged(base, 0.0) is not base else path

@@ -1,8 +1,7 @@
-"""Random signals, among them random phases; the type of initial states."""
+"""Random signals, among them random phases."""
 
 import abc
-from collections.abc import Sequence
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +10,7 @@ import numpy as np
 from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, KeyData, Number, Scalar
+from .._types import Array, KeyData, Scalar
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
@@ -66,12 +65,6 @@ class RandomPhase(RandomSignal):
             return eqx.tree_at(lambda signal: signal.phases, self.signal, phases, is_leaf=lambda leaf: leaf is None)
         phase = _angle(random_words(key_data, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
-
-
-InitialState: TypeAlias = Sequence[Number] | AnyArray
-"""An initial state: a number for each coordinate of the system; in ensembles also an array (samples,) or a distribution
-of it, or an array (samples, coordinates) of all.
-"""
 
 
 def _angle(key_data: Array, dtype) -> Array:

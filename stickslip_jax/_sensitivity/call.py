@@ -9,9 +9,8 @@ import numpy as np
 from .. import _checks
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from . import windows
 from .estimate import Estimator, Gradient, Sensitivities, Sensitivity
 from .estimators import Columns, counted, differenced, differenced_ensembles, recorded

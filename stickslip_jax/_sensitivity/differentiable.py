@@ -11,11 +11,10 @@ from jax import lax
 
 from .._dynamics.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._inputs.numbers import with_numbers
 from .._status import Status
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from .estimators import counting_engine, counting_paths, score_path
 from .first_look import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem, buffer_sizes_for

@@ -7,8 +7,8 @@ from .._dynamics.lanes import BLOCK, Engine
 from .._dynamics.method import EXACT
 from .._dynamics.switched.run import steps_for
 from .._dynamics.validation import checked_step
-from .._excitation.excitation import place_in_excitation
-from .._excitation.merged import merged, place_in_merged
+from .._excitation.excitation import path_in_excitation
+from .._excitation.merged import merged, path_in_merged
 from .._inputs.inputs import Inputs, Model
 from .._inputs.numbers import Parameter, Path
 from .._types import AnyArray, Array
@@ -89,7 +89,7 @@ class Problem(NamedTuple):
         A mass that just touches the base velocity then sticks for a finite time or not at all: all later motion
         differs, and there are no sticks of zero length.
         """
-        return self.system.holds_more
+        return self.system.static_exceeds_kinetic
 
     @property
     def is_paired(self) -> bool:
@@ -138,10 +138,10 @@ class Problem(NamedTuple):
     def _path(self, path: Path) -> Path:
         if path[0] != "law":
             return path
-        inner = place_in_merged(self.law, path[1:])
+        inner = path_in_merged(self.law, path[1:])
         if self.by_intervals:
             return ("law", *inner)
-        return ("excitation", *place_in_excitation(merged(self.law, self.t1), inner))
+        return ("excitation", *path_in_excitation(merged(self.law, self.t1), inner))
 
 
 def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:

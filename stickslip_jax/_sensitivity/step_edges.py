@@ -154,7 +154,7 @@ def _step_seen(
     sticking = moment.sign == 0
     tau = moment.end - moment.t
     stop = _stop(t1, moment)
-    inputs = model.inputs(moment.t, segment_laws.segments(moment.segment_states))
+    inputs = model.forcing(moment.t, segment_laws.segments(moment.segment_states))
 
     def measured(tau, y):
         s, d = model.guard(inputs, tau, y, moment.sign)
@@ -168,7 +168,7 @@ def _step_seen(
     has_event = inside & ((moment.sign_end == 0) != sticking)
     crosses = inside & ~sticking & (moment.sign_end == -moment.sign)
     held, _ = model.guard(
-        model.inputs(moment.end, segment_laws.segments(moment.segment_states)), 0 * tau, moment.y_end, 0 * tau
+        model.forcing(moment.end, segment_laws.segments(moment.segment_states)), 0 * tau, moment.y_end, 0 * tau
     )
     crosses = crosses & (jnp.abs(held) < _FAR)
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
@@ -233,7 +233,7 @@ def _places(
             # One side known: go further. Both known: where the line through their values is zero (regula falsi).
             to = before.tau + jnp.where(after.found, _between(before, after), jnp.nan_to_num(share) * longest)
             to = jnp.where(jnp.isnan(share), first, to)
-            inputs = model.inputs(t0 + before.tau, segments)
+            inputs = model.forcing(t0 + before.tau, segments)
             ahead = _flow(model, inputs, y, to - before.tau, sign)
             value = goal(to, *model.guard(inputs, to - before.tau, ahead, sign))
             # A goal that is positive at the first place has no zero after it.
@@ -287,10 +287,10 @@ def _at(model: SwitchedModel, segments: Segments, start: Any, tau: FloatArray) -
         @sharing
         def go_on(carry, _):
             t, y = carry
-            return (t + length, _flow(model, model.inputs(t, segments), y, length, sign)), None
+            return (t + length, _flow(model, model.forcing(t, segments), y, length, sign)), None
 
         (t, y), _ = lax.scan(go_on, (t0, y0), None, length=steps)
-        return _Look(t, y, *model.guard(model.inputs(t, segments), jnp.zeros_like(t), y, sign))
+        return _Look(t, y, *model.guard(model.forcing(t, segments), jnp.zeros_like(t), y, sign))
 
     t0, y0, sign = start
     return jax.vmap(look)(t0, y0, sign, lax.stop_gradient(tau))
@@ -306,7 +306,7 @@ def _grazing(
     shift = jnp.where(is_ratio, 0, -lax.stop_gradient(then.slope) / bend)
     lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
     when = lax.stop_gradient(then.t) + shift
-    scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
+    scale = model.guard_scale(model.forcing(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
     size = jnp.abs(lowest)
     near = (size > _NOISE[size.dtype.itemsize] * scale) & (size < _FAR * scale)
     steps = (one_step.dips | one_step.has_event) & here.found & (here.rate > 0)
@@ -322,7 +322,7 @@ def _late(
     slope = lax.stop_gradient(jnp.where(falls, then.slope, -1))
     # The Newton step carries the derivative.
     would = then.t - then.value / slope
-    there = model.inputs(lax.stop_gradient(would), lax.stop_gradient(segments))
+    there = model.forcing(lax.stop_gradient(would), lax.stop_gradient(segments))
     sticks = model.can_stick(there, model.on_base(there, lax.stop_gradient(then.y)))
     return would, falls & ((fixed.sign == 0) | sticks)
 
@@ -333,7 +333,7 @@ def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Moment, o
         return jnp.zeros_like(one_step.falls)
     following, jumped = following_segments(segment_laws, fixed.segment_states, one_step.stop, jnp.ones((), bool))
     now = jnp.where(one_step.has_event, fixed.end, one_step.stop)
-    inputs = model.inputs(now, segment_laws.segments(following))
+    inputs = model.forcing(now, segment_laws.segments(following))
     y = model.on_base(inputs, fixed.y_end)
     _, rate = model.guard(inputs, jnp.zeros_like(now), y, jnp.zeros_like(now))
     return jnp.where(fixed.sign == 0, ~jumped & (rate > 0), jumped | ~model.can_stick(inputs, y))
@@ -349,7 +349,7 @@ def _crossing(
     that it would begin. Arrivals that are not held have that margin in their own slips.
     """
     fixed = lax.stop_gradient(moment)
-    inputs, nothing = model.inputs(moment.end, segments), jnp.zeros_like(moment.end)
+    inputs, nothing = model.forcing(moment.end, segments), jnp.zeros_like(moment.end)
     guard, rate = model.guard(inputs, nothing, moment.y_end, nothing)
     other = model.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
     near = (one_step.has_event | one_step.crosses) & (fixed.sign != 0) & other & (jnp.abs(guard) < _FAR)

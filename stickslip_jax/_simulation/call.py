@@ -8,10 +8,9 @@ from .._dynamics.engine_choice import engine_for
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_fixed, check_method, one_realization, state_of, working_dtype
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._systems.system import System, require_system
-from .._types import Scalar
+from .._types import InitialState, Scalar
 from .result import Simulation
 
 

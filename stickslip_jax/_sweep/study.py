@@ -17,11 +17,10 @@ from .._ensemble.parts import Keep
 from .._ensemble.result import Ensemble
 from .._ensemble.run import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._statistics.accumulator import MOST_ORDERS, Numbering
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from .errors import StudyError
 from .plan import (
     Plan,

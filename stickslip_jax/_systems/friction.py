@@ -24,16 +24,24 @@ class FrictionLaw(Checked):
     The friction force is at most ``static * normal_force`` in a stick, and ``kinetic(|v_rel|) * normal_force`` in a
     slip at relative speed ``|v_rel|`` (m/s). For a law of your own take `FrictionCurve`, or subclass this.
 
-    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms. Where a subclass of a law
-    has another `kinetic` or `static` than that law, `constant`, `holds_more` and `speed_scale` must be stated anew: by
-    default the coefficient depends on the speed, in a way that is not known.
+    Systems and engines ask a law by the direction of slip: `slip_coefficient`, `continued_coefficient`, `stick_limit`
+    and `in_direction`. For a law that differs between the two directions, `static` is the larger limit.
+
+    Attributes:
+        constant: Whether `kinetic` does not depend on the speed; slips then have closed forms. Where a subclass of a
+            law has another `kinetic` or `static` than that law, `constant`, `static_exceeds_kinetic` and `speed_scale`
+            must be stated anew: by default the coefficient depends on the speed, in a way that is not known.
     """
 
     constant: ClassVar[bool] = False
-    rests_on: ClassVar = {"constant": ("kinetic",), "speed_scale": ("kinetic",), "holds_more": ("static", "kinetic")}
+    rests_on: ClassVar = {
+        "constant": ("kinetic", "in_direction"),
+        "speed_scale": ("kinetic", "in_direction"),
+        "static_exceeds_kinetic": ("static", "kinetic", "in_direction"),
+    }
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         """Whether static friction may exceed kinetic friction at vanishing speed, ``static > kinetic(0)``."""
         return True
 
@@ -55,6 +63,40 @@ class FrictionLaw(Checked):
     @abc.abstractmethod
     def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         """Kinetic friction coefficient at the relative speed `speed` (m/s, zero or positive)."""
+
+    def in_direction(self, velocity: FloatArray) -> "FrictionLaw":
+        """The law for slips in one direction, and for sticks that would break into them.
+
+        Args:
+            velocity: The relative velocity, or any number of its sign.
+
+        Returns:
+            A law that is the same in both directions; here this one.
+        """
+        return self
+
+    def slip_coefficient(self, velocity: FloatArray) -> Scalar | FloatArray:
+        """The kinetic friction coefficient at this relative velocity (m/s, of either sign)."""
+        return self.in_direction(velocity).kinetic(jnp.abs(velocity))
+
+    def continued_coefficient(self, speed: FloatArray, sign: FloatArray) -> Scalar | FloatArray:
+        """The kinetic friction coefficient of a slip, continued with the same slope to beyond its end.
+
+        The last Runge-Kutta step of a slip may have stages slightly beyond its end; a kink there would cost its order.
+
+        Args:
+            speed: `sign` times the relative velocity, m/s; negative beyond the end of the slip.
+            sign: The sign of the relative velocity in the slip.
+        """
+        law = self.in_direction(sign)
+        coefficient = law.kinetic(jnp.abs(speed))
+        if law.constant:
+            return coefficient
+        return jnp.where(speed < 0, 2 * law.kinetic(jnp.zeros_like(speed)) - coefficient, coefficient)
+
+    def stick_limit(self, velocity: FloatArray) -> Scalar:
+        """The largest friction coefficient of a stick that would break into a slip with the sign of `velocity`."""
+        return self.in_direction(velocity).static
 
     def check_relations(self) -> None:
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
@@ -83,7 +125,7 @@ class Coulomb(FrictionLaw):
         FrictionLaw.check_relations(self)
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return self.mu_static is not None
 
     @property
@@ -107,7 +149,7 @@ class VelocityWeakening(FrictionLaw):
     weakening: Annotated[Number, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return False
 
     @property
@@ -147,7 +189,7 @@ class Stribeck(FrictionLaw):
         FrictionLaw.check_relations(self)
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return False
 
     @property
@@ -204,7 +246,7 @@ class FrictionCurve(FrictionLaw):
         FrictionLaw.check_relations(self)
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return self.mu_static is not None
 
     @property

@@ -115,7 +115,7 @@ class System(Checked):
         return first._replace(name=f"{first.name} when the stick starts")
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         """Whether static friction exceeds kinetic friction."""
         return False
 
@@ -133,7 +133,7 @@ class System(Checked):
         return ()
 
     @property
-    def rides_base(self) -> bool:
+    def sticks_at_base_velocity(self) -> bool:
         """Whether in a stick the second number of the state is the base velocity, and the rate of the first."""
         return False
 

@@ -78,7 +78,7 @@ def check_window(window: Window | None, t1: float) -> Window:
 
 def has_steady_base(one: Simulation) -> bool:
     """Whether the mass rubs on a base whose velocity is constant between jumps."""
-    return one.system.rides_base and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
+    return one.system.sticks_at_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
 
 
 def segments_of(one: Simulation, window: Window) -> list[Segment]:

@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 import stickslip_jax as ss
-from stickslip_jax._excitation.excitation import excitation_of, place_in_excitation
+from stickslip_jax._excitation.excitation import excitation_of, path_in_excitation
 from stickslip_jax._excitation.segments import first_segment, following_segment
 from stickslip_jax._inputs.numbers import number_at
 
@@ -235,7 +235,7 @@ PLACES = {
 @pytest.mark.parametrize("case", PLACES)
 def test_parameters_of_laws_are_found_in_their_excitation(case):
     law, path = PLACES[case]
-    assert number_at(excitation_of(law), place_in_excitation(law, path)) == number_at(law, path)
+    assert number_at(excitation_of(law), path_in_excitation(law, path)) == number_at(law, path)
 
 
 def test_sensitivity_by_finite_differences(many):

@@ -40,7 +40,7 @@ class Halved(ss.Coulomb):
     constant = True
 
     @property
-    def holds_more(self):
+    def static_exceeds_kinetic(self):
         return False
 
     @property
@@ -62,11 +62,11 @@ def test_friction():
     """A closed form only where the methods are those that it is of."""
     for own in (Weakening(0.6), Mixed(0.6), Later(0.6)):
         assert not own.constant
-        assert own.holds_more
+        assert own.static_exceeds_kinetic
         assert own.speed_scale is None
         assert not ss.MassSpring(1.0, 4.0, 1.0, own).has_closed_form
     sticky = ss.MassSpring(1.0, 4.0, 1.0, Sticky(0.4))
-    assert (sticky.has_closed_form, sticky.has_interval_form, sticky.holds_more) == (True, False, True)
+    assert (sticky.has_closed_form, sticky.has_interval_form, sticky.static_exceeds_kinetic) == (True, False, True)
     halved = ss.MassSpring(1.0, 4.0, 1.0, Halved(0.8))
     assert halved.has_interval_form
     assert halved.stick_half_width == ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4)).stick_half_width
