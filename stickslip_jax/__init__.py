@@ -13,10 +13,10 @@ from ._ensemble.result import Ensemble
 from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps
 from ._excitation.ground import GroundAcceleration, GroundMotion
-from ._excitation.piecewise_constant import (
+from ._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
+from ._excitation.piecewise_constant_laws import (
     Constant,
     PiecewiseConstant,
-    PiecewiseConstantLaw,
     PoissonSwitching,
     RandomSteps,
     SquareWave,
@@ -25,7 +25,6 @@ from ._excitation.random import RandomPhase
 from ._excitation.recorded import Recorded
 from ._excitation.segments import SegmentLaw, VelocitySegments
 from ._excitation.smooth import Harmonic, Signal, SumOfHarmonics
-from ._excitation.velocity_steps import VelocitySteps
 from ._excitation.voltage import SourceVoltage
 from ._fast_cpu import enable_fast_cpu
 from ._fields import Quantity

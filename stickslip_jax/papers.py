@@ -18,7 +18,8 @@ import numpy as np
 
 from . import _checks
 from ._distributions.families import Uniform
-from ._excitation.piecewise_constant import Constant, PiecewiseConstantLaw, PoissonSwitching, RandomSteps, SquareWave
+from ._excitation.piecewise_constant import PiecewiseConstantLaw
+from ._excitation.piecewise_constant_laws import Constant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from .. import _checks
 from .._fields import Quantity
 from .._types import AnyArray, Array, FloatArray
-from .recorded import Recorded, check_times
+from .motion import Parts, Path
+from .recorded import Recorded, check_times, covered_time_of
 from .segments import GivenSegments, SegmentLaw
 
 
@@ -21,6 +22,13 @@ class GroundMotion(SegmentLaw):
     """
 
     jumps = False
+    takes_jumps = False
+
+    def parts(self) -> Parts:
+        return Parts(ground=(self,))
+
+    def path_in_excitation(self, path: Path) -> Path:
+        return "ground", 0, *path
 
     def realization(self, durations: Array, values: Array, slopes: Array) -> SegmentLaw:
         """The realisation with these segments, arrays (segments,)."""
@@ -51,6 +59,7 @@ class GroundAcceleration(GroundMotion):
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
+    rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
@@ -60,6 +69,10 @@ class GroundAcceleration(GroundMotion):
     def duration(self):
         """Duration of the record, s: the last of `times`."""
         return self.times[-1]
+
+    @property
+    def covered_time(self) -> float:
+        return covered_time_of(self.times)
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""

@@ -1,4 +1,4 @@
-"""Laws of piecewise-constant base velocity: how realisations are drawn.
+"""Piecewise-constant base velocities: the base class of their laws, and realisations.
 
 A law gives the intervals of a realisation one after the other: `draw` computes what is random about interval i from the
 key and i alone, and `next_interval` makes its duration and velocity of that. So a realisation has no fixed length:
@@ -6,9 +6,8 @@ a larger capacity only continues it, and an ensemble can draw intervals while it
 """
 
 import abc
-import math
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -16,15 +15,89 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.errors import ConcretizationTypeError
+from jaxtyping import Array, Float
 
 from .. import _checks
-from .._fields import Choice, Quantity, is_of_package
-from .._numerics.known import NotKnown, largest, smallest
-from .._numerics.random_bits import exponential, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
-from .interval_checks import check_drawn, joined, marked
-from .segments import BEGINNING, LARGEST_CAPACITY, SegmentLaw, checked_capacity
-from .velocity_steps import VelocitySteps
+from .._fields import is_of_package
+from .._numerics.known import NotKnown
+from .._types import AnyArray, FloatArray, KeyData, Scalar
+from .interval_checks import check_drawn, joined
+from .motion import Motion, Parts, Path
+from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at
+
+
+def _as_jax(name: str, values: Any) -> Any:
+    return _checks.jax_array(name, values) if isinstance(values, (np.ndarray, jax.Array)) else values
+
+
+class VelocitySteps(Motion):
+    """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
+
+    The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
+    duration 0. A last duration of infinity means "for ever". The ``sample`` method of the laws makes them; for a base
+    motion of your own use `PiecewiseConstant`.
+
+    Raises ValueError for arrays of different shapes, negative durations, a duration of 0 before the end, velocities
+    that are not finite or equal to their neighbour's.
+    """
+
+    durations: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "durations"))
+    velocities: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "velocities"))
+
+    is_piecewise_constant = True
+    takes_jumps = False
+
+    def __check_init__(self):
+        for name in ("durations", "velocities"):
+            value = getattr(self, name)
+            if not isinstance(value, jax.Array):
+                raise ValueError(f"Argument {name} must be an array, but {_checks.show(value)} was given.")
+        if self.durations.shape != self.velocities.shape or self.durations.ndim == 0:
+            raise ValueError(
+                "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
+                f"{self.durations.shape} and {self.velocities.shape}."
+            )
+        if _checks.is_traced(self.durations) or _checks.is_traced(self.velocities) or self.durations.ndim > 1:
+            return
+        durations = np.asarray(self.durations)
+        if not np.all(durations >= 0):
+            raise ValueError(f"Argument durations must be zero or positive, but {_checks.show(durations)} was given.")
+        if np.any((durations[1:] > 0) & (durations[:-1] == 0)):
+            raise ValueError(
+                "Argument durations must be 0 in unused intervals at the end only, but an interval of duration 0 has "
+                f"one after it that lasts: {_checks.show(durations)}; leave it out."
+            )
+        lasting = np.asarray(self.velocities)[durations > 0]
+        _checks.bounded("velocities", lasting, ndim=1)
+        if np.any(lasting[1:] == lasting[:-1]):
+            raise ValueError(
+                "Argument velocities must change from interval to interval, but two neighbours are equal; "
+                "use PiecewiseConstant(times, velocities), which merges them."
+            )
+
+    def parts(self) -> Parts:
+        return Parts(base=(GivenSteps(self),))
+
+    def path_in_excitation(self, path: Path) -> Path:
+        return "base", 0, "steps", *path
+
+    def realized_until(self, t1: Scalar) -> Motion:
+        if self.durations.ndim != 1:
+            raise ValueError(
+                f"Argument base must be one realisation, but it has durations of shape {self.durations.shape}; "
+                "use jax.vmap over the realisations, or simulate_ensemble."
+            )
+        return self
+
+    @property
+    def times(self) -> Float[Array, " intervals"]:
+        """Times at which the intervals begin, s."""
+        return begins_of(self.durations)
+
+    def velocity(self, time: AnyArray | float) -> FloatArray:
+        """Base velocity at the given times (any shape), m/s; at a jump, the one after it. One realisation only."""
+        return self.velocities[index_at(self.durations, time)]
+
 
 Interval = tuple[FloatArray, FloatArray, Any]
 
@@ -33,6 +106,8 @@ class PiecewiseConstantLaw(SegmentLaw):
     """Base class of the laws of piecewise-constant base velocity. Subclass it to add one."""
 
     jumps = True
+    is_piecewise_constant = True
+    takes_jumps = False
     has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
     rests_on: ClassVar = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
     only_with: ClassVar = {"next_segment": ("next_interval",)}
@@ -99,6 +174,9 @@ class PiecewiseConstantLaw(SegmentLaw):
             durations, velocities = joined(durations, velocities)
         return VelocitySteps(durations, velocities)
 
+    def realized_until(self, t1: Scalar) -> VelocitySteps:
+        return self.sample(None, t1)
+
     def checked_capacity(self, t1: Scalar) -> int:
         """The `capacity`. Raises ValueError for more intervals than 32 bits can number."""
         try:
@@ -121,197 +199,26 @@ class PiecewiseConstantLaw(SegmentLaw):
             ) from None
 
 
-class Constant(PiecewiseConstantLaw):
-    """A base that moves with constant velocity.
+class GivenSteps(PiecewiseConstantLaw):
+    """A realisation of a base velocity that jumps, as a law with this one realisation."""
 
-    `speed`: the velocity, m/s, of either sign; 0 for a base at rest. Raises ValueError if it is not finite.
-    """
-
-    speed: Annotated[Number, Quantity("m/s", "signed")]
+    steps: VelocitySteps
     is_random = False
+
+    def capacity(self, t1) -> int:
+        return self.steps.durations.shape[-1]
 
     def begin(self, key_data, dtype):
         return ()
 
     def draw(self, key_data, number, dtype):
-        return number == 0
+        size = self.steps.durations.shape[-1]
+        here = jnp.minimum(number.astype(jnp.int32), size - 1)
+        duration = jnp.where(number < size, self.steps.durations[here], 0)
+        return duration.astype(dtype), self.steps.velocities[here].astype(dtype)
 
-    def next_interval(self, memory, drawn, dtype) -> Interval:
-        return jnp.where(drawn, jnp.inf, 0.0).astype(dtype), jnp.asarray(self.speed, dtype), ()
-
-    def capacity(self, t1: Scalar) -> int:
-        return 1
-
-
-class SquareWave(PiecewiseConstantLaw):
-    """A square wave: ``-speed`` in the first half of each period, ``+speed`` in the second.
-
-    - `speed`: m/s, positive. `period`: s, positive. The frequency ratio r of the papers gives
-      ``period = 2 pi / (r * omega)``.
-
-    Raises ValueError if a number is not positive and finite. Source: Lima and Sampaio, conference paper, eq. 4.
-    """
-
-    speed: Annotated[Number, Quantity("m/s", above=0)]
-    period: Annotated[Number, Quantity("s", above=0)]
-    is_random = False
-
-    def begin(self, key_data, dtype):
-        return -jnp.ones((), dtype)
-
-    def draw(self, key_data, number, dtype):
-        return ()
-
-    def next_interval(self, memory, drawn, dtype) -> Interval:
-        return jnp.asarray(self.period / 2, dtype), memory * self.speed, -memory
-
-    def capacity(self, t1: Scalar) -> int:
-        return math.ceil(2 * largest(t1) / smallest(self.period)) + 1
-
-
-class PoissonSwitching(PiecewiseConstantLaw):
-    """``+speed`` or ``-speed``, the sign changing at the points of a Poisson process (Lima and Sampaio 2017).
-
-    - `speed`: m/s, positive. `rate`: the mean number of sign changes per second, 1/s, positive.
-    - `first_sign`: "random" (a fair coin, the default), "positive" or "negative".
-
-    The durations are independent exponential variables of mean ``1 / rate``; for a fixed key they scale by that mean.
-    Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
-    """
-
-    speed: Annotated[Number, Quantity("m/s", above=0)]
-    rate: Annotated[Number, Quantity("1/s", "mean number of switches per second", above=0)]
-    first_sign: Annotated[
-        str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
-    ] = eqx.field(static=True, default="random")
-    is_random = True
-    has_exponential_gaps = True
-
-    def begin(self, key_data, dtype):
-        if self.first_sign != "random":
-            return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        high, _ = random_words(key_data, jnp.asarray(BEGINNING))
-        return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
-
-    def draw(self, key_data, number, dtype):
-        return exponential(*random_words(key_data, number), dtype)
-
-    def next_interval(self, memory, drawn, dtype) -> Interval:
-        return drawn * (1 / self.rate), memory * self.speed, -memory
-
-    def all_intervals(self, memory, drawn, number, dtype):
-        signs = memory * jnp.where(jnp.arange(number) % 2 == 0, 1, -1).astype(dtype)
-        return drawn * (1 / self.rate), signs * self.speed
-
-    def capacity(self, t1: Scalar) -> int:
-        # Six standard deviations above the Poisson mean; the last term covers the skewness of small means.
-        mean = largest(self.rate) * largest(t1)
-        return math.ceil(mean + 6 * math.sqrt(mean) + 12)
-
-
-class RandomSteps(PiecewiseConstantLaw):
-    """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
-
-    - `speed`: m/s, positive. `interval`: s, positive (the papers' ``1 / f_b``).
-    - `levels`: at least two different numbers; the velocities are ``speed * levels``. By default -1 and +1.
-    - `probabilities`: those of the levels, each at least 1e-6, with sum 1. By default equal.
-
-    Equal velocities in a row are drawn as one long interval: its number of steps is geometric, and the next level has
-    the probabilities of the others. Raises ValueError for numbers outside these bounds.
-    """
-
-    speed: Annotated[Number, Quantity("m/s", above=0)]
-    interval: Annotated[Number, Quantity("s", "time between draws of the velocity", above=0)]
-    levels: Annotated[tuple[float, ...], Quantity(meaning="the velocities are speed times these", ndim=1)] = eqx.field(
-        static=True, default=(-1.0, 1.0), converter=lambda v: _floats("levels", v)
-    )
-    probabilities: Annotated[tuple[float, ...] | None, Quantity(meaning="of the levels; not given: equal", ndim=1)] = (
-        eqx.field(static=True, default=None, converter=lambda v: None if v is None else _floats("probabilities", v))
-    )
-    is_random = True
-
-    def check_relations(self) -> None:
-        if len(self.levels) < 2 or len(set(self.levels)) < len(self.levels):
-            raise ValueError(f"Argument levels must hold two or more different numbers, but {self.levels} was given.")
-        shares = self.level_probabilities
-        if len(shares) != len(self.levels) or min(shares) < 1e-6 or abs(sum(shares) - 1) > 1e-9:
-            raise ValueError(
-                f"Argument probabilities must hold one number of at least 1e-6 for each of the {len(self.levels)} "
-                f"levels, summing to 1, but {self.probabilities} was given."
-            )
-
-    @property
-    def level_probabilities(self) -> tuple[float, ...]:
-        """Probabilities of the levels, also where `probabilities` is None."""
-        return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
-
-    def begin(self, key_data, dtype):
-        high, _ = random_words(key_data, jnp.asarray(BEGINNING))
-        return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.level_probabilities, dtype)))
-
-    def draw(self, key_data, number, dtype):
-        high, low = random_words(key_data, number)
-        return uniform(high, dtype), uniform(low, dtype)
-
-    def next_interval(self, memory, drawn, dtype) -> Interval:
-        shares = jnp.asarray(self.level_probabilities, dtype)
-        # Row i: the probabilities of the next level when the present one, i, is excluded.
-        others = jnp.where(jnp.eye(len(self.levels), dtype=bool), 0, shares[None, :] / (1 - shares[:, None]))
-        for_length, for_next = drawn
-        steps = jnp.floor(jnp.log(for_length) / jnp.log(shares)[memory]) + 1
-        velocity = self.speed * jnp.asarray(self.levels, dtype)[memory]
-        return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
-
-    def capacity(self, t1: Scalar) -> int:
-        return math.ceil(largest(t1) / smallest(self.interval)) + 1
-
-
-class PiecewiseConstant(PiecewiseConstantLaw):
-    """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one lasts for ever.
-
-    - `times`: s, increasing, the first one 0, (intervals,).
-    - `velocities`: m/s, as many. Equal neighbours are merged.
-
-    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
-    """
-
-    times: Annotated[AnyArray, Quantity("s", "start of each interval; the first is 0", ndim=1)] = eqx.field(
-        converter=partial(_checks.real_array, "times")
-    )
-    velocities: Annotated[AnyArray, Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
-        converter=partial(_checks.real_array, "velocities")
-    )
-    is_random = False
-
-    def check_relations(self) -> None:
-        if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
-            raise ValueError(
-                "Arguments times and velocities must have the same length of at least 1, but they have shapes "
-                f"{np.shape(self.times)} and {np.shape(self.velocities)}."
-            )
-        _checks.increasing_from_zero("times", self.times)
-
-    def begin(self, key_data, dtype):
-        return ()
-
-    def draw(self, key_data, number, dtype):
-        times, velocities = jnp.asarray(self.times, dtype), jnp.asarray(self.velocities, dtype)
-        # Neighbours of equal velocity are one interval: interval i begins at the i-th change of velocity.
-        found = jnp.cumsum(jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]]))
-        begin, end = (jnp.searchsorted(found, (number + np.uint32(later)).astype(found.dtype)) for later in (1, 2))
-        last = len(times) - 1
-        until = jnp.where(end > last, jnp.inf, times[jnp.minimum(end, last)])
-        begin = jnp.minimum(begin, last)
-        # Numbers that JAX traced when they were given were not checked.
-        duration = until - times[begin]
-        duration = jnp.where((duration > 0) & (times[0] == 0), marked(duration, velocities[begin]), jnp.nan)
-        return jnp.where(number.astype(found.dtype) < found[-1], duration, 0), velocities[begin]
-
-    def next_interval(self, memory, drawn, dtype) -> Interval:
+    def next_interval(self, memory, drawn, dtype):
         return *drawn, ()
-
-    def capacity(self, t1: Scalar) -> int:
-        return len(self.times)
 
 
 @partial(jax.jit, static_argnames=("capacity", "dtype"))
@@ -319,13 +226,3 @@ def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype) ->
     """Durations and velocities of the first `capacity` intervals."""
     drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
     return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)
-
-
-def _choose(draw: Array, cumulative: Array) -> Array:
-    """Index of the cell of the ``cumulative`` probabilities that holds the uniform ``draw``."""
-    return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
-
-
-def _floats(name: str, values: Any) -> tuple[float, ...]:
-    _checks.numeric(name, values, ndim=1)
-    return tuple(float(value) for value in values)

@@ -11,16 +11,24 @@ from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import Array, KeyData, Scalar
+from .motion import Motion, Parts, Path
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
 _FIRST_PHASE = 0xFFFFFF00  # number of the random word that the first phase is drawn from
 
 
-class RandomSignal(Checked):
+class RandomSignal(Checked, Motion):
     """Base class of smooth random functions of time: each realisation is a `Signal`."""
 
+    is_random = True
     rests_on: ClassVar = {"shortest_period": ("realized",)}
+
+    def parts(self) -> Parts:
+        return Parts(self)
+
+    def path_in_excitation(self, path: Path) -> Path:
+        return "smooth", *path
 
     @abc.abstractmethod
     def realized(self, key_data: KeyData, dtype) -> Signal:

@@ -1,5 +1,6 @@
 """Recorded motions: values at given times, joined by straight lines."""
 
+import math
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -33,6 +34,7 @@ class Recorded(SegmentLaw):
         converter=partial(_checks.real_array, "values")
     )
     is_random = False
+    rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"value": ("draw", "next_segment")}
     jumps = False
 
@@ -43,6 +45,10 @@ class Recorded(SegmentLaw):
     def duration(self):
         """Duration of the record, s: the last of `times`."""
         return self.times[-1]
+
+    @property
+    def covered_time(self) -> float:
+        return covered_time_of(self.times)
 
     def value(self, t: AnyArray | float) -> FloatArray:
         """The signal at times `t` (s, any shape)."""
@@ -64,6 +70,11 @@ class Recorded(SegmentLaw):
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
+
+
+def covered_time_of(times: AnyArray) -> float:
+    """Duration of a record, s; infinity where its `times` are traced."""
+    return math.inf if _checks.is_traced(times) else float(times[-1])
 
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:

@@ -46,6 +46,7 @@ class SampledLaw(eqx.Module):
     """
 
     law: Any = eqx.field(static=True)
+    is_random = True
 
     def sample(self, key: Array, t1: Scalar) -> Any:
         """The realisation that the user's law draws by `key`, for ``[0, t1]`` (s)."""

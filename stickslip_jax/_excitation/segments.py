@@ -19,8 +19,9 @@ from jax.errors import ConcretizationTypeError
 from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
+from .._types import AnyArray, Array, Float, FloatArray, IntArray, KeyData, Scalar
 from .interval_checks import check_drawn
+from .motion import Motion, Parts, Path
 
 LARGEST_CAPACITY = 2**31
 """Segments of one realisation are numbered in 32 bits."""
@@ -48,7 +49,7 @@ class SegmentState(NamedTuple):
     spent: Array
 
 
-class SegmentLaw(Checked):
+class SegmentLaw(Checked, Motion):
     """Base class of the laws of piecewise-linear base velocity. Subclass it to write one of your own.
 
     Segment number i is computed from the key, i, and a memory of the segments before it: so a realisation has no fixed
@@ -85,7 +86,6 @@ class SegmentLaw(Checked):
     `PiecewiseConstantLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
     """
 
-    is_random: ClassVar[bool]
     jumps: ClassVar[bool]
 
     @abc.abstractmethod
@@ -107,6 +107,12 @@ class SegmentLaw(Checked):
         A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
         finite, ends the sample with ``Status.BASE_INVALID``.
         """
+
+    def parts(self) -> Parts:
+        return Parts(base=(self,))
+
+    def path_in_excitation(self, path: Path) -> Path:
+        return "base", 0, *path
 
     @staticmethod
     def uniforms(key_data: KeyData, number: Array | None, dtype) -> tuple[FloatArray, FloatArray]:
@@ -164,6 +170,20 @@ def _as_truth(may_jump: Any) -> bool:
     return bool(may_jump)
 
 
+def begins_of(durations: Float[AnyArray, "*batch segments"]) -> Float[Array, "*batch segments"]:
+    """Times at which the segments begin that follow one another from t = 0, s."""
+    durations = jnp.asarray(durations)
+    zero = jnp.zeros_like(durations[..., :1])
+    return jnp.concatenate([zero, jnp.cumsum(durations, axis=-1)[..., :-1]], axis=-1)
+
+
+def index_at(durations: Float[AnyArray, " segments"], t: AnyArray | float) -> IntArray:
+    """Which of these segments holds at times `t` (s, any shape); at the instant between two, the second."""
+    # Unused segments are moved to infinity, so that the search skips them.
+    begins = jnp.where(durations > 0, begins_of(durations), jnp.inf)
+    return jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
+
+
 class GivenSegments(SegmentLaw):
     """Base class of realisations in segments, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s).
 
@@ -203,15 +223,11 @@ class GivenSegments(SegmentLaw):
     @property
     def times(self) -> Array:
         """Times at which the segments begin, s, (segments,)."""
-        durations = jnp.asarray(self.durations)
-        zero = jnp.zeros_like(durations[..., :1])
-        return jnp.concatenate([zero, jnp.cumsum(durations, axis=-1)[..., :-1]], axis=-1)
+        return begins_of(self.durations)
 
     def value(self, t: AnyArray | float) -> Array:
         """The value at times `t` (s, any shape); at a jump, the one after it. One realisation only."""
-        # Unused segments are moved to infinity, so that the search skips them.
-        begins = jnp.where(self.durations > 0, self.times, jnp.inf)
-        here = jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
+        here = index_at(self.durations, t)
         return jnp.asarray(self.values)[here] + jnp.asarray(self.slopes)[here] * (t - self.times[here])
 
     def segments(self, t1) -> int:

@@ -16,6 +16,7 @@ from .. import _checks
 from .._fields import Checked, Quantity
 from .._numerics.sharing import sincos
 from .._types import AnyArray, FloatArray, Number, Scalar
+from .motion import Motion, Parts, Path
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -26,7 +27,7 @@ Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray
 SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
 
-class Signal(Checked):
+class Signal(Checked, Motion):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
     `shortest_period`: the period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
@@ -46,6 +47,12 @@ class Signal(Checked):
     @abc.abstractmethod
     def value(self, t: FloatArray) -> FloatArray:
         """The signal at time `t` (s, a scalar): m/s for a base velocity, N for a force."""
+
+    def parts(self) -> Parts:
+        return Parts(self)
+
+    def path_in_excitation(self, path: Path) -> Path:
+        return "smooth", *path
 
     def rate(self, t: FloatArray) -> FloatArray:
         """Its first time derivative."""

@@ -19,6 +19,7 @@ class SourceVoltage(Signal):
     Raises ValueError for numbers that are not finite, or a frequency that is not positive.
     """
 
+    takes_jumps = False
     mean: Annotated[Number, Quantity("V")] = 1.0
     amplitude: Annotated[Number, Quantity("V")] = 0.5
     angular_frequency: Annotated[Number, Quantity("rad/s", above=0)] = 10.0

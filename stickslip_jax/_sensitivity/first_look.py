@@ -9,8 +9,8 @@ from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.parts import Keep
-from .._excitation.excitation import GivenSteps, is_random, key_data_for
-from .._excitation.velocity_steps import VelocitySteps
+from .._excitation.excitation import is_random, key_data_for
+from .._excitation.piecewise_constant import GivenSteps, VelocitySteps
 from .._fast_cpu import cores
 from .._forks import require_threads_of_jax
 from .._inputs.inputs import Inputs, Model

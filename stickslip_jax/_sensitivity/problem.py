@@ -6,7 +6,7 @@ from .._dynamics.engine_choice import ByIntervals, engine_for
 from .._dynamics.lanes import BLOCK, Engine
 from .._dynamics.method import EXACT
 from .._dynamics.switched.run import steps_for
-from .._dynamics.validation import checked_step
+from .._dynamics.validation import Arguments
 from .._excitation.excitation import path_in_excitation
 from .._excitation.merged import merged, path_in_merged
 from .._inputs.inputs import Inputs, Model
@@ -58,7 +58,7 @@ class Problem(NamedTuple):
     @property
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
-        return isinstance(engine_for(self.system, self.law, self.method, self.t1), ByIntervals)
+        return isinstance(engine_for(Arguments(self.system, self.law, self.method, self.t1)), ByIntervals)
 
     def in_closed_form(self) -> "Problem":
         """The same problem without a solver, where closed forms exist.
@@ -124,7 +124,7 @@ class Problem(NamedTuple):
         """The fastest engine that simulates the motion."""
         if self.random is not None:
             return self.random.engine
-        engine = engine_for(self.system, self.law, self.method, self.t1).lanes(self.y0, self.dtype)
+        engine = engine_for(Arguments(self.system, self.law, self.method, self.t1)).lanes(self.y0, self.dtype)
         assert isinstance(engine, Engine)
         return engine
 
@@ -150,7 +150,7 @@ def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
     if problem.by_intervals:
         intervals = problem.law.checked_capacity(problem.t1)
     else:
-        excitation, step = checked_step(problem.system, problem.law, problem.method, problem.t1, "law")
+        excitation, step = Arguments(problem.system, problem.law, problem.method, problem.t1).checked_step("law")
         intervals = steps_for(problem.system, excitation, problem.t1, step)
     slots = 8 * -(-pilot.most // 8) + 8
     return BufferSizes(-(-intervals // BLOCK), slots, 2 * slots)

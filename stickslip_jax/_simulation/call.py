@@ -3,13 +3,12 @@
 import equinox as eqx
 import jax
 
-from .. import _checks
 from .._dynamics.engine_choice import engine_for
 from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import check_fixed, check_method, one_realization, state_of, working_dtype
+from .._dynamics.validation import Arguments, working_dtype
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
-from .._systems.system import System, require_system
+from .._systems.system import System
 from .._types import InitialState, Scalar
 from .result import Simulation
 
@@ -42,12 +41,7 @@ def simulate(
     0.0 0.25 RELEASED
     """
     require_threads_of_jax()
-    check_fixed(system=system, base=base)
-    require_system(system)
-    check_method(method)
-    _checks.positive("t1", t1, "s")
-    y0 = state_of(system, y0)
-    base = one_realization(system, base, t1)
-    dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(base) if eqx.is_inexact_array(leaf)))
-    method, run = engine_for(system, base, method, t1).follow(y0, dtype)
-    return Simulation(system, base, t1, method, *run)
+    arguments, start = Arguments.of_one(system, base, method, t1, y0)
+    dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(arguments.base) if eqx.is_inexact_array(leaf)))
+    method, run = engine_for(arguments).follow(start, dtype)
+    return Simulation(system, arguments.base, t1, method, *run)

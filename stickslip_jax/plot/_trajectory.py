@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._excitation.piecewise_constant import PiecewiseConstantLaw
-from .._excitation.velocity_steps import VelocitySteps
+from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from .._simulation.result import Simulation
 from .._status import Status
 from ._band import stick_band

@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 
 from .._excitation.excitation import WithJumps
 from .._excitation.kanai_tajimi import KanaiTajimi
-from .._excitation.piecewise_constant import (
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._excitation.piecewise_constant_laws import (
     Constant,
     PiecewiseConstant,
-    PiecewiseConstantLaw,
     PoissonSwitching,
     RandomSteps,
     SquareWave,

@@ -17,7 +17,7 @@ _LEAST_STEEP = 1e-6  # of the balance of forces, 1 without friction; not above i
 def balance_root(
     switch: Switch, friction: FrictionLaw, size: FloatArray, stiffness: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """The root `sigma` of ``sigma + stiffness coefficient(sigma) = size``, with its derivatives of every order."""
+    """The root `sigma` of ``sigma + stiffness mu(sigma) = size``, with its derivatives of every order."""
     return (sigma,)
 
 

@@ -2,9 +2,9 @@
 
 The method is the singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander
 1977; L-stable). In each stage everything but the friction is linearised at a predicted state. One equation for the
-relative velocity remains, ``sigma + K coefficient(sigma) = sigma*`` (`_balance`). A step may be far longer than the time in
-which friction changes the relative velocity by one width: it then ends in the stick, as it should, where a step with
-linearised friction would overshoot it to and fro.
+relative velocity remains, ``sigma + K mu(sigma) = sigma*`` with the signed friction coefficient mu (`_balance`). A step
+may be far longer than the time in which friction changes the relative velocity by one width: it then ends in the stick,
+as it should, where a step with linearised friction would overshoot it to and fro.
 """
 
 import math
@@ -83,9 +83,9 @@ def _stage(
 
 
 def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """The signed friction coefficient ``coefficient(sigma)`` at a root of ``sigma + stiffness coefficient(sigma) = speed``.
+    """The signed friction coefficient ``mu(sigma)`` at the root of ``sigma + stiffness mu(sigma) = speed``.
 
-    Newton's method from below, on the magnitude: the coefficient is concave up to its largest value, so that no iterate
+    Newton's method from below, on the magnitude: mu is concave up to its largest value, so that no iterate
     overshoots. With ``mu_static > mu``: `static_balance.py`. The derivatives are those of the implicit function
     (`balance_root`).
     """

@@ -26,7 +26,7 @@ _Missing = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray, Floa
 def balance_with_static(
     switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray, slides: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The signed friction coefficient at a root of ``sigma + stiffness coefficient(sigma) = speed``, and whether it slides.
+    """The signed friction coefficient at a root of ``sigma + stiffness mu(sigma) = speed``, and whether it slides.
 
     `slides`, and what is returned: the sign of the relative velocity of a mass that slides, 0 for one that sticks.
     """

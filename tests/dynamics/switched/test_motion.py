@@ -11,6 +11,7 @@ from reference.event_driven import simulate_mass_spring
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.engine_choice import engine_for
+from stickslip_jax._dynamics.validation import Arguments
 from stickslip_jax._systems.built_in import is_built_in
 
 T1 = 30.0
@@ -274,7 +275,7 @@ def test_only_the_packages_own_functions_are_compiled_for_wide_vectors():
 
     def engine(friction, base):
         system = ss.MassSpring(1.0, 1.0, 1.0, friction)
-        return engine_for(system, base, ss.Exact(step=0.1), T1).lanes((0.0, 0.0), np.dtype(float))
+        return engine_for(Arguments(system, base, ss.Exact(step=0.1), T1)).lanes((0.0, 0.0), np.dtype(float))
 
     law, base = ss.Coulomb(0.4), ss.Harmonic(1.0, 0.7)
     for friction in (law, ss.VelocityWeakening(0.5, 1.0), ss.Stribeck(0.3, 0.5, 0.1)):
