@@ -5,8 +5,9 @@ from typing import NamedTuple, TypeAlias
 import equinox as eqx
 import numpy as np
 
-from .._excitation.excitation import BaseMotion, excitation_of, motion_of
+from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
+from .._excitation.motion import Motion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._inputs.inputs import Inputs
 from .._numerics.known import largest
@@ -39,9 +40,9 @@ class ByIntervals(NamedTuple):
     The system is a `MassSpring`, the only one with an interval form.
     """
 
-    arguments: Arguments
+    arguments: Arguments[Exact]
 
-    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact | Regularized, Run]:
+    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_intervals(system, base, t1, y0, dtype)
@@ -56,9 +57,9 @@ class ByIntervals(NamedTuple):
 class BySteps(NamedTuple):
     """Time steps in which every event is located, for any system and excitation."""
 
-    arguments: Arguments
+    arguments: Arguments[Exact]
 
-    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact | Regularized, Run]:
+    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_steps(system, base, method, t1, y0, dtype)
@@ -76,9 +77,9 @@ class BySteps(NamedTuple):
 class Smoothed(NamedTuple):
     """Regularised dynamics, in fixed or adaptive steps."""
 
-    arguments: Arguments
+    arguments: Arguments[Regularized]
 
-    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact | Regularized, Run]:
+    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         return follow_regularized(*self.arguments, y0, dtype)
 
@@ -99,19 +100,21 @@ class Smoothed(NamedTuple):
         )
 
 
-def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
+def engine_for(arguments: Arguments[Exact | Regularized]) -> ByIntervals | BySteps | Smoothed:
     """The fastest engine for these arguments, whose base is a law or a realisation.
 
     The choice depends on their types and options, not on their numbers.
     """
     system, base, method, t1 = arguments
-    arguments = arguments._replace(base=merged(base, t1))
+    base = merged(base, t1)
     if isinstance(method, Regularized):
-        return Smoothed(arguments)
-    arguments.warn_of_soft_spring()
-    if motion_of(base).is_piecewise_constant and system.has_interval_form and method.step is None is method.solver:
-        return ByIntervals(arguments)
-    return BySteps(arguments)
+        return Smoothed(Arguments(system, base, method, t1))
+    exact = Arguments(system, base, method, t1)
+    exact.warn_of_soft_spring()
+    is_steady = isinstance(base, Motion) and base.is_piecewise_constant
+    if is_steady and system.has_interval_form and method.step is None and method.solver is None:
+        return ByIntervals(exact)
+    return BySteps(exact)
 
 
 def lanes_for(

@@ -1,7 +1,7 @@
 """Checks of the arguments of `simulate` and `simulate_ensemble`."""
 
 import warnings
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,18 +20,21 @@ from .time_scales import step_for
 _LEAST_TURN = 1e-3  # rad in the whole duration: the motion is then good to about 1e-8 in double precision
 
 
-class Arguments(NamedTuple):
+M = TypeVar("M", bound=Exact | Regularized, covariant=True)
+
+
+class Arguments(NamedTuple, Generic[M]):
     """What is simulated: a system on a base motion (a law or a realisation), by a method, up to `t1` (s)."""
 
     system: System
     base: BaseMotion
-    method: Exact | Regularized
+    method: M
     t1: Scalar
 
     @classmethod
     def of_one(
-        cls, system: System, base: BaseMotion, method: Exact | Regularized, t1: Scalar, y0: InitialState | None
-    ) -> tuple["Arguments", tuple[Number, ...]]:
+        cls, system: System, base: BaseMotion, method: M, t1: Scalar, y0: InitialState | None
+    ) -> tuple["Arguments[M]", tuple[Number, ...]]:
         """The checked arguments of `simulate`, the base as a motion without randomness, and the initial state.
 
         Raises:
@@ -106,7 +109,7 @@ def check_method(method: object) -> None:
         )
 
 
-def state_of(system: System, y0: InitialState | None) -> tuple[Any, ...]:
+def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
     """The initial state `y0` of `system`, checked; zeros if `y0` is None."""
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
     entries = _checks.entries("y0", (0.0,) * len(meaning) if y0 is None else y0, meaning)

@@ -187,9 +187,8 @@ def is_random(base: BaseMotion | SampledLaw) -> bool:
 def law_of(base: BaseMotion) -> BaseMotion | SampledLaw:
     """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
     draws = callable(getattr(base, "sample", None)) and not hasattr(base, "__array__")  # as tables of pandas do
-    return (
-        SampledLaw(base) if draws and not isinstance(base, (Motion, SampledLaw, type)) and not _is_users(base) else base
-    )
+    is_known = isinstance(base, (Motion, SampledLaw, type)) or _is_users(base)
+    return SampledLaw(base) if draws and not is_known else base
 
 
 def key_data_for(base: BaseMotion, key: Array | None) -> Array:

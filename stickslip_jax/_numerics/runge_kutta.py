@@ -63,8 +63,8 @@ def _error(h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:
 def relative_error(error: State, y: State, reached: State, gross: State) -> FloatArray:
     """Largest relative error of a component of the state, for a step from `y` to `reached` with this `error`.
 
-    `gross`: the gross change of each component (`gross_changes`), the sum of those by each term of its rate alone. Where these terms
-    cancel, the change is round-off, whose relative error no shorter step would reduce.
+    `gross`: the gross change of each component (`gross_changes`), the sum of those by each term of its rate alone.
+    Where these terms cancel, the change is round-off, whose relative error no shorter step would reduce.
     """
     worst = jnp.zeros_like(error[0])
     for wrong, begin, end, alone in zip(error, y, reached, gross, strict=True):
@@ -76,9 +76,9 @@ def relative_error(error: State, y: State, reached: State, gross: State) -> Floa
 def gross_changes(h: FloatArray, y: State, idle: State, by_state: tuple[State, ...], by_friction: State) -> State:
     """The gross change of each component in the time `h`, for `relative_error`.
 
-    `idle`: the rates without friction; `by_state`: their derivatives with respect to the state (rows: rates); `by_friction`:
-    what one unit of friction adds. Components are coupled, so the round-off of one moves the others; hence one pass for
-    each component.
+    `idle`: the rates without friction; `by_state`: their derivatives with respect to the state (rows: rates);
+    `by_friction`: what one unit of friction adds. Components are coupled, so the round-off of one moves the others;
+    hence one pass for each component.
     """
     moved, gross = tuple(map(jnp.abs, y)), y
     for _ in y:

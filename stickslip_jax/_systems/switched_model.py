@@ -18,7 +18,7 @@ from .friction import FrictionLaw
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
 
 F = TypeVar("F")
-"""The forcing of a model: the excitation, and what follows from it, from the time a step begins until a segment ends."""
+"""The forcing of a model: its excitation from the time a step begins until a segment ends."""
 
 
 class Segments(NamedTuple):

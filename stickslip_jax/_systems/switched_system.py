@@ -179,9 +179,13 @@ class GeneralForcing(NamedTuple):
 class _Contact(NamedTuple):
     """The effect of friction at one instant.
 
-    `idle`, `by_friction`: rates without friction, and what one unit of friction adds. `drift`: the rate of the relative
-    velocity without friction; `gain`: what one unit of friction adds to it. `has_effect`: whether friction has an effect
-    on it; `per_gain`: ``1 / gain``, 0 where it has none.
+    Attributes:
+        idle: Rates without friction.
+        by_friction: What one unit of friction adds to them.
+        drift: The rate of the relative velocity without friction.
+        has_effect: Whether friction has an effect on the relative velocity.
+        gain: What one unit of friction adds to its rate.
+        per_gain: ``1 / gain``, 0 where friction has no effect.
     """
 
     idle: State
