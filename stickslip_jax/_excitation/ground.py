@@ -1,5 +1,6 @@
 """Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
 
+import math
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -9,8 +10,7 @@ import jax.numpy as jnp
 from .. import _checks
 from .._fields import Quantity
 from .._types import AnyArray, Array, FloatArray
-from .motion import Parts, Path
-from .recorded import Recorded, check_times, covered_time_of
+from .recorded import Recorded, check_times
 from .segments import GivenSegments, SegmentLaw
 
 
@@ -21,14 +21,9 @@ class GroundMotion(SegmentLaw):
     acceleration of the ground acts as the force ``-mass * acceleration``.
     """
 
+    part_of_excitation = "ground"
     jumps = False
     takes_jumps = False
-
-    def parts(self) -> Parts:
-        return Parts(ground=(self,))
-
-    def path_in_excitation(self, path: Path) -> Path:
-        return "ground", 0, *path
 
     def realization(self, durations: Array, values: Array, slopes: Array) -> SegmentLaw:
         """The realisation with these segments, arrays (segments,)."""
@@ -72,7 +67,7 @@ class GroundAcceleration(GroundMotion):
 
     @property
     def covered_time(self) -> float:
-        return covered_time_of(self.times)
+        return math.inf if _checks.is_traced(self.times) else float(self.times[-1])
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""
@@ -80,9 +75,6 @@ class GroundAcceleration(GroundMotion):
 
     def segments(self, t1) -> int:
         return len(self.times)
-
-    def begin(self, key_data, dtype):
-        return ()
 
     def draw(self, key_data, number, dtype):
         return Recorded(self.times, self.accelerations).draw(key_data, number, dtype)

@@ -17,10 +17,8 @@ from .._numerics.known import NotKnown, largest, smallest
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Number, Scalar
 from .ground import GroundAcceleration, GroundMotion
+from .segments import BEGINNING, LARGEST_CAPACITY
 
-LARGEST_NUMBER_OF_POINTS = 2**31
-"""Samples of one realisation are numbered in 32 bits."""
-_BEGINNING = np.uint32(0xFFFFFFFF)  # number of the random words that the beginning of a realisation is drawn from
 # Gauss-Legendre nodes and weights on [-1, 1]: exact to rounding for the integrands of `_step`, over one radian or less.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -106,7 +104,7 @@ class KanaiTajimi(GroundMotion):
         return math.ceil(largest(t1) / smallest(self.interval)) + 1
 
     def begin(self, key_data, dtype) -> Memory:
-        return *_normal_pair(key_data, jnp.asarray(_BEGINNING), dtype), jnp.zeros((), dtype)
+        return *_normal_pair(key_data, jnp.asarray(BEGINNING), dtype), jnp.zeros((), dtype)
 
     def draw(self, key_data, number, dtype):
         # Differences of the sampling times, not the interval: added up, they stay on those times even in float32.
@@ -142,8 +140,8 @@ class KanaiTajimi(GroundMotion):
         _checks.positive("t1", t1, "s")
         if points is None:
             points = self._points(t1)
-        if _checks.whole_number("points", points, minimum=2) > LARGEST_NUMBER_OF_POINTS:
-            raise ValueError(f"Argument points must be at most {LARGEST_NUMBER_OF_POINTS}, but {points} was given.")
+        if _checks.whole_number("points", points, minimum=2) > LARGEST_CAPACITY:
+            raise ValueError(f"Argument points must be at most {LARGEST_CAPACITY}, but {points} was given.")
         return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
 
     def _points(self, t1: Scalar) -> int:
@@ -154,9 +152,9 @@ class KanaiTajimi(GroundMotion):
                 "Argument points must be given when t1 or the law's interval is traced by a JAX transformation (their "
                 "values are not known then); about t1 / interval + 2 are enough."
             ) from None
-        if samples > LARGEST_NUMBER_OF_POINTS - 2:
+        if samples > LARGEST_CAPACITY - 2:
             raise ValueError(
-                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_NUMBER_OF_POINTS} samples, "
+                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} samples, "
                 f"{self.interval} s apart."
             )
         # Both ends, and one to spare: rounded, the last sampling time may lie just short of t1.

@@ -1,8 +1,7 @@
 """The base class of all that drives a system: laws, signals and realisations."""
 
-import abc
 import math
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 
@@ -29,22 +28,31 @@ class Motion(eqx.Module):
     """Base class of base motions, ground motions and voltages.
 
     Attributes:
+        part_of_excitation: Smooth, or in segments a base velocity or an acceleration of the ground.
         is_random: Whether realisations differ, so that one must be drawn before `simulate`.
         is_piecewise_constant: Whether it is a base velocity that is constant between jumps.
         takes_jumps: Whether it is a continuous base velocity, to which `WithJumps` can add jumps.
     """
 
+    part_of_excitation: ClassVar[Literal["smooth", "base", "ground"]] = "smooth"
     is_random: ClassVar[bool] = False
     is_piecewise_constant: ClassVar[bool] = False
     takes_jumps: ClassVar[bool] = True
 
-    @abc.abstractmethod
     def parts(self) -> Parts:
         """Its smooth part and its parts in segments."""
+        part: Any = self
+        return (
+            Parts(smooth=part) if self.part_of_excitation == "smooth" else Parts(**{self.part_of_excitation: (part,)})
+        )
 
-    @abc.abstractmethod
     def path_in_excitation(self, path: Path) -> Path:
         """Where in the `Excitation` of its parts the number is that it has at `path`."""
+        return (
+            (self.part_of_excitation, *path)
+            if self.part_of_excitation == "smooth"
+            else (self.part_of_excitation, 0, *path)
+        )
 
     @property
     def covered_time(self) -> float:

@@ -14,16 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.errors import ConcretizationTypeError
 from jaxtyping import Array, Float
 
 from .. import _checks
 from .._fields import is_of_package
-from .._numerics.known import NotKnown
-from .._types import AnyArray, FloatArray, KeyData, Scalar
+from .._types import AnyArray, FloatArray, Scalar
 from .interval_checks import check_drawn, joined
-from .motion import Motion, Parts, Path
-from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at
+from .motion import Motion, Parts
+from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at, known_capacity
 
 
 def _as_jax(name: str, values: Any) -> Any:
@@ -44,6 +42,7 @@ class VelocitySteps(Motion):
     durations: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "durations"))
     velocities: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "velocities"))
 
+    part_of_excitation = "base"
     is_piecewise_constant = True
     takes_jumps = False
 
@@ -78,9 +77,6 @@ class VelocitySteps(Motion):
     def parts(self) -> Parts:
         return Parts(base=(GivenSteps(self),))
 
-    def path_in_excitation(self, path: Path) -> Path:
-        return "base", 0, "steps", *path
-
     def realized_until(self, t1: Scalar) -> Motion:
         if self.durations.ndim != 1:
             raise ValueError(
@@ -111,14 +107,6 @@ class PiecewiseConstantLaw(SegmentLaw):
     has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
     rests_on: ClassVar = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
     only_with: ClassVar = {"next_segment": ("next_interval",)}
-
-    @abc.abstractmethod
-    def begin(self, key_data: KeyData, dtype) -> Any:
-        """The memory before the first interval (for example the first sign), drawn by the key data."""
-
-    @abc.abstractmethod
-    def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
-        """What is random (or looked up) about interval `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
     def next_interval(self, memory: Any, drawn: Any, dtype) -> Interval:
@@ -166,7 +154,7 @@ class PiecewiseConstantLaw(SegmentLaw):
         """
         _checks.positive("t1", t1, "s")
         if capacity is None:
-            capacity = self._capacity_or_explain(t1)
+            capacity = known_capacity(self.checked_capacity, t1, f"{type(self).__name__}(...).capacity(t1)")
         checked_capacity(capacity)
         durations, velocities = _sample(self, self.key_data(key), capacity, jnp.result_type(float))
         if not is_of_package(self):
@@ -189,15 +177,6 @@ class PiecewiseConstantLaw(SegmentLaw):
             )
         return capacity
 
-    def _capacity_or_explain(self, t1: Scalar) -> int:
-        try:
-            return self.checked_capacity(t1)
-        except (ConcretizationTypeError, NotKnown):
-            raise ValueError(
-                "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation "
-                f"(their values are not known then); find one with {type(self).__name__}(...).capacity(t1)."
-            ) from None
-
 
 class GivenSteps(PiecewiseConstantLaw):
     """A realisation of a base velocity that jumps, as a law with this one realisation."""
@@ -207,9 +186,6 @@ class GivenSteps(PiecewiseConstantLaw):
 
     def capacity(self, t1) -> int:
         return self.steps.durations.shape[-1]
-
-    def begin(self, key_data, dtype):
-        return ()
 
     def draw(self, key_data, number, dtype):
         size = self.steps.durations.shape[-1]

@@ -27,9 +27,6 @@ class Constant(PiecewiseConstantLaw):
     speed: Annotated[Number, Quantity("m/s", "signed")]
     is_random = False
 
-    def begin(self, key_data, dtype):
-        return ()
-
     def draw(self, key_data, number, dtype):
         return number == 0
 
@@ -187,9 +184,6 @@ class PiecewiseConstant(PiecewiseConstantLaw):
                 f"{np.shape(self.times)} and {np.shape(self.velocities)}."
             )
         _checks.increasing_from_zero("times", self.times)
-
-    def begin(self, key_data, dtype):
-        return ()
 
     def draw(self, key_data, number, dtype):
         times, velocities = jnp.asarray(self.times, dtype), jnp.asarray(self.velocities, dtype)

@@ -11,7 +11,7 @@ from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import Array, KeyData, Scalar
-from .motion import Motion, Parts, Path
+from .motion import Motion
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
@@ -23,12 +23,6 @@ class RandomSignal(Checked, Motion):
 
     is_random = True
     rests_on: ClassVar = {"shortest_period": ("realized",)}
-
-    def parts(self) -> Parts:
-        return Parts(self)
-
-    def path_in_excitation(self, path: Path) -> Path:
-        return "smooth", *path
 
     @abc.abstractmethod
     def realized(self, key_data: KeyData, dtype) -> Signal:

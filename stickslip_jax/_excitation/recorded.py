@@ -48,7 +48,7 @@ class Recorded(SegmentLaw):
 
     @property
     def covered_time(self) -> float:
-        return covered_time_of(self.times)
+        return math.inf if _checks.is_traced(self.times) else float(self.times[-1])
 
     def value(self, t: AnyArray | float) -> FloatArray:
         """The signal at times `t` (s, any shape)."""
@@ -56,9 +56,6 @@ class Recorded(SegmentLaw):
 
     def segments(self, t1) -> int:
         return len(self.times)
-
-    def begin(self, key_data, dtype):
-        return ()
 
     def draw(self, key_data, number, dtype):
         times, values = jnp.asarray(self.times, dtype), jnp.asarray(self.values, dtype)
@@ -70,11 +67,6 @@ class Recorded(SegmentLaw):
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
-
-
-def covered_time_of(times: AnyArray) -> float:
-    """Duration of a record, s; infinity where its `times` are traced."""
-    return math.inf if _checks.is_traced(times) else float(times[-1])
 
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:

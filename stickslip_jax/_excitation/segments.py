@@ -18,10 +18,11 @@ from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._fields import Checked
+from .._numerics.known import NotKnown
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, Float, FloatArray, IntArray, KeyData, Scalar
 from .interval_checks import check_drawn
-from .motion import Motion, Parts, Path
+from .motion import Motion
 
 LARGEST_CAPACITY = 2**31
 """Segments of one realisation are numbered in 32 bits."""
@@ -86,15 +87,16 @@ class SegmentLaw(Checked, Motion):
     `PiecewiseConstantLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
     """
 
+    part_of_excitation = "base"
     jumps: ClassVar[bool]
 
     @abc.abstractmethod
     def segments(self, t1: Scalar) -> int:
         """The number of segments that nearly every realisation on ``[0, t1]`` needs at most; `t1` (s) is not traced."""
 
-    @abc.abstractmethod
     def begin(self, key_data: KeyData, dtype) -> Any:
-        """The memory before the first segment, drawn by the key data: an array or a tuple of arrays, or ``()``."""
+        """The memory before the first segment, drawn by the key data: an array, or a tuple of arrays; none by default."""
+        return ()
 
     @abc.abstractmethod
     def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
@@ -107,12 +109,6 @@ class SegmentLaw(Checked, Motion):
         A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
         finite, ends the sample with ``Status.BASE_INVALID``.
         """
-
-    def parts(self) -> Parts:
-        return Parts(base=(self,))
-
-    def path_in_excitation(self, path: Path) -> Path:
-        return "base", 0, *path
 
     @staticmethod
     def uniforms(key_data: KeyData, number: Array | None, dtype) -> tuple[FloatArray, FloatArray]:
@@ -139,7 +135,8 @@ class SegmentLaw(Checked, Motion):
         if not self.is_random:
             return self
         key_data, dtype = self.key_data(key), jnp.result_type(float)
-        size = checked_capacity(capacity if capacity is not None else _known_capacity(self, t1, self.segments))
+        call = f"{type(self).__name__}(...).segments(t1)"
+        size = checked_capacity(known_capacity(self.segments, t1, call) if capacity is None else capacity)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             if _lasts(drawn[0], t1):
@@ -233,9 +230,6 @@ class GivenSegments(SegmentLaw):
     def segments(self, t1) -> int:
         return np.shape(self.durations)[-1]
 
-    def begin(self, key_data, dtype):
-        return ()
-
     def draw(self, key_data, number, dtype):
         size = np.shape(self.durations)[-1]
         here = jnp.minimum(number.astype(jnp.int32), size - 1)
@@ -306,14 +300,14 @@ def checked_capacity(capacity: Any) -> int:
     return int(capacity)
 
 
-def _known_capacity(law: SegmentLaw, t1: Scalar, segments: Callable[[Scalar], int]) -> int:
-    """The number of segments until `t1`. Raises ValueError where it depends on traced numbers."""
+def known_capacity(number: Callable[[Scalar], int], t1: Scalar, call: str) -> int:
+    """The `number` of segments until `t1`. Raises ValueError, with the `call` that finds it, for traced numbers."""
     try:
-        return segments(t1)
-    except ConcretizationTypeError:
+        return number(t1)
+    except (ConcretizationTypeError, NotKnown):
         raise ValueError(
             "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation (their "
-            f"values are not known then); find one with {type(law).__name__}(...).segments(t1)."
+            f"values are not known then); find one with {call}."
         ) from None
 
 

@@ -16,7 +16,7 @@ from .. import _checks
 from .._fields import Checked, Quantity
 from .._numerics.sharing import sincos
 from .._types import AnyArray, FloatArray, Number, Scalar
-from .motion import Motion, Parts, Path
+from .motion import Motion
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -47,12 +47,6 @@ class Signal(Checked, Motion):
     @abc.abstractmethod
     def value(self, t: FloatArray) -> FloatArray:
         """The signal at time `t` (s, a scalar): m/s for a base velocity, N for a force."""
-
-    def parts(self) -> Parts:
-        return Parts(self)
-
-    def path_in_excitation(self, path: Path) -> Path:
-        return "smooth", *path
 
     def rate(self, t: FloatArray) -> FloatArray:
         """Its first time derivative."""

@@ -297,7 +297,7 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
 
     def base_motion(self, forcing: OscillatorForcing, tau: FloatScalar) -> Base:
         """Velocity and acceleration of the base, `tau` (s) later."""
-        return base_motion(self.smooth, forcing, tau)
+        return base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
 
     def load_at(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
         load = forcing.load + tau * forcing.load_slope

@@ -5,7 +5,7 @@ the relative velocity. All arrays are scalars, those of one trajectory: the engi
 """
 
 import abc
-from typing import ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,26 +36,14 @@ class Base(NamedTuple):
     acceleration: FloatScalar
 
 
-class OnBase(Protocol):
-    """A forcing on a moving base: the linear part of the base velocity from time `t` (s) on, its value and slope."""
-
-    @property
-    def t(self) -> FloatScalar: ...
-
-    @property
-    def base(self) -> FloatScalar: ...
-
-    @property
-    def base_slope(self) -> FloatScalar: ...
-
-
-def base_motion(smooth: Signal | None, forcing: OnBase, tau: FloatScalar) -> Base:
-    """The base `tau` (s) later, whose velocity is that of `forcing` plus ``smooth(t)``."""
-    velocity, acceleration = forcing.base + tau * forcing.base_slope, forcing.base_slope
+def base_motion(
+    smooth: Signal | None, t: FloatScalar, velocity: FloatScalar, slope: FloatScalar, tau: FloatScalar
+) -> Base:
+    """The base `tau` (s) later than `t`, of velocity ``velocity + slope tau + smooth(t + tau)``."""
+    velocity = velocity + tau * slope
     if smooth is None:
-        return Base(velocity, acceleration)
-    t = forcing.t + tau
-    return Base(velocity + smooth.value(t), acceleration + smooth.rate(t))
+        return Base(velocity, slope)
+    return Base(velocity + smooth.value(t + tau), slope + smooth.rate(t + tau))
 
 
 class SwitchedModel(eqx.Module, Generic[F]):

@@ -323,7 +323,7 @@ class GeneralModel(SwitchedModel[GeneralForcing]):
         """The time, the base and the rate of its acceleration, `tau` later."""
         t = forcing.t + tau
         jerk = jnp.zeros_like(t) if self.smooth is None else jnp.asarray(self.smooth.curvature(t), t.dtype)
-        return t, base_motion(self.smooth, forcing, tau), jerk
+        return t, base_motion(self.smooth, *forcing, tau), jerk
 
     def _rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> State:
         return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
