@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, Array, FloatArray
+from .._types import AnyArray, Array, Float, FloatArray
 from .recorded import Recorded, check_times
 from .segments import GivenSegments, SegmentLaw
 
@@ -25,7 +25,9 @@ class GroundMotion(SegmentLaw):
     jumps = False
     takes_jumps = False
 
-    def realization(self, durations: Array, values: Array, slopes: Array) -> SegmentLaw:
+    def realization(
+        self, durations: Float[Array, " segments"], values: Float[Array, " segments"], slopes: Float[Array, " segments"]
+    ) -> SegmentLaw:
         """The realisation with these segments, arrays (segments,)."""
         return GroundSegments(durations, values, slopes, may_jump=False)
 
@@ -47,10 +49,10 @@ class GroundAcceleration(GroundMotion):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "times")
     )
-    accelerations: Annotated[AnyArray, Quantity("m/s^2", ndim=1)] = eqx.field(
+    accelerations: Annotated[Float[AnyArray, " points"], Quantity("m/s^2", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False

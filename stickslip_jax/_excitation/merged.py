@@ -1,17 +1,24 @@
 """A user's law of piecewise-constant base velocity as the engines need it: neighbouring velocities differ."""
 
-from typing import Any
+from typing import TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array, PyTree, UInt32
 
 from .._fields import is_of_package
-from .._types import Scalar
-from .excitation import WithJumps
+from .._types import FloatScalar, KeyData, Scalar
+from .excitation import BaseMotion, WithJumps
 from .interval_checks import marked
+from .motion import Path
 from .piecewise_constant import Interval, PiecewiseConstantLaw
+
+B = TypeVar("B", bound=BaseMotion)
+
+_Present: TypeAlias = tuple[PyTree, UInt32[Array, ""], FloatScalar, FloatScalar]
+"""The memory of a law after an interval, the number of the next one, and the duration and velocity of the interval."""
 
 
 class Merged(PiecewiseConstantLaw):
@@ -60,7 +67,7 @@ class Merged(PiecewiseConstantLaw):
         counts = began < self.t1
         return jnp.where(counts, total, jnp.inf), jnp.where(counts, velocity, 0), (following, began + total)
 
-    def _following(self, key_data: Any, present: Any, dtype) -> Any:
+    def _following(self, key_data: KeyData, present: _Present, dtype: np.dtype) -> _Present:
         """The law's memory, number, duration and velocity after the interval with the `present` ones."""
         memory, number, duration, _ = present
         more, velocity, memory = self.law.next_interval(memory, self.law.draw(key_data, number, dtype), dtype)
@@ -68,7 +75,7 @@ class Merged(PiecewiseConstantLaw):
         return memory, number + np.uint32(1), jnp.where(duration > 0, marked(more, velocity), 0), velocity
 
 
-def merged(base: Any, t1: Scalar) -> Any:
+def merged(base: B, t1: Scalar) -> B | Merged:
     """`base`, in which a law of the user's that jumps is `Merged`."""
     if isinstance(base, WithJumps):
         jumps = merged(base.jumps, t1)
@@ -77,7 +84,7 @@ def merged(base: Any, t1: Scalar) -> Any:
     return Merged(base, t1) if is_theirs else base
 
 
-def path_in_merged(base: Any, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+def path_in_merged(base: BaseMotion, path: Path) -> Path:
     """Where in ``merged(base, t1)`` the number is that `base` has at `path`."""
     if isinstance(base, WithJumps) and path[:1] == ("jumps",):
         return "jumps", *path_in_merged(base.jumps, path[1:])

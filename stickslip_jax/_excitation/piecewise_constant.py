@@ -7,24 +7,24 @@ a larger capacity only continues it, and an ensemble can draw intervals while it
 
 import abc
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree, UInt32
 
 from .. import _checks
 from .._fields import is_of_package
-from .._types import AnyArray, FloatArray, Scalar
+from .._types import AnyArray, FloatArray, FloatScalar, Scalar
 from .interval_checks import check_drawn, joined
 from .motion import Motion, Parts
 from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at, known_capacity
 
 
-def _as_jax(name: str, values: Any) -> Any:
+def _as_jax(name: str, values: PyTree) -> PyTree:
     return _checks.jax_array(name, values) if isinstance(values, (np.ndarray, jax.Array)) else values
 
 
@@ -95,7 +95,8 @@ class VelocitySteps(Motion):
         return self.velocities[index_at(self.durations, time)]
 
 
-Interval = tuple[FloatArray, FloatArray, Any]
+Interval: TypeAlias = tuple[FloatScalar, FloatScalar, PyTree]
+"""Duration (s), velocity (m/s), and the memory for the next interval."""
 
 
 class PiecewiseConstantLaw(SegmentLaw):
@@ -109,14 +110,16 @@ class PiecewiseConstantLaw(SegmentLaw):
     only_with: ClassVar = {"next_segment": ("next_interval",)}
 
     @abc.abstractmethod
-    def next_interval(self, memory: Any, drawn: Any, dtype) -> Interval:
+    def next_interval(self, memory: PyTree, drawn: PyTree, dtype: np.dtype) -> Interval:
         """Duration (s) and velocity (m/s) of an interval, and the memory for the next.
 
         Neighbours of equal velocity count as one interval. A duration of 0 means that there is no further interval. A
         negative duration, or a velocity that is not finite, ends the sample with ``Status.BASE_INVALID``.
         """
 
-    def all_intervals(self, memory: Any, drawn: Any, number: int, dtype) -> tuple[FloatArray, FloatArray]:
+    def all_intervals(
+        self, memory: PyTree, drawn: PyTree, number: int, dtype: np.dtype
+    ) -> tuple[Float[Array, " number"], Float[Array, " number"]]:
         """Durations (s) and velocities (m/s) of the first `number` intervals, (number,), one after the other.
 
         `memory`: that before the first. `drawn`: what `draw` returned for each, along a first axis. Override it where
@@ -132,7 +135,7 @@ class PiecewiseConstantLaw(SegmentLaw):
     def segments(self, t1: Scalar) -> int:
         return self.capacity(t1)
 
-    def next_segment(self, memory: Any, drawn: Any, dtype):
+    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: np.dtype):
         duration, velocity, memory = self.next_interval(memory, drawn, dtype)
         return duration, velocity, jnp.zeros((), dtype), memory
 
@@ -198,7 +201,9 @@ class GivenSteps(PiecewiseConstantLaw):
 
 
 @partial(jax.jit, static_argnames=("capacity", "dtype"))
-def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype) -> tuple[FloatArray, FloatArray]:
+def _sample(
+    law: PiecewiseConstantLaw, key_data: UInt32[Array, "2"], capacity: int, dtype: np.dtype
+) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
     """Durations and velocities of the first `capacity` intervals."""
     drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
     return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)

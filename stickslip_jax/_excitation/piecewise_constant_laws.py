@@ -1,8 +1,9 @@
 """Laws of piecewise-constant base velocity."""
 
 import math
+from collections.abc import Iterable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from .. import _checks
 from .._fields import Choice, Quantity
 from .._numerics.known import largest, smallest
 from .._numerics.random_bits import exponential, random_words, uniform
-from .._types import AnyArray, Array, Number, Scalar
+from .._types import AnyArray, Array, Float, IntArray, Number, Scalar
 from .interval_checks import marked
 from .piecewise_constant import Interval, PiecewiseConstantLaw
 from .segments import BEGINNING
@@ -169,10 +170,10 @@ class PiecewiseConstant(PiecewiseConstantLaw):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[AnyArray, Quantity("s", "start of each interval; the first is 0", ndim=1)] = eqx.field(
-        converter=partial(_checks.real_array, "times")
+    times: Annotated[Float[AnyArray, " intervals"], Quantity("s", "start of each interval; the first is 0", ndim=1)] = (
+        eqx.field(converter=partial(_checks.real_array, "times"))
     )
-    velocities: Annotated[AnyArray, Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
+    velocities: Annotated[Float[AnyArray, " intervals"], Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "velocities")
     )
     is_random = False
@@ -205,11 +206,11 @@ class PiecewiseConstant(PiecewiseConstantLaw):
         return len(self.times)
 
 
-def _choose(draw: Array, cumulative: Array) -> Array:
+def _choose(draw: Float[Array, ""], cumulative: Float[Array, " cells"]) -> IntArray:
     """Index of the cell of the ``cumulative`` probabilities that holds the uniform ``draw``."""
     return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
 
 
-def _floats(name: str, values: Any) -> tuple[float, ...]:
+def _floats(name: str, values: Iterable[float]) -> tuple[float, ...]:
     _checks.numeric(name, values, ndim=1)
     return tuple(float(value) for value in values)

@@ -6,9 +6,10 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from .. import _checks
 from .ground import GroundAcceleration
@@ -38,7 +39,7 @@ def read_csv(
     scale: float = 1.0,
     delimiter: str | None = ",",
     shift: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
     """Times (s) and values of a record in a text file, one sample a line, both (points,), float64.
 
     - `time_column`, `value_column`: numbers of the columns, counted from 0, or their names in the header row. The first
@@ -92,8 +93,11 @@ def read_recorded_csv(
 
     Arguments and errors of `read_csv`.
     """
-    columns: dict[str, Any] = {"time_column": time_column, "value_column": value_column}
-    return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+    return Recorded(
+        *read_csv(
+            path, time_column=time_column, value_column=value_column, scale=scale, delimiter=delimiter, shift=shift
+        )
+    )
 
 
 def read_acceleration_csv(
@@ -109,8 +113,11 @@ def read_acceleration_csv(
 
     Arguments and errors of `read_csv`.
     """
-    columns: dict[str, Any] = {"time_column": time_column, "value_column": value_column}
-    return GroundAcceleration(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+    return GroundAcceleration(
+        *read_csv(
+            path, time_column=time_column, value_column=value_column, scale=scale, delimiter=delimiter, shift=shift
+        )
+    )
 
 
 def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> GroundAcceleration:
@@ -208,7 +215,7 @@ def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
     return rows
 
 
-def _check_column(name: str, column: Any) -> None:
+def _check_column(name: str, column: object) -> None:
     whole = isinstance(column, (int, np.integer)) and not isinstance(column, bool)
     if not isinstance(column, str) and not (whole and column >= 0):
         raise ValueError(
@@ -242,7 +249,7 @@ def _is_number(entry: str) -> bool:
     return "_" not in entry  # Python reads 1_000 as a number
 
 
-def _finite(file: str, entries: Iterable[tuple[int, str]]) -> np.ndarray:
+def _finite(file: str, entries: Iterable[tuple[int, str]]) -> Float[np.ndarray, " points"]:
     """The entries as numbers."""
     numbers = []
     for line, entry in entries:
@@ -255,7 +262,7 @@ def _finite(file: str, entries: Iterable[tuple[int, str]]) -> np.ndarray:
     return np.array(numbers, float)
 
 
-def _check_times(file: str, times: np.ndarray, lines: list[int], shift: bool) -> None:
+def _check_times(file: str, times: Float[np.ndarray, " points"], lines: list[int], shift: bool) -> None:
     if len(times) < 2:
         raise _unsuitable("at least 2 samples", f"{file} has {len(times)}")
     falls = np.diff(times) <= 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, FloatArray
+from .._types import AnyArray, Float, FloatArray
 from .segments import SegmentLaw
 from .smooth import SIGNAL_UNIT
 
@@ -27,10 +27,10 @@ class Recorded(SegmentLaw):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "times")
     )
-    values: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+    values: Annotated[Float[AnyArray, " points"], Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "values")
     )
     is_random = False

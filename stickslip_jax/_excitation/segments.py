@@ -7,7 +7,7 @@ length, and an ensemble can draw segments while it simulates.
 import abc
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.errors import ConcretizationTypeError
+from jaxtyping import PyTree, UInt32
 
 from .. import _checks
 from .._fields import Checked
 from .._numerics.known import NotKnown
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, Float, FloatArray, IntArray, KeyData, Scalar
+from .._types import AnyArray, Array, BoolScalar, Float, FloatArray, FloatScalar, IntArray, KeyData, Scalar
 from .interval_checks import check_drawn
 from .motion import Motion
 
@@ -43,11 +44,11 @@ class Segment(NamedTuple):
 class SegmentState(NamedTuple):
     """The present segment of one realisation, and what the next follows from; `spent` after the last one."""
 
-    key_data: tuple[Array, Array]
-    number: Array
-    memory: Any
+    key_data: tuple[UInt32[Array, ""], UInt32[Array, ""]]
+    number: UInt32[Array, ""]
+    memory: PyTree
     segment: Segment
-    spent: Array
+    spent: BoolScalar
 
 
 class SegmentLaw(Checked, Motion):
@@ -94,16 +95,18 @@ class SegmentLaw(Checked, Motion):
     def segments(self, t1: Scalar) -> int:
         """The number of segments that nearly every realisation on ``[0, t1]`` needs at most; `t1` (s) is not traced."""
 
-    def begin(self, key_data: KeyData, dtype) -> Any:
-        """The memory before the first segment, drawn by the key data: an array, or a tuple of arrays; none by default."""
+    def begin(self, key_data: KeyData, dtype: np.dtype) -> PyTree:
+        """The memory before the first segment, drawn by the key data: an array or a tuple of arrays. Default: none."""
         return ()
 
     @abc.abstractmethod
-    def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
+    def draw(self, key_data: KeyData, number: UInt32[Array, ""], dtype: np.dtype) -> PyTree:
         """What is random (or looked up) about segment `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
-    def next_segment(self, memory: Any, drawn: Any, dtype) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
+    def next_segment(
+        self, memory: PyTree, drawn: PyTree, dtype: np.dtype
+    ) -> tuple[FloatScalar, FloatScalar, FloatScalar, PyTree]:
         """Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next.
 
         A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
@@ -111,7 +114,9 @@ class SegmentLaw(Checked, Motion):
         """
 
     @staticmethod
-    def uniforms(key_data: KeyData, number: Array | None, dtype) -> tuple[FloatArray, FloatArray]:
+    def uniforms(
+        key_data: KeyData, number: UInt32[Array, ""] | None, dtype: np.dtype
+    ) -> tuple[FloatScalar, FloatScalar]:
         """Two independent random numbers, uniform on (0, 1), for segment `number`; None: for `begin`.
 
         A `RandomNumber` makes others of them: ``ss.Weibull(2.0, 1.5).icdf(u)``. To draw more than two, or by other
@@ -120,7 +125,7 @@ class SegmentLaw(Checked, Motion):
         high, low = random_words(key_data, jnp.asarray(BEGINNING if number is None else number))
         return uniform(high, dtype), uniform(low, dtype)
 
-    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> Any:
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "Motion":
         """One realisation that covers ``[0, t1]``, for `simulate`; a law without randomness is its own.
 
         - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness. `t1`: duration to cover, s.
@@ -146,11 +151,13 @@ class SegmentLaw(Checked, Motion):
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
-    def realization(self, durations: Array, values: Array, slopes: Array) -> "SegmentLaw":
+    def realization(
+        self, durations: Float[Array, " segments"], values: Float[Array, " segments"], slopes: Float[Array, " segments"]
+    ) -> "SegmentLaw":
         """The realisation with these segments, arrays (segments,)."""
         return VelocitySegments(durations, values, slopes, self.jumps)
 
-    def key_data(self, key: Array | None) -> Array:
+    def key_data(self, key: Array | None) -> UInt32[Array, "2"]:
         """The two 32-bit words of `key`; zeros for a law without randomness. Raises ValueError for a missing key."""
         if not self.is_random:
             return jnp.zeros(2, jnp.uint32)
@@ -162,7 +169,7 @@ class SegmentLaw(Checked, Motion):
         return key_data_of(key)
 
 
-def _as_truth(may_jump: Any) -> bool:
+def _as_truth(may_jump: object) -> bool:
     _checks.truth("may_jump", may_jump)
     return bool(may_jump)
 
@@ -188,9 +195,9 @@ class GivenSegments(SegmentLaw):
     whether the value jumps between them.
     """
 
-    durations: AnyArray = eqx.field(converter=partial(_checks.jax_array, "durations"))
-    values: AnyArray = eqx.field(converter=partial(_checks.jax_array, "values"))
-    slopes: AnyArray = eqx.field(converter=partial(_checks.jax_array, "slopes"))
+    durations: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "durations"))
+    values: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "values"))
+    slopes: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "slopes"))
     may_jump: bool = eqx.field(static=True, default=True, converter=_as_truth)
     is_random = False
     only_with: ClassVar = {"value": ("draw", "next_segment")}
@@ -218,11 +225,11 @@ class GivenSegments(SegmentLaw):
             _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
     @property
-    def times(self) -> Array:
+    def times(self) -> Float[Array, " segments"]:
         """Times at which the segments begin, s, (segments,)."""
         return begins_of(self.durations)
 
-    def value(self, t: AnyArray | float) -> Array:
+    def value(self, t: AnyArray | float) -> FloatArray:
         """The value at times `t` (s, any shape); at a jump, the one after it. One realisation only."""
         here = index_at(self.durations, t)
         return jnp.asarray(self.values)[here] + jnp.asarray(self.slopes)[here] * (t - self.times[here])
@@ -254,7 +261,7 @@ class VelocitySegments(GivenSegments):
     """
 
 
-def first_segment(law: SegmentLaw, key_data: KeyData, dtype) -> SegmentState:
+def first_segment(law: SegmentLaw, key_data: KeyData, dtype: np.dtype) -> SegmentState:
     """The first segment of the realisation that `key_data` draw."""
     zero = jnp.zeros((), dtype)
     memory = law.begin(key_data, dtype)
@@ -268,7 +275,7 @@ def first_segment(law: SegmentLaw, key_data: KeyData, dtype) -> SegmentState:
     return following_segment(law, segment_state, dtype)
 
 
-def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> SegmentState:
+def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype: np.dtype) -> SegmentState:
     """The segment after the present one."""
     drawn = law.draw(segment_state.key_data, segment_state.number, dtype)
     duration, value, slope, memory = law.next_segment(segment_state.memory, drawn, dtype)
@@ -278,7 +285,7 @@ def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> Se
     return SegmentState(segment_state.key_data, segment_state.number + np.uint32(1), memory, segment, spent)
 
 
-def is_invalid(segment_state: SegmentState) -> Array:
+def is_invalid(segment_state: SegmentState) -> BoolScalar:
     """Whether the present segment ended the realisation because it cannot be, and not because it has no duration."""
     return segment_state.spent & (segment_state.segment.end != segment_state.segment.begin)
 
@@ -291,7 +298,7 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
     return value, slope
 
 
-def checked_capacity(capacity: Any) -> int:
+def checked_capacity(capacity: int) -> int:
     """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
     if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
         raise ValueError(
@@ -311,7 +318,7 @@ def known_capacity(number: Callable[[Scalar], int], t1: Scalar, call: str) -> in
         ) from None
 
 
-def _lasts(durations: Array, t1: Scalar) -> bool:
+def _lasts(durations: Float[Array, " segments"], t1: Scalar) -> bool:
     """Whether segments with these durations cover ``[0, t1]``, or there are no more; True where it is not known."""
     if _checks.is_traced(durations) or _checks.is_traced(t1):
         return True
@@ -320,16 +327,18 @@ def _lasts(durations: Array, t1: Scalar) -> bool:
 
 
 @partial(jax.jit, static_argnames=("size", "dtype"))
-def _sample(law: SegmentLaw, key_data: Array, size: int, dtype) -> tuple[Array, Array, Array]:
+def _sample(
+    law: SegmentLaw, key_data: UInt32[Array, "2"], size: int, dtype: np.dtype
+) -> tuple[Float[Array, " size"], Float[Array, " size"], Float[Array, " size"]]:
     """Durations, values and slopes of the first `size` segments; zeros after the last."""
-    own = (key_data[0], key_data[1])
+    words = (key_data[0], key_data[1])
 
     def step(carry, number):
         memory, spent = carry
-        duration, value, slope, memory = law.next_segment(memory, law.draw(own, number, dtype), dtype)
+        duration, value, slope, memory = law.next_segment(memory, law.draw(words, number, dtype), dtype)
         spent = spent | (duration == 0)
         duration, value, slope = (jnp.where(spent, 0, jnp.asarray(x, dtype)) for x in (duration, value, slope))
         return (memory, spent), (duration, value, slope)
 
-    start = law.begin(own, dtype), jnp.zeros((), bool)
+    start = law.begin(words, dtype), jnp.zeros((), bool)
     return lax.scan(step, start, jnp.arange(size, dtype=jnp.uint32))[1]

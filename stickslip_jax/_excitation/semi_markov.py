@@ -1,7 +1,7 @@
 """Semi-Markov switching: a piecewise-constant base velocity whose gaps and speeds have any distribution."""
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from .._distributions.families import Discrete
 from .._distributions.random_number import RandomNumber, Truncated
 from .._fields import Choice, is_of_package
 from .._numerics.random_bits import fine_uniform, random_words
-from .._types import Array, FloatArray, Scalar
+from .._types import Array, FloatArray, Number, Scalar
 from .piecewise_constant import Interval, PiecewiseConstantLaw
 from .segments import BEGINNING
 
@@ -45,7 +45,7 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
     """
 
     gap: RandomNumber
-    speed: Any
+    speed: Number | RandomNumber
     alternating: bool = eqx.field(static=True, default=True)
     first_sign: Annotated[
         str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
@@ -140,7 +140,7 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
         return math.ceil(float(np.min((rates * horizon - math.log(_CHANCE)) / decay))) + 1
 
 
-def _check_distribution(name: str, given: Any, unit: str, *, positive: bool) -> None:
+def _check_distribution(name: str, given: object, unit: str, *, positive: bool) -> None:
     """Check the distribution of gaps or speeds. Raises ValueError for one that cannot be drawn while simulating."""
     what = f"Argument {name} must be a distribution of {'positive numbers' if positive else 'velocities'} (in {unit})"
     if not isinstance(given, RandomNumber):
@@ -183,11 +183,11 @@ def _check_values(speed: RandomNumber) -> None:
             "Argument speed must be continuous or a Discrete, and no other distribution of single values, where "
             f"alternating is False, but {_checks.show(speed)} was given."
         )
-    inner: Any = speed
-    shares = inner.probabilities
+    assert isinstance(speed, Discrete)
+    shares = speed.probabilities
     if _checks.is_traced(shares):
         return
-    if (len(inner.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
+    if (len(speed.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
         raise ValueError(
             f"Argument speed must have two or more values with positive probabilities, but {_checks.show(speed)} was "
             "given."

@@ -15,7 +15,7 @@ from jax import lax
 from .. import _checks
 from .._fields import Checked, Quantity
 from .._numerics.sharing import sincos
-from .._types import AnyArray, FloatArray, Number, Scalar
+from .._types import AnyArray, Float, FloatArray, Number, Scalar
 from .motion import Motion
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
@@ -166,15 +166,15 @@ class SumOfHarmonics(_Tones):
     Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
 
-    amplitudes: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+    amplitudes: Annotated[Float[AnyArray, " harmonics"], Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "amplitudes")
     )
     angular_frequencies: Annotated[
-        AnyArray, Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
+        Float[AnyArray, " harmonics"], Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
     ] = eqx.field(converter=partial(_checks.real_array, "angular_frequencies"))
-    phases: Annotated[AnyArray | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
-        default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v)
-    )
+    phases: Annotated[
+        Float[AnyArray, " harmonics"] | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)
+    ] = eqx.field(default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v))
     offset: Annotated[Number, Quantity(SIGNAL_UNIT)] = 0.0
 
     def check_relations(self) -> None:
