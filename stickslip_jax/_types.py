@@ -31,6 +31,9 @@ InitialState: TypeAlias = Sequence[Number] | AnyArray
 of it, or an array (samples, coordinates) of all.
 """
 
+Word: TypeAlias = UInt32[Array, ""]
+"""32 random bits, or the number of a segment, of which there are at most 2^32."""
+
 State: TypeAlias = tuple[FloatArray, ...]
 """The state of a system: one array for each of its coordinates, all of one shape."""
 
@@ -61,4 +64,5 @@ __all__ = [
     "Scalar",
     "Solver",
     "State",
+    "Word",
 ]

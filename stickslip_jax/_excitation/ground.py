@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, Array, Float, FloatArray
+from .._types import AnyArray, Float, FloatArray
 from .recorded import Recorded, check_times
-from .segments import GivenSegments, SegmentLaw
+from .segments import GivenSegments, PerSegment, SegmentLaw
 
 
 class GroundMotion(SegmentLaw):
@@ -25,9 +25,7 @@ class GroundMotion(SegmentLaw):
     jumps = False
     takes_jumps = False
 
-    def realization(
-        self, durations: Float[Array, " segments"], values: Float[Array, " segments"], slopes: Float[Array, " segments"]
-    ) -> SegmentLaw:
+    def realization(self, durations: PerSegment, values: PerSegment, slopes: PerSegment) -> SegmentLaw:
         """The realisation with these segments, arrays (segments,)."""
         return GroundSegments(durations, values, slopes, may_jump=False)
 

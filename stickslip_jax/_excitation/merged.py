@@ -6,10 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PyTree, UInt32
+from jaxtyping import PyTree
 
 from .._fields import is_of_package
-from .._types import FloatScalar, KeyData, Scalar
+from .._types import FloatScalar, KeyData, Scalar, Word
 from .excitation import BaseMotion, WithJumps
 from .interval_checks import marked
 from .motion import Path
@@ -17,7 +17,7 @@ from .piecewise_constant import Interval, PiecewiseConstantLaw
 
 B = TypeVar("B", bound=BaseMotion)
 
-_Present: TypeAlias = tuple[PyTree, UInt32[Array, ""], FloatScalar, FloatScalar]
+_Present: TypeAlias = tuple[PyTree, Word, FloatScalar, FloatScalar]
 """The memory of a law after an interval, the number of the next one, and the duration and velocity of the interval."""
 
 

@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, PyTree, UInt32
+from jaxtyping import Array, Float, PyTree
 
 from .. import _checks
 from .._fields import is_of_package
 from .._types import AnyArray, FloatArray, FloatScalar, Scalar
-from .interval_checks import check_drawn, joined
+from .interval_checks import Each, check_drawn, joined
 from .motion import Motion, Parts
 from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at, known_capacity
 
@@ -117,9 +117,7 @@ class PiecewiseConstantLaw(SegmentLaw):
         negative duration, or a velocity that is not finite, ends the sample with ``Status.BASE_INVALID``.
         """
 
-    def all_intervals(
-        self, memory: PyTree, drawn: PyTree, number: int, dtype: np.dtype
-    ) -> tuple[Float[Array, " number"], Float[Array, " number"]]:
+    def all_intervals(self, memory: PyTree, drawn: PyTree, number: int, dtype: np.dtype) -> tuple[Each, Each]:
         """Durations (s) and velocities (m/s) of the first `number` intervals, (number,), one after the other.
 
         `memory`: that before the first. `drawn`: what `draw` returned for each, along a first axis. Override it where
@@ -201,9 +199,7 @@ class GivenSteps(PiecewiseConstantLaw):
 
 
 @partial(jax.jit, static_argnames=("capacity", "dtype"))
-def _sample(
-    law: PiecewiseConstantLaw, key_data: UInt32[Array, "2"], capacity: int, dtype: np.dtype
-) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
+def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype: np.dtype) -> tuple[Each, Each]:
     """Durations and velocities of the first `capacity` intervals."""
     drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
     return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from functools import partial
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +17,8 @@ from .._types import AnyArray, Array, Float, IntArray, Number, Scalar
 from .interval_checks import marked
 from .piecewise_constant import Interval, PiecewiseConstantLaw
 from .segments import BEGINNING
+
+PerInterval: TypeAlias = Float[AnyArray, " intervals"]
 
 
 class Constant(PiecewiseConstantLaw):
@@ -170,10 +172,10 @@ class PiecewiseConstant(PiecewiseConstantLaw):
     Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[Float[AnyArray, " intervals"], Quantity("s", "start of each interval; the first is 0", ndim=1)] = (
-        eqx.field(converter=partial(_checks.real_array, "times"))
+    times: Annotated[PerInterval, Quantity("s", "start of each interval; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "times")
     )
-    velocities: Annotated[Float[AnyArray, " intervals"], Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
+    velocities: Annotated[PerInterval, Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "velocities")
     )
     is_random = False

@@ -93,11 +93,8 @@ def read_recorded_csv(
 
     Arguments and errors of `read_csv`.
     """
-    return Recorded(
-        *read_csv(
-            path, time_column=time_column, value_column=value_column, scale=scale, delimiter=delimiter, shift=shift
-        )
-    )
+    columns = {"time_column": time_column, "value_column": value_column}
+    return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
 
 
 def read_acceleration_csv(
@@ -113,11 +110,8 @@ def read_acceleration_csv(
 
     Arguments and errors of `read_csv`.
     """
-    return GroundAcceleration(
-        *read_csv(
-            path, time_column=time_column, value_column=value_column, scale=scale, delimiter=delimiter, shift=shift
-        )
-    )
+    columns = {"time_column": time_column, "value_column": value_column}
+    return GroundAcceleration(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
 
 
 def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> GroundAcceleration:

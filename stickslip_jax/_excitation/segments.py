@@ -7,7 +7,7 @@ length, and an ensemble can draw segments while it simulates.
 import abc
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from .. import _checks
 from .._fields import Checked
 from .._numerics.known import NotKnown
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, BoolScalar, Float, FloatArray, FloatScalar, IntArray, KeyData, Scalar
+from .._types import AnyArray, Array, BoolScalar, Float, FloatArray, FloatScalar, IntArray, KeyData, Scalar, Word
 from .interval_checks import check_drawn
 from .motion import Motion
 
@@ -30,6 +30,9 @@ LARGEST_CAPACITY = 2**31
 BEGINNING = np.uint32(0xFFFFFFFF)
 """Number of the random words that the beginning of a realisation is drawn from."""
 _MOST_DOUBLINGS = 6  # of the number of segments, before a realisation is left too short
+
+
+PerSegment: TypeAlias = Float[Array, " segments"]
 
 
 class Segment(NamedTuple):
@@ -41,11 +44,15 @@ class Segment(NamedTuple):
     slope: FloatArray
 
 
+DrawnSegment: TypeAlias = tuple[FloatScalar, FloatScalar, FloatScalar, PyTree]
+"""Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next."""
+
+
 class SegmentState(NamedTuple):
     """The present segment of one realisation, and what the next follows from; `spent` after the last one."""
 
-    key_data: tuple[UInt32[Array, ""], UInt32[Array, ""]]
-    number: UInt32[Array, ""]
+    key_data: tuple[Word, Word]
+    number: Word
     memory: PyTree
     segment: Segment
     spent: BoolScalar
@@ -100,13 +107,11 @@ class SegmentLaw(Checked, Motion):
         return ()
 
     @abc.abstractmethod
-    def draw(self, key_data: KeyData, number: UInt32[Array, ""], dtype: np.dtype) -> PyTree:
+    def draw(self, key_data: KeyData, number: Word, dtype: np.dtype) -> PyTree:
         """What is random (or looked up) about segment `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
-    def next_segment(
-        self, memory: PyTree, drawn: PyTree, dtype: np.dtype
-    ) -> tuple[FloatScalar, FloatScalar, FloatScalar, PyTree]:
+    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: np.dtype) -> DrawnSegment:
         """Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next.
 
         A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
@@ -114,9 +119,7 @@ class SegmentLaw(Checked, Motion):
         """
 
     @staticmethod
-    def uniforms(
-        key_data: KeyData, number: UInt32[Array, ""] | None, dtype: np.dtype
-    ) -> tuple[FloatScalar, FloatScalar]:
+    def uniforms(key_data: KeyData, number: Word | None, dtype: np.dtype) -> tuple[FloatScalar, FloatScalar]:
         """Two independent random numbers, uniform on (0, 1), for segment `number`; None: for `begin`.
 
         A `RandomNumber` makes others of them: ``ss.Weibull(2.0, 1.5).icdf(u)``. To draw more than two, or by other
@@ -151,9 +154,7 @@ class SegmentLaw(Checked, Motion):
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
-    def realization(
-        self, durations: Float[Array, " segments"], values: Float[Array, " segments"], slopes: Float[Array, " segments"]
-    ) -> "SegmentLaw":
+    def realization(self, durations: PerSegment, values: PerSegment, slopes: PerSegment) -> "SegmentLaw":
         """The realisation with these segments, arrays (segments,)."""
         return VelocitySegments(durations, values, slopes, self.jumps)
 
@@ -225,7 +226,7 @@ class GivenSegments(SegmentLaw):
             _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
     @property
-    def times(self) -> Float[Array, " segments"]:
+    def times(self) -> PerSegment:
         """Times at which the segments begin, s, (segments,)."""
         return begins_of(self.durations)
 
@@ -318,7 +319,7 @@ def known_capacity(number: Callable[[Scalar], int], t1: Scalar, call: str) -> in
         ) from None
 
 
-def _lasts(durations: Float[Array, " segments"], t1: Scalar) -> bool:
+def _lasts(durations: PerSegment, t1: Scalar) -> bool:
     """Whether segments with these durations cover ``[0, t1]``, or there are no more; True where it is not known."""
     if _checks.is_traced(durations) or _checks.is_traced(t1):
         return True
@@ -327,9 +328,7 @@ def _lasts(durations: Float[Array, " segments"], t1: Scalar) -> bool:
 
 
 @partial(jax.jit, static_argnames=("size", "dtype"))
-def _sample(
-    law: SegmentLaw, key_data: UInt32[Array, "2"], size: int, dtype: np.dtype
-) -> tuple[Float[Array, " size"], Float[Array, " size"], Float[Array, " size"]]:
+def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: np.dtype) -> tuple[PerSegment, PerSegment, PerSegment]:
     """Durations, values and slopes of the first `size` segments; zeros after the last."""
     words = (key_data[0], key_data[1])
 

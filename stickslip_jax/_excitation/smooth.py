@@ -24,6 +24,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray]
 """Amplitudes, angular frequencies (rad/s) and phases (rad): numbers, or arrays (harmonics,)."""
 
+PerHarmonic: TypeAlias = Float[AnyArray, " harmonics"]
+
 SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
 
@@ -166,15 +168,15 @@ class SumOfHarmonics(_Tones):
     Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
 
-    amplitudes: Annotated[Float[AnyArray, " harmonics"], Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+    amplitudes: Annotated[PerHarmonic, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "amplitudes")
     )
     angular_frequencies: Annotated[
-        Float[AnyArray, " harmonics"], Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
+        PerHarmonic, Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
     ] = eqx.field(converter=partial(_checks.real_array, "angular_frequencies"))
-    phases: Annotated[
-        Float[AnyArray, " harmonics"] | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)
-    ] = eqx.field(default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v))
+    phases: Annotated[PerHarmonic | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
+        default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v)
+    )
     offset: Annotated[Number, Quantity(SIGNAL_UNIT)] = 0.0
 
     def check_relations(self) -> None:

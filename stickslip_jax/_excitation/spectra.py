@@ -19,6 +19,8 @@ from .. import _checks
 from .._fields import Checked, Quantity, described, varies
 from .._types import AnyArray, Array, Float, Number, Scalar
 
+PerPoint: TypeAlias = Float[AnyArray, " points"]
+
 Frequencies: TypeAlias = Float[AnyArray, "..."] | float
 """Angular frequencies, rad/s, or densities at these, of NumPy or JAX."""
 
@@ -128,10 +130,10 @@ class TabulatedSpectrum(PowerSpectrum):
     for frequencies that do not increase, different lengths, or densities that are negative.
     """
 
-    angular_frequencies: Annotated[Float[AnyArray, " points"], Quantity("rad/s", "increasing", at_least=0, ndim=1)] = (
-        eqx.field(converter=partial(_checks.real_array, "angular_frequencies"))
+    angular_frequencies: Annotated[PerPoint, Quantity("rad/s", "increasing", at_least=0, ndim=1)] = eqx.field(
+        converter=partial(_checks.real_array, "angular_frequencies")
     )
-    densities: Annotated[Float[AnyArray, " points"], Quantity("m^2/s", "one-sided", at_least=0, ndim=1)] = eqx.field(
+    densities: Annotated[PerPoint, Quantity("m^2/s", "one-sided", at_least=0, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "densities")
     )
 
