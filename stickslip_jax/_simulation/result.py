@@ -1,7 +1,6 @@
 """One simulated trajectory: `Simulation`."""
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ from .. import _checks, _html
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.path import Path
 from .._events.sticks import Slips, Sticks, Totals, slips_between
+from .._excitation.excitation import BaseMotion
 from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
@@ -42,7 +42,7 @@ class Simulation(WithMethods):
     """
 
     system: System
-    base: Any
+    base: BaseMotion
     t1: Scalar
     method: Exact | Regularized
     sticks: Sticks

@@ -3,12 +3,13 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from .. import _checks
 from .._fields import Checked, Quantity
@@ -213,7 +214,7 @@ class Stribeck(FrictionLaw):
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
 
 
-def _traceable(curve: Any) -> Any:
+def _traceable(curve: PyTree) -> PyTree:
     """A plain function as a pytree without leaves, so that it can be part of a system that JAX transforms."""
     is_plain = callable(curve) and not isinstance(curve, type) and jax.tree.leaves(curve) == [curve]
     return jax.tree_util.Partial(curve) if is_plain else curve
@@ -229,7 +230,7 @@ class FrictionCurve(FrictionLaw):
     Raises ValueError for a curve that cannot be called, or coefficients that are negative or do not fit.
     """
 
-    curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
+    curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=_traceable)
     holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
@@ -266,7 +267,7 @@ class FrictionCurve(FrictionLaw):
 
 def times_of_slips(
     friction: FrictionLaw, mass: Number, normal_force: Number, damping: Number | None
-) -> tuple[Any, Any]:
+) -> tuple[Scalar, Scalar]:
     """Two times, s, that steps of a slip must be short against; infinity where there is none.
 
     The first: that in which the largest friction force changes the speed by the speed scale of the law. The second: the
@@ -278,12 +279,12 @@ def times_of_slips(
     return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0) else mass / drag
 
 
-def _is(number: Any, value: Any) -> bool:
+def _is(number: Scalar, value: float) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
 
 
 def _static_at_least(
-    kinetic: Any, static: Any, name: str = "Argument mu_static", of: str = "mu", slack: float = 0.0
+    kinetic: Number, static: Number | None, name: str = "Argument mu_static", of: str = "mu", slack: float = 0.0
 ) -> None:
     """Check that the `static` coefficient, if given, is at least the `kinetic` one, called `of`, but for `slack`."""
     if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):

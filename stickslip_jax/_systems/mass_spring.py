@@ -24,7 +24,7 @@ from .._fields import Quantity
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
-from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatScalar, Number, Scalar, Solver, State
+from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .built_in import is_built_in
 from .friction import FrictionLaw, times_of_slips
 from .steady_response import check_no_resonance, steady_response
@@ -177,7 +177,7 @@ class MassSpring(System):
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m."""
-        force: Any = 0.0
+        force: FloatArray | float = 0.0
         if self.force is not None:
             force = self.force.value(times) if isinstance(self.force, Recorded) else jax.vmap(self.force.value)(times)
         load = force - self.mass * (acceleration + ground)
@@ -326,8 +326,8 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
         m, k, c = self._constants()
         c = 0 if c is None else c
         x, p = (forcing.load - friction) / k, jnp.zeros_like(tau)
-        force: Any = self.system.force if isinstance(self.system.force, Signal) else None
-        if force is not None:  # a sum of harmonics: there were no closed form otherwise
+        force: Any = self.system.force
+        if isinstance(force, Signal):  # a sum of harmonics: there were no closed form otherwise
             position, velocity = steady_response(force.tones, m, k, c, forcing.t + tau)
             x, p = x + force.mean / k + position, p + velocity
         return x, p
@@ -358,9 +358,9 @@ class SolverOscillatorModel(OscillatorModel):
         return y1, relative_error(error, y, y1, gross)
 
 
-def _times(c: Any, value: Any) -> Any:
+def _times(c: Scalar | None, value: FloatScalar) -> FloatScalar | int:
     return 0 if c is None else c * value
 
 
-def _is_zero(value: Any) -> bool:
+def _is_zero(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0

@@ -8,7 +8,7 @@ lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma (``ga
 
 import abc
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -89,7 +89,7 @@ class SwitchedSystem(System):
         """Name and unit of each number of the state: ``("angle in rad", "angular velocity in rad/s")``."""
 
     @abc.abstractmethod
-    def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> tuple[Any, ...]:
+    def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> tuple[FloatScalar | float, ...]:
         """The time derivatives of the state `y` (a tuple of scalars) at time `t` (s), as many scalars, by JAX.
 
         - `base`: velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
@@ -149,7 +149,7 @@ class SwitchedSystem(System):
         }
 
     @property
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
         speed, time = self.speed_scale, self.shortest_time
         return speed, None if speed is None or time is None else speed / time
 

@@ -2,7 +2,7 @@
 
 import abc
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
@@ -98,7 +98,7 @@ class System(Checked):
 
     @property
     @abc.abstractmethod
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
         """A typical relative velocity (m/s), and the deceleration by the largest friction force alone (m/s^2).
 
         Each is None where it is not known.
@@ -209,12 +209,15 @@ class System(Checked):
         return None
 
 
+S = TypeVar("S")
+
+
 def voltage_of(excitation: Excitation) -> Signal | RandomSignal | None:
     """The smooth part of `excitation` without its random phase."""
     return unphased(excitation.smooth)
 
 
-def unphased(signal: Any) -> Any:
+def unphased(signal: S) -> S | Signal:
     """`signal` without its random phase, if it is a `RandomPhase` and nothing else of it is random."""
     return signal.signal if keeps(signal, RandomPhase, "realized") else signal
 
@@ -224,7 +227,7 @@ def shortest_period(excitation: Excitation) -> Scalar | None:
     return float("inf") if excitation.smooth is None else excitation.smooth.shortest_period
 
 
-def checked_system(system: Any) -> System:
+def checked_system(system: object) -> System:
     """`system` itself. Raises ValueError for what is no system."""
     if not isinstance(system, System):
         raise ValueError(
@@ -234,7 +237,7 @@ def checked_system(system: Any) -> System:
     return system
 
 
-def require_system(system: Any) -> System:
+def require_system(system: object) -> System:
     """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
     checked_system(system).check_numbers()
     return system
