@@ -47,16 +47,6 @@ class GaussianSample(SumOfHarmonics):
 class GaussianProcess(RandomSignal):
     """A stationary Gaussian base velocity (or motion in general) with a given power spectrum.
 
-    - `spectrum`: the one-sided power spectral density over angular frequency, m^2/s for a base velocity: a
-      `CloughPenzienSpectrum`, `VelocitySpectrum`, `KanaiTajimiSpectrum`, `TabulatedSpectrum`, or a function of angular
-      frequency (rad/s) that JAX can trace, such as ``lambda w: 0.1 * jnp.exp(-(w**2))``.
-    - `cutoff`: the highest angular frequency, rad/s; the spectrum is cut off there. The time step of a simulation is a
-      fraction of its period, ``2 pi / cutoff``, so let the spectrum have faded there, but no lower.
-    - `rms`: standard deviation, m/s for a base velocity. None (the default) leaves the spectrum as it is, and the
-      variance is its integral up to `cutoff`; a number scales it.
-    - `mean`: the mean, m/s.
-    - `harmonics`: the number of harmonics of a sample, 128 by default.
-
     A sample is ``mean + sum_j a_j cos(w_j t + phase_j)`` with random phases, amplitudes of Rayleigh's distribution, and
     frequencies of which one is drawn, by the density, from each of as many strata of equal variance. So whatever their
     number, the value at any time is exactly Gaussian, variance and correlation are those of the spectrum (except that
@@ -72,8 +62,20 @@ class GaussianProcess(RandomSignal):
     ``sensitivity(..., estimator="finite-difference")``, the default, because phases grow with time and the corrected
     estimator would need narrow windows.
 
-    Raises ValueError for numbers outside these bounds, a spectrum that is negative, zero or infinite, or one that
-    varies so quickly that 1024 parts of the band do not resolve it.
+    Args:
+        spectrum: The one-sided power spectral density over angular frequency, m^2/s for a base velocity: a
+            `CloughPenzienSpectrum`, `VelocitySpectrum`, `KanaiTajimiSpectrum`, `TabulatedSpectrum`, or a function of
+            angular frequency (rad/s) that JAX can trace, such as ``lambda w: 0.1 * jnp.exp(-(w**2))``.
+        cutoff: The highest angular frequency, rad/s; the spectrum is cut off there. The time step of a simulation is a
+            fraction of its period, ``2 pi / cutoff``, so let the spectrum have faded there, but no lower.
+        rms: Standard deviation, m/s for a base velocity. None (the default) leaves the spectrum as it is, and the
+            variance is its integral up to `cutoff`; a number scales it.
+        mean: The mean, m/s.
+        harmonics: The number of harmonics of a sample, 128 by default.
+
+    Raises:
+        ValueError: For numbers outside these bounds, a spectrum that is negative, zero or infinite, or one that varies
+            so quickly that 1024 parts of the band do not resolve it.
     """
 
     spectrum: PowerSpectrum = eqx.field(converter=lambda v: spectrum_of("spectrum", v))

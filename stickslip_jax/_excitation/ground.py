@@ -41,10 +41,12 @@ class GroundSegments(GivenSegments, GroundMotion):  # pyright: ignore[reportInco
 class GroundAcceleration(GroundMotion):
     """A recorded ground acceleration, linear in time between the points of the record.
 
-    - `times`: s, increasing, the first one 0, (points,), at least 2.
-    - `accelerations`: m/s^2, as many.
+    Args:
+        times: s, increasing, the first one 0, (points,), at least 2.
+        accelerations: m/s^2, as many.
 
-    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    Raises:
+        ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
     times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(

@@ -32,11 +32,16 @@ class VelocitySteps(Motion):
     """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
 
     The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
-    duration 0. A last duration of infinity means "for ever". The ``sample`` method of the laws makes them; for a base
-    motion of your own use `PiecewiseConstant`.
+    duration 0. The last duration may be infinite. The ``sample`` method of the laws makes them; for a base motion of
+    your own use `PiecewiseConstant`.
 
-    Raises ValueError for arrays of different shapes, negative durations, a duration of 0 before the end, velocities
-    that are not finite or equal to their neighbour's.
+    Args:
+        durations: s, (intervals,).
+        velocities: m/s, as many.
+
+    Raises:
+        ValueError: For arrays of different shapes, negative durations, a duration of 0 before the end, velocities that
+            are not finite or equal to their neighbour's.
     """
 
     durations: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "durations"))
@@ -118,10 +123,18 @@ class PiecewiseConstantLaw(SegmentLaw):
         """
 
     def all_intervals(self, memory: PyTree, drawn: PyTree, number: int, dtype: np.dtype) -> tuple[Each, Each]:
-        """Durations (s) and velocities (m/s) of the first `number` intervals, (number,), one after the other.
+        """Durations and velocities of the first intervals, one after the other.
 
-        `memory`: that before the first. `drawn`: what `draw` returned for each, along a first axis. Override it where
-        all can be computed at once, which is faster.
+        Override it where all can be computed at once, which is faster.
+
+        Args:
+            memory: That before the first interval.
+            drawn: What `draw` returned for each, along a first axis.
+            number: How many intervals.
+            dtype: Of the results.
+
+        Returns:
+            Durations (s) and velocities (m/s), (number,).
         """
 
         def step(memory, drawn_here):
@@ -144,14 +157,16 @@ class PiecewiseConstantLaw(SegmentLaw):
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> VelocitySteps:
         """One realisation that covers ``[0, t1]``.
 
-        - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness.
-        - `t1`: duration to cover, s.
-        - `capacity`: number of intervals of the realisation. By default enough for nearly all (about one random
-          realisation in 10^9 needs more; `simulate` then reports ``Status.BASE_TOO_SHORT``). It must be given under
-          ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
+        Args:
+            key: A key from ``jax.random.key(seed)``; None for a law without randomness.
+            t1: Duration to cover, s.
+            capacity: Number of intervals of the realisation. By default enough for nearly all (about one random
+                realisation in 10^9 needs more; `simulate` then reports ``Status.BASE_TOO_SHORT``). It must be given
+                under ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
 
-        Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a capacity below 1, and
-        intervals of a law of your own that cannot be.
+        Raises:
+            ValueError: For a missing or unsuitable key, a `t1` that is not positive, a capacity below 1, and impossible
+                intervals of a law of your own.
         """
         _checks.positive("t1", t1, "s")
         if capacity is None:

@@ -24,7 +24,11 @@ PerInterval: TypeAlias = Float[AnyArray, " intervals"]
 class Constant(PiecewiseConstantLaw):
     """A base that moves with constant velocity.
 
-    `speed`: the velocity, m/s, of either sign; 0 for a base at rest. Raises ValueError if it is not finite.
+    Args:
+        speed: The velocity, m/s, of either sign; 0 for a base at rest.
+
+    Raises:
+        ValueError: If it is not finite.
     """
 
     speed: Annotated[Number, Quantity("m/s", "signed")]
@@ -43,10 +47,14 @@ class Constant(PiecewiseConstantLaw):
 class SquareWave(PiecewiseConstantLaw):
     """A square wave: ``-speed`` in the first half of each period, ``+speed`` in the second.
 
-    - `speed`: m/s, positive. `period`: s, positive. The frequency ratio r of the papers gives
-      ``period = 2 pi / (r * omega)``.
+    Source: Lima and Sampaio, conference paper, eq. 4.
 
-    Raises ValueError if a number is not positive and finite. Source: Lima and Sampaio, conference paper, eq. 4.
+    Args:
+        speed: m/s, positive.
+        period: s, positive. The frequency ratio r of the papers gives ``period = 2 pi / (r * omega)``.
+
+    Raises:
+        ValueError: If a number is not positive and finite.
     """
 
     speed: Annotated[Number, Quantity("m/s", above=0)]
@@ -69,11 +77,15 @@ class SquareWave(PiecewiseConstantLaw):
 class PoissonSwitching(PiecewiseConstantLaw):
     """``+speed`` or ``-speed``, the sign changing at the points of a Poisson process (Lima and Sampaio 2017).
 
-    - `speed`: m/s, positive. `rate`: the mean number of sign changes per second, 1/s, positive.
-    - `first_sign`: "random" (a fair coin, the default), "positive" or "negative".
-
     The durations are independent exponential variables of mean ``1 / rate``; for a fixed key they scale by that mean.
-    Raises ValueError for numbers that are not positive and finite and for another `first_sign`.
+
+    Args:
+        speed: m/s, positive.
+        rate: The mean number of sign changes per second, 1/s, positive.
+        first_sign: "random" (a fair coin, the default), "positive" or "negative".
+
+    Raises:
+        ValueError: For numbers that are not positive and finite and for another `first_sign`.
     """
 
     speed: Annotated[Number, Quantity("m/s", above=0)]
@@ -109,12 +121,17 @@ class PoissonSwitching(PiecewiseConstantLaw):
 class RandomSteps(PiecewiseConstantLaw):
     """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
 
-    - `speed`: m/s, positive. `interval`: s, positive (the papers' ``1 / f_b``).
-    - `levels`: at least two different numbers; the velocities are ``speed * levels``. By default -1 and +1.
-    - `probabilities`: those of the levels, each at least 1e-6, with sum 1. By default equal.
-
     Equal velocities in a row are drawn as one long interval: its number of steps is geometric, and the next level has
-    the probabilities of the others. Raises ValueError for numbers outside these bounds.
+    the probabilities of the others.
+
+    Args:
+        speed: m/s, positive.
+        interval: s, positive (the papers' ``1 / f_b``).
+        levels: At least two different numbers; the velocities are ``speed * levels``. By default -1 and +1.
+        probabilities: Those of the levels, each at least 1e-6, with sum 1. By default equal.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
 
     speed: Annotated[Number, Quantity("m/s", above=0)]
@@ -164,12 +181,14 @@ class RandomSteps(PiecewiseConstantLaw):
 
 
 class PiecewiseConstant(PiecewiseConstantLaw):
-    """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one lasts for ever.
+    """A given base motion: ``velocities[i]`` from ``times[i]`` until ``times[i + 1]``; the last one has no end.
 
-    - `times`: s, increasing, the first one 0, (intervals,).
-    - `velocities`: m/s, as many. Equal neighbours are merged.
+    Args:
+        times: s, increasing, the first one 0, (intervals,).
+        velocities: m/s, as many. Equal neighbours are merged.
 
-    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    Raises:
+        ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
     times: Annotated[PerInterval, Quantity("s", "start of each interval; the first is 0", ndim=1)] = eqx.field(

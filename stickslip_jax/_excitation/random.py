@@ -41,8 +41,12 @@ class RandomSignal(Checked, Motion):
 class RandomPhase(RandomSignal):
     """A signal whose phase is uniform on ``[0, 2 pi]``; each harmonic of a sum has its own, independent of the others.
 
-    `signal`: a `Harmonic`, a `SumOfHarmonics` or a `SourceVoltage` (Lima and Sampaio 2022, section 6); its own phases
-    are ignored. Raises ValueError for anything else.
+    Args:
+        signal: A `Harmonic`, a `SumOfHarmonics` or a `SourceVoltage` (Lima and Sampaio 2022, section 6); its phases are
+            not used.
+
+    Raises:
+        ValueError: For anything else.
     """
 
     signal: Signal

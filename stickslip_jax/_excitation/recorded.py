@@ -18,13 +18,15 @@ from .smooth import SIGNAL_UNIT
 class Recorded(SegmentLaw):
     """A recorded base velocity or force, linear in time between the points of the record.
 
-    - `times`: s, increasing, the first one 0, (points,), at least 2.
-    - `values`: as many; m/s for a base velocity, N for a force.
-
     The acceleration of a base whose velocity is linear between points jumps at each point. Short slips there
     may interrupt a stick that friction can just hold: there are then more and shorter sticks than on a smooth base.
 
-    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    Args:
+        times: s, increasing, the first one 0, (points,), at least 2.
+        values: As many; m/s for a base velocity, N for a force.
+
+    Raises:
+        ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
     times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(

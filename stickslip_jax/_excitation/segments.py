@@ -90,9 +90,12 @@ class SegmentLaw(Checked, Motion):
         ss.simulate_ensemble(system, law, t1=100.0, samples=1000, key=jax.random.key(0))
         ss.simulate(system, law.sample(jax.random.key(0), 100.0), t1=100.0)
 
-    Class attributes: `is_random`, whether realisations differ; `jumps`, whether the velocity (m/s) jumps between
-    segments: a stick on a base whose velocity jumps ends there. For piecewise-constant velocity subclass
-    `PiecewiseConstantLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
+    For piecewise-constant velocity subclass `PiecewiseConstantLaw`, which is simulated in closed form, for ground
+    accelerations `GroundMotion`.
+
+    Attributes:
+        is_random: Whether realisations differ.
+        jumps: Whether the velocity (m/s) jumps between segments: a stick on a base whose velocity jumps ends there.
     """
 
     part_of_excitation = "base"
@@ -131,13 +134,19 @@ class SegmentLaw(Checked, Motion):
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "Motion":
         """One realisation that covers ``[0, t1]``, for `simulate`; a law without randomness is its own.
 
-        - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness. `t1`: duration to cover, s.
-        - `capacity`: number of segments of the realisation. By default enough for it, or under ``vmap`` over keys what
-          `segments` says; where that is too few, `simulate` reports ``Status.BASE_TOO_SHORT``. It must be given under
-          ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
+        Args:
+            key: A key from ``jax.random.key(seed)``; None for a law without randomness.
+            t1: Duration to cover, s.
+            capacity: Number of segments of the realisation. By default enough for it, or under ``vmap`` over keys what
+                `segments` says; where that is too few, `simulate` reports ``Status.BASE_TOO_SHORT``. It must be given
+                under ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
 
-        Returns `VelocitySegments`. Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a
-        capacity below 1, and segments of a law of your own that cannot be.
+        Returns:
+            `VelocitySegments`.
+
+        Raises:
+            ValueError: For a missing or unsuitable key, a `t1` that is not positive, a capacity below 1, and impossible
+                segments of a law of your own.
         """
         _checks.positive("t1", t1, "s")
         if not self.is_random:
@@ -253,12 +262,17 @@ class GivenSegments(SegmentLaw):
 class VelocitySegments(GivenSegments):
     """One realisation of a piecewise-linear base velocity, ``values[i] + slopes[i] (t - times[i])``.
 
-    - `durations` (s), `values` (m/s, at the beginning of each segment) and `slopes` (m/s^2): arrays (segments,). The
-      segments follow one another from t = 0; unused ones at the end have duration 0.
-    - `may_jump`: whether the velocity jumps between segments, which ends a stick.
+    The segments follow one another from t = 0; unused ones at the end have duration 0. The ``sample`` method of a
+    `SegmentLaw` makes them; for a record of your own use `Recorded`.
 
-    The ``sample`` method of a `SegmentLaw` makes them; for a record of your own use `Recorded`. Raises ValueError for
-    arrays of different shapes, negative durations, and numbers that are not finite.
+    Args:
+        durations: s, (segments,).
+        values: At the beginning of each segment, m/s, (segments,).
+        slopes: m/s^2, (segments,).
+        may_jump: Whether the velocity jumps between segments, which ends a stick.
+
+    Raises:
+        ValueError: For arrays of different shapes, negative durations, and numbers that are not finite.
     """
 
 

@@ -25,23 +25,25 @@ _CELLS = 1024  # of the quantiles that `capacity` looks at
 class SemiMarkovSwitching(PiecewiseConstantLaw):
     """A base velocity that switches after independent gaps of any distribution, to speeds of any distribution.
 
-    - `gap`: distribution of the time between switches, s, such as ``Weibull(scale=2.0, shape=1.5)``, whose draws are
-      all positive.
-    - `speed`: m/s; a positive number, the same for all samples, or a distribution that each interval draws anew.
-    - `alternating`: True (the default) for velocities ``+speed`` and ``-speed`` in turn; `speed` is then positive.
-      False for velocities drawn from the distribution `speed` with their signs. Each is then drawn on condition that it
-      differs from the one before, which only matters for `Discrete` speeds: a value of probability p is then in the
-      long run that of a share of all intervals in proportion to ``p (1 - p)``. (A distribution of your own may draw a
-      velocity twice in a row: then both gaps are one interval.)
-    - `first_sign`: "random" (a fair coin, the default), "positive" or "negative", where the signs alternate.
-
     A switch takes place at t = 0: the first gap has the distribution of all others, and not that of the rest of a gap
     that began earlier. (For an `Exponential` gap there is no difference, and the law is `PoissonSwitching`.) Gaps that
     are shorter than the rounding of time are lengthened to it. Source of the name: a process that jumps between states
     after times of any distribution (Cinlar 1975, "Introduction to stochastic processes", chapter 10).
 
-    Raises ValueError for gaps or speeds that need not be positive, distributions of other packages, those whose
-    quantiles cannot be computed while simulating (`Beta`), and numbers outside these bounds.
+    Args:
+        gap: Distribution of the time between switches, s, such as ``Weibull(scale=2.0, shape=1.5)``, whose draws are
+            all positive.
+        speed: m/s; a positive number, the same for all samples, or a distribution that each interval draws anew.
+        alternating: True (the default) for velocities ``+speed`` and ``-speed`` in turn; `speed` is then positive.
+            False for velocities drawn from the distribution `speed` with their signs. Each is then drawn on condition
+            that it differs from the one before, which only matters for `Discrete` speeds: a value of probability p is
+            then in the long run that of a share of all intervals in proportion to ``p (1 - p)``. (A distribution of
+            your own may draw a velocity twice in a row: then both gaps are one interval.)
+        first_sign: "random" (a fair coin, the default), "positive" or "negative", where the signs alternate.
+
+    Raises:
+        ValueError: For gaps or speeds that need not be positive, distributions of other packages, those whose quantiles
+            cannot be computed while simulating (`Beta`), and numbers outside these bounds.
     """
 
     gap: RandomNumber

@@ -32,9 +32,12 @@ SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 class Signal(Checked, Motion):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
-    `shortest_period`: the period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
-    not known, and the step of a simulation must then be given. A subclass of a signal that has another `value` has the
-    rates, integrals and shortest period of that value, not those of its parent.
+    A subclass of a signal that has another `value` has the rates, integrals and shortest period of that value, not
+    those of its parent.
+
+    Attributes:
+        shortest_period: The period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
+            not known, and the step of a simulation must then be given.
     """
 
     is_harmonic: ClassVar[bool] = False  # a sum of `tones` and a `mean`, as `_Tones` has them
@@ -135,10 +138,14 @@ def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: Tones) -> tuple[
 class Harmonic(_Tones):
     """A harmonic base velocity or force, ``offset + amplitude cos(angular_frequency t + phase)``.
 
-    - `amplitude`, `offset`: m/s for a base velocity, N for a force.
-    - `angular_frequency`: rad/s, positive. `phase`: rad.
+    Args:
+        amplitude: m/s for a base velocity, N for a force.
+        angular_frequency: rad/s, positive.
+        phase: rad.
+        offset: The mean; m/s for a base velocity, N for a force.
 
-    Raises ValueError for numbers that are not finite, or a frequency that is not positive.
+    Raises:
+        ValueError: For numbers that are not finite, or a frequency that is not positive.
     """
 
     amplitude: Annotated[Number, Quantity(SIGNAL_UNIT)]
@@ -162,10 +169,14 @@ class Harmonic(_Tones):
 class SumOfHarmonics(_Tones):
     """A sum of harmonics, ``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
 
-    - `amplitudes`, (harmonics,), and `offset`: m/s for a base velocity, N for a force.
-    - `angular_frequencies`: rad/s, positive, (harmonics,). `phases`: rad, (harmonics,); by default 0.
+    Args:
+        amplitudes: m/s for a base velocity, N for a force, (harmonics,).
+        angular_frequencies: rad/s, positive, (harmonics,).
+        phases: rad, (harmonics,); by default 0.
+        offset: The mean; m/s for a base velocity, N for a force.
 
-    Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
+    Raises:
+        ValueError: For arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
 
     amplitudes: Annotated[PerHarmonic, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(

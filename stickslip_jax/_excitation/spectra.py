@@ -55,11 +55,13 @@ class KanaiTajimiSpectrum(PowerSpectrum):
     ``intensity (w_g^4 + 4 z_g^2 w_g^2 w^2) / ((w_g^2 - w^2)^2 + 4 z_g^2 w_g^2 w^2)``, with w_g the `ground_frequency`
     and z_g the `ground_damping`: the density of the acceleration of the surface.
 
-    - `intensity`: one-sided density of the white noise, m^2/s^3 for an acceleration.
-    - `ground_frequency`: angular frequency of the layer, rad/s. `ground_damping`: its damping ratio. The defaults, 5 pi
-      rad/s and 0.6, are the usual ones for firm soil.
+    Args:
+        intensity: One-sided density of the white noise, m^2/s^3 for an acceleration.
+        ground_frequency: Angular frequency of the layer, rad/s; the default, 5 pi, is usual for firm soil.
+        ground_damping: Its damping ratio; the default, 0.6, is usual for firm soil.
 
-    Raises ValueError for numbers that are not positive.
+    Raises:
+        ValueError: For numbers that are not positive.
     """
 
     intensity: Annotated[Number, Quantity("m^2/s^3", "one-sided density of the white noise", above=0)] = 1.0
@@ -79,12 +81,15 @@ class CloughPenzienSpectrum(PowerSpectrum):
     `filter_frequency` and z_f the `filter_damping`: the density of the acceleration of the surface. That of its
     velocity is ``VelocitySpectrum(CloughPenzienSpectrum(...))``.
 
-    - `intensity` (m^2/s^3 for an acceleration), `ground_frequency` (rad/s), `ground_damping`: as in
-      `KanaiTajimiSpectrum`.
-    - `filter_frequency`: angular frequency below which the motion fades, rad/s; by default a tenth of 5 pi.
-      `filter_damping`: its damping ratio.
+    Args:
+        intensity: As in `KanaiTajimiSpectrum`, m^2/s^3 for an acceleration.
+        ground_frequency: As in `KanaiTajimiSpectrum`, rad/s.
+        ground_damping: As in `KanaiTajimiSpectrum`.
+        filter_frequency: Angular frequency below which the motion fades, rad/s; by default a tenth of 5 pi.
+        filter_damping: Damping ratio of the filter.
 
-    Raises ValueError for numbers that are not positive.
+    Raises:
+        ValueError: For numbers that are not positive.
     """
 
     intensity: Annotated[Number, Quantity("m^2/s^3", "one-sided density of the white noise", above=0)] = 1.0
@@ -103,8 +108,12 @@ class CloughPenzienSpectrum(PowerSpectrum):
 class VelocitySpectrum(PowerSpectrum):
     """The density of the velocity of a motion whose acceleration has the density `acceleration`: that over ``w^2``.
 
-    `acceleration`: a `PowerSpectrum` that fades towards frequency 0, such as `CloughPenzienSpectrum`, or a function of
-    angular frequency. Raises ValueError for anything else.
+    Args:
+        acceleration: A `PowerSpectrum` that fades towards frequency 0, such as `CloughPenzienSpectrum`, or a function
+            of angular frequency.
+
+    Raises:
+        ValueError: For anything else.
     """
 
     acceleration: PowerSpectrum = eqx.field(converter=lambda v: spectrum_of("acceleration", v))
@@ -123,11 +132,14 @@ class VelocitySpectrum(PowerSpectrum):
 class TabulatedSpectrum(PowerSpectrum):
     """A density that is given at some frequencies, linear between them and zero outside.
 
-    - `angular_frequencies`: rad/s, increasing, the first one zero or positive, (points,), at least 2.
-    - `densities`: as many, zero or positive; m^2/s for a velocity.
+    Densities over frequencies in Hz are to be divided by 2 pi, and two-sided ones multiplied by 2.
 
-    Densities over frequencies in Hz are to be divided by 2 pi, and two-sided ones multiplied by 2. Raises ValueError
-    for frequencies that do not increase, different lengths, or densities that are negative.
+    Args:
+        angular_frequencies: rad/s, increasing, the first one zero or positive, (points,), at least 2.
+        densities: As many, zero or positive; m^2/s for a velocity.
+
+    Raises:
+        ValueError: For frequencies that do not increase, different lengths, or densities that are negative.
     """
 
     angular_frequencies: Annotated[PerPoint, Quantity("rad/s", "increasing", at_least=0, ndim=1)] = eqx.field(

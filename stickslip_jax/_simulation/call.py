@@ -23,17 +23,21 @@ def simulate(
 ) -> Simulation:
     """Simulate one realisation and record every stick. A pure function: works under jit, vmap, jvp, grad.
 
-    - `system`: the oscillator: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
-    - `base`: its excitation: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
-      `Harmonic`, `SumOfHarmonics`, `Recorded`, `WithJumps`, or an object with ``velocity(t)`` and ``acceleration(t)``,
-      m/s and m/s^2); a `GroundAcceleration`; for a `MotorCart` a `SourceVoltage`.
-    - `t1`: duration, s.
-    - `y0`: initial state: position (m) and velocity (m/s); for a `MotorCart` angle (rad), angular velocity (rad/s) and
-      current (A). Zeros by default.
-    - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
+    Args:
+        system: The oscillator: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
+        base: Its excitation: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
+            `Harmonic`, `SumOfHarmonics`, `Recorded`, `WithJumps`, or an object with ``velocity(t)`` and
+            ``acceleration(t)``, m/s and m/s^2); a `GroundAcceleration`; for a `MotorCart` a `SourceVoltage`.
+        t1: Duration, s.
+        y0: Initial state: position (m) and velocity (m/s); for a `MotorCart` angle (rad), angular velocity (rad/s) and
+            current (A). Zeros by default.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
 
-    Returns a `Simulation`; check its `status`. Its arrays have slots for all sticks that can happen. Raises ValueError
-    for arguments outside these bounds, and for a step too long for the shortest time scale.
+    Returns:
+        The trajectory; check its `status`. Its arrays have slots for all sticks that can happen.
+
+    Raises:
+        ValueError: For arguments outside these bounds, and for a step too long for the shortest time scale.
 
     >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
     >>> one = ss.simulate(system, ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))

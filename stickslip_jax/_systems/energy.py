@@ -9,7 +9,7 @@ from .. import _checks
 from .._claims import keeps
 from .._types import FloatScalar, Scalar, State
 from .mass_spring import OscillatorForcing, OscillatorModel
-from .motor_cart import CartForcing, CartModel, MotorCart
+from .motor_cart import CartModel, MotorCart
 from .switched_model import F, SwitchedModel
 from .system import System
 
@@ -104,9 +104,9 @@ def _(model: CartModel, y: State) -> Terms:
 
 
 @powers.register
-def _(model: CartModel, forcing: CartForcing, y: State, force: FloatScalar) -> Powers:
+def _(model: CartModel, forcing: FloatScalar, y: State, force: FloatScalar) -> Powers:
     system, (angle, speed, current) = model.system, y
-    voltage = model.smooth.mean + model.smooth.amplitude * jnp.sin(forcing.phase)
+    voltage = model.smooth.mean + model.smooth.amplitude * jnp.sin(forcing)
     friction = force * system.eccentricity * jnp.sin(angle) * speed
     heat = {"friction": friction, "damping": system.motor_damping * speed * speed}
     return Powers({"voltage": voltage * current}, heat | {"resistance": system.resistance * current * current})

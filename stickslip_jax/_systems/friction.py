@@ -110,11 +110,14 @@ class FrictionLaw(Checked):
 class Coulomb(FrictionLaw):
     """Coulomb dry friction: the force in a slip is ``mu * normal_force``, against the relative velocity.
 
-    - `mu`: the kinetic friction coefficient (dimensionless, zero or positive).
-    - `mu_static`: the static one, at least `mu`; by default equal to it.
-
-    Raises ValueError if a number is negative or not finite, or `mu_static` below `mu`.
     Source: Lima and Sampaio 2015, eq. 2.
+
+    Args:
+        mu: The kinetic friction coefficient (dimensionless, zero or positive).
+        mu_static: The static one, at least `mu`; by default equal to it.
+
+    Raises:
+        ValueError: If a number is negative or not finite, or `mu_static` below `mu`.
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient", at_least=0)]
@@ -140,10 +143,12 @@ class Coulomb(FrictionLaw):
 class VelocityWeakening(FrictionLaw):
     """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
 
-    - `mu_static`: the static friction coefficient (dimensionless, zero or positive).
-    - `weakening`: s/m, zero or positive.
+    Args:
+        mu_static: The static friction coefficient (dimensionless, zero or positive).
+        weakening: How fast the coefficient falls with the speed, s/m, zero or positive.
 
-    Raises ValueError for numbers outside these bounds.
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
 
     mu_static: Annotated[Number, Quantity(meaning=_STATIC, at_least=0)]
@@ -170,11 +175,15 @@ class VelocityWeakening(FrictionLaw):
 class Stribeck(FrictionLaw):
     """Stribeck friction: ``mu + (mu_static - mu) exp(-(|v_rel| / stribeck_speed)^exponent) + viscous |v_rel|``.
 
-    - `mu`: the kinetic friction coefficient far above the Stribeck speed; `mu_static`: the static one, at least `mu`.
-      Both are dimensionless.
-    - `stribeck_speed` in m/s, positive. `exponent`: at least 1. `viscous` in s/m, zero or positive.
+    Args:
+        mu: The kinetic friction coefficient far above the Stribeck speed (dimensionless).
+        mu_static: The static one, at least `mu`.
+        stribeck_speed: The speed over which the coefficient falls, m/s, positive.
+        exponent: Of the speed in the exponential, at least 1.
+        viscous: What is added per speed, s/m, zero or positive.
 
-    Raises ValueError for numbers outside these bounds.
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
@@ -223,11 +232,13 @@ def _traceable(curve: PyTree) -> PyTree:
 class FrictionCurve(FrictionLaw):
     """A friction law of your own: the kinetic friction coefficient is ``curve(|v_rel|)``.
 
-    - `curve`: a smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
-      with parameters of its own.
-    - `mu_static`: the static friction coefficient, at least ``curve(0)``; by default equal to it.
+    Args:
+        curve: A smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
+            with parameters.
+        mu_static: The static friction coefficient, at least ``curve(0)``; by default equal to it.
 
-    Raises ValueError for a curve that cannot be called, or coefficients that are negative or do not fit.
+    Raises:
+        ValueError: For a curve that cannot be called, or coefficients that are negative or do not fit.
     """
 
     curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=_traceable)

@@ -44,12 +44,16 @@ class MassSpring(System):
     ``x' = v``, which lasts as long as ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``
     (Lima and Sampaio 2017, "Construction of a statistical model", eq. 1, where damping and force are zero).
 
-    - `mass` in kg, `stiffness` in N/m, `normal_force` in N: positive numbers.
-    - `friction`: the friction law, such as `Coulomb(mu)`.
-    - `damping` in N s/m, zero or positive: of a viscous damper to the ground. None is zero.
-    - `force`: external force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
+    Args:
+        mass: kg, positive.
+        stiffness: N/m, positive.
+        normal_force: N, positive.
+        friction: The friction law, such as `Coulomb(mu)`.
+        damping: Of a viscous damper to the ground, N s/m, zero or positive. None is zero.
+        force: External force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
 
-    Raises ValueError if a number is out of its range or not finite, or `friction` or `force` is of another kind.
+    Raises:
+        ValueError: If a number is out of its range or not finite, or `friction` or `force` is of another kind.
     """
 
     mass: Annotated[Number, Quantity("kg", above=0)]

@@ -12,7 +12,7 @@ a linear invariant, which a Runge-Kutta method conserves exactly and an exponent
 """
 
 import math
-from typing import Annotated, NamedTuple, TypeAlias
+from typing import Annotated, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -52,13 +52,21 @@ class MotorCart(System):
     The mass sticks while ``alpha' = 0`` and ``|motor_constant c| <= mu m gravity d |sin alpha|``; at ``sin alpha = 0``
     (dead centre) friction has no leverage and nothing sticks.
 
-    - `mu`: friction coefficient of cart and rail, zero or positive.
-    - `cart_mass` kg, `eccentricity` m, `gravity` m/s^2, `motor_inertia` kg m^2, `motor_constant` V s/rad (also N m/A),
-      `resistance` ohm, `inductance` H: positive. `motor_damping` N m s/rad: zero or positive.
-    - `equation`: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
-      ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
+    Args:
+        mu: Friction coefficient of cart and rail, zero or positive.
+        cart_mass: kg, positive.
+        eccentricity: Of the pin on the disk, m, positive.
+        gravity: m/s^2, positive.
+        motor_inertia: kg m^2, positive.
+        motor_damping: N m s/rad, zero or positive.
+        motor_constant: Of voltage (V s/rad) and torque (N m/A), positive.
+        resistance: ohm, positive.
+        inductance: H, positive.
+        equation: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
+            ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
 
-    Raises ValueError for numbers out of range and for another `equation`.
+    Raises:
+        ValueError: For numbers out of range and for another `equation`.
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
@@ -194,7 +202,7 @@ def _require_sine(voltage: Signal) -> None:
 
 
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
-    """Upper bound of the stick duration at motor angles `angle` (rad, any shape), s; infinity where sticks never end.
+    """Upper bound of the duration of sticks of a `MotorCart`.
 
     It is the longest time without a break during which friction can hold the torque of the steady current
     ``mean / resistance + A sin(...)``, that is, during which the sine lies between ``low`` and ``high``,
@@ -206,7 +214,17 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     ``inductance / resistance``; it can prolong a stick by about that much.
 
     A constant voltage (amplitude 0) gives 0 or infinity. At dead centre, and without friction, nothing sticks: 0.
-    Raises ValueError for arguments of another kind, and for angles that are not finite.
+
+    Args:
+        system: The motor with its cart.
+        voltage: The source voltage.
+        angle: Motor angles, rad, any shape.
+
+    Returns:
+        The bound at each angle, s; infinity where sticks never end.
+
+    Raises:
+        ValueError: For arguments of another kind, and for angles that are not finite.
 
     >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
     >>> print(f"{bound:.5f} s")
@@ -242,34 +260,28 @@ Direction: TypeAlias = tuple[FloatScalar, FloatScalar]
 """Sine and cosine of an angle."""
 
 
-class CartForcing(NamedTuple):
-    """The phase of the voltage at the time the step begins, rad."""
-
-    phase: FloatScalar
-
-
-class CartModel(SwitchedModel[CartForcing]):
-    """A `MotorCart` under a `SourceVoltage`."""
+class CartModel(SwitchedModel[FloatScalar]):
+    """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
 
     system: MotorCart
     smooth: SourceVoltage
 
-    def forcing(self, t: FloatScalar, segments: Segments) -> CartForcing:
-        return CartForcing(self.smooth.angular_frequency * t + self.smooth.phase)
+    def forcing(self, t: FloatScalar, segments: Segments) -> FloatScalar:
+        return self.smooth.angular_frequency * t + self.smooth.phase
 
-    def slip(self, forcing: CartForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
+    def slip(self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
-        rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing.phase), sign)
+        rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
         (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
         return y[0] + angle, speed, current
 
-    def stick(self, forcing: CartForcing, y: State, h: FloatScalar) -> State:
+    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> State:
         rho = self.system.resistance / self.system.inductance
         rest = (y[2] - self._steady(forcing, jnp.zeros_like(h))) * jnp.exp(-rho * h)
         return y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)
 
-    def rates(self, forcing: CartForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
-        direction, phase = sincos(y[0]), sincos(forcing.phase + self.smooth.angular_frequency * tau)
+    def rates(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+        direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
         sticking = sign == 0
         speed, friction = jnp.where(sticking, 0, y[1]), sign * self.system.largest_friction_torque * direction[0]
         turn, across = self._balances(direction, phase, speed, y[2], friction)
@@ -278,10 +290,7 @@ class CartModel(SwitchedModel[CartForcing]):
     def _slip_rates(
         self, start: Direction, phase: Direction, sign: FloatScalar, tau: FloatScalar, state: State
     ) -> State:
-        """The rates of a slip `tau` (s) after a step began, where angle and phase were `start` and `phase`.
-
-        The angle of the `state` is that since then.
-        """
+        """The rates of a slip `tau` (s) after a step began at the angle `start`, from which the `state` counts it."""
         angle, speed, current = state
         direction, phase = _turned(start, angle), _turned(phase, self.smooth.angular_frequency * tau)
         friction = sign * self.system.largest_friction_torque * direction[0]
@@ -293,12 +302,7 @@ class CartModel(SwitchedModel[CartForcing]):
     ) -> tuple[FloatScalar, FloatScalar]:
         """The equations of motion (eqs 1, 2): angular acceleration (rad/s^2), and voltage across the inductance (V).
 
-        Args:
-            direction: Sine and cosine of the motor angle.
-            phase: Those of the phase of the voltage.
-            speed: Angular velocity, rad/s.
-            current: A.
-            friction: Torque of friction against positive angular velocity, N m.
+        `direction`, `phase`: sine and cosine of the motor angle and of the phase of the voltage. `friction`: N m.
         """
         system, (sine, cosine) = self.system, direction
         inertia = system.cart_mass * system.eccentricity**2
@@ -319,17 +323,17 @@ class CartModel(SwitchedModel[CartForcing]):
         stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
         return jnp.where(sign == 0, stick, slip)
 
-    def at_rest(self, forcing: CartForcing, y: State) -> BoolScalar:
+    def at_rest(self, forcing: FloatScalar, y: State) -> BoolScalar:
         return jnp.abs(y[1]) <= self.noise(forcing, y)
 
-    def slip_sign(self, forcing: CartForcing, y: State) -> FloatScalar:
+    def slip_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         sine, cosine = sincos(y[0])
         # Exactly at dead centre, what comes next: r' = cos(alpha) alpha'^2.
         at_dead_center = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
         return jnp.where(at_dead_center, jnp.sign(cosine), jnp.sign(sine * y[1]))
 
     def guard(
-        self, forcing: CartForcing, tau: FloatScalar, y: State, sign: FloatScalar
+        self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar
     ) -> tuple[FloatScalar, FloatScalar]:
         sine, cosine = sincos(y[0])
         _, turn, current_rate = self.rates(forcing, tau, y, sign)
@@ -341,17 +345,17 @@ class CartModel(SwitchedModel[CartForcing]):
         guard = jnp.where(sticking, 1 - share * share, sign * sine * y[1])
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
 
-    def guard_scale(self, forcing: CartForcing, y: State, sign: FloatScalar) -> FloatScalar:
+    def guard_scale(self, forcing: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
         return jnp.where(sign == 0, 2.0, self.system.ideal_speed(self.smooth) + jnp.abs(y[1]))
 
-    def on_base(self, forcing: CartForcing, y: State) -> State:
+    def on_base(self, forcing: FloatScalar, y: State) -> State:
         return y[0], jnp.zeros_like(y[1]), y[2]
 
-    def can_stick(self, forcing: CartForcing, y: State) -> BoolScalar:
+    def can_stick(self, forcing: FloatScalar, y: State) -> BoolScalar:
         held = self.system.largest_friction_torque * jnp.abs(sincos(y[0])[0])
         return (jnp.abs(self.system.motor_constant * y[2]) <= held) & (held > 0)
 
-    def release_sign(self, forcing: CartForcing, y: State) -> FloatScalar:
+    def release_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         # The motor starts in the direction of the torque of its current.
         return jnp.where(y[2] * sincos(y[0])[0] > 0, 1, -1).astype(y[0].dtype)
 
@@ -359,8 +363,8 @@ class CartModel(SwitchedModel[CartForcing]):
     def friction(self) -> FrictionLaw:
         return Coulomb(1.0)  # a share of the largest friction torque
 
-    def rates_under(self, forcing: CartForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
-        direction, phase = sincos(y[0]), sincos(forcing.phase + self.smooth.angular_frequency * tau)
+    def rates_under(self, forcing: FloatScalar, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+        direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
         friction = coefficient * self.system.largest_friction_torque * jnp.abs(direction[0])
         turn, across = self._balances(direction, phase, y[1], y[2], friction)
         return y[1], turn, across / self.system.inductance
@@ -373,19 +377,19 @@ class CartModel(SwitchedModel[CartForcing]):
         """+1 on the half with sin(alpha) > 0, where the cart moves against its axis as the angle grows; else -1."""
         return jnp.where(jnp.sin(y[0]) < 0, -1.0, 1.0).astype(y[0].dtype)
 
-    def relative_velocity(self, forcing: CartForcing, tau: FloatScalar, y: State) -> FloatScalar:
+    def relative_velocity(self, forcing: FloatScalar, tau: FloatScalar, y: State) -> FloatScalar:
         # Velocity of the pin that moves the cart, ``eccentricity alpha'``: zero in sticks only.
         return self.system.eccentricity * y[1]
 
-    def relative_acceleration(self, forcing: CartForcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
+    def relative_acceleration(self, forcing: FloatScalar, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         return self.system.eccentricity * rates[1]
 
-    def _steady(self, forcing: CartForcing, tau: FloatScalar) -> FloatScalar:
+    def _steady(self, forcing: FloatScalar, tau: FloatScalar) -> FloatScalar:
         """The steady current in a stick, when its transient has decayed, A."""
         system, voltage = self.system, self.smooth
         reactance = system.inductance * voltage.angular_frequency
         gain = voltage.amplitude / (system.resistance**2 + reactance**2)
-        sine, cosine = sincos(forcing.phase + voltage.angular_frequency * tau)
+        sine, cosine = sincos(forcing + voltage.angular_frequency * tau)
         return voltage.mean / system.resistance + gain * (system.resistance * sine - reactance * cosine)
 
 

@@ -54,8 +54,8 @@ class SwitchedSystem(System):
             def rates(self, t, y, base, friction):
                 x1, v1, x2, v2 = y
                 pull = self.stiffness * (x2 - x1)
-                rub = friction * self.mu * self.normal_force
-                return v1, (pull - self.stiffness * x1) / self.mass, v2, (-pull - rub) / self.mass
+                force = friction * self.mu * self.normal_force
+                return v1, (pull - self.stiffness * x1) / self.mass, v2, (-pull - force) / self.mass
 
             def relative_velocity(self, t, y, base):
                 return y[3] - base.velocity
@@ -90,23 +90,35 @@ class SwitchedSystem(System):
 
     @abc.abstractmethod
     def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> tuple[FloatScalar | float, ...]:
-        """The time derivatives of the state `y` (a tuple of scalars) at time `t` (s), as many scalars, by JAX.
-
-        - `base`: velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
-        - `friction`: the friction force over the kinetic friction force: +1 while the relative velocity is positive, -1
-          while it is negative, and in a stick whatever holds it, at most `static_ratio` in size. Positive values must
-          act against a positive relative velocity, and rates must be affine in `friction`: ``a + b friction``, where a
-          and b depend on time, state and base.
+        """The time derivative of the state, computed by JAX.
 
         Write a kinetic force that depends on the relative velocity r as ``friction * force(jnp.abs(r))``. Rates must be
         smooth functions otherwise.
+
+        Args:
+            t: Time, s.
+            y: The state, a tuple of scalars.
+            base: Velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
+            friction: The friction force over the kinetic friction force: +1 while the relative velocity is positive, -1
+                while it is negative, and in a stick whatever holds it, at most `static_ratio` in size. Positive values
+                must act against a positive relative velocity, and rates must be affine in `friction`:
+                ``a + b friction``, where a and b depend on time, state and base.
+
+        Returns:
+            As many scalars as the state has.
         """
 
     @abc.abstractmethod
     def relative_velocity(self, t: FloatScalar, y: State, base: Base) -> FloatScalar:
-        """The relative velocity in the contact, m/s (or rad/s): a smooth scalar function of the state.
+        """The relative velocity in the contact: a smooth scalar function of the state.
 
-        It may depend on the base's velocity, not on its acceleration.
+        Args:
+            t: Time, s.
+            y: The state, a tuple of scalars.
+            base: The base, on whose velocity it may depend, but not on its acceleration.
+
+        Returns:
+            The relative velocity, m/s (or rad/s).
         """
 
     @property

@@ -19,7 +19,14 @@ from .switched_model import SwitchedModel
 
 
 class Coordinate(NamedTuple):
-    """One number of a system's state: its name, unit, symbol in TeX, and period (None if it has none)."""
+    """One number of a system's state.
+
+    Args:
+        name: Such as "position".
+        unit: Such as "m"; "1" for none.
+        symbol: In TeX.
+        period: None if it has none.
+    """
 
     name: str
     unit: str
@@ -84,8 +91,11 @@ class System(Checked):
 
     @abc.abstractmethod
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> SwitchedModel:
-        """The system under one realisation of the smooth excitation. Slips are in closed form where there is one and
-        `solver` is None.
+        """The system under one realisation of the smooth excitation.
+
+        Args:
+            smooth: The smooth part of the excitation, None if there is none.
+            solver: What integrates slips; None for the closed form where there is one.
         """
 
     @abc.abstractmethod
@@ -166,9 +176,7 @@ class System(Checked):
             )
 
     def check_solver(self, solver: Solver | None) -> None:
-        """Check that `solver` can integrate slips, or that the closed form holds if it is None. Raises ValueError
-        otherwise.
-        """
+        """Check that `solver` can integrate slips, or if None that the closed form holds; else raise ValueError."""
 
     # What figures show.
 
@@ -179,9 +187,7 @@ class System(Checked):
 
     @property
     def slip_center(self) -> Scalar | None:
-        """Distance from 0 of the two points about which slips oscillate on a base without acceleration; None if there
-        are none.
-        """
+        """Distance from 0 of the two points about which slips oscillate on a base without acceleration, or None."""
         return None
 
     @property
@@ -197,10 +203,17 @@ class System(Checked):
     def stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
-        """Lower and upper limit between which friction can hold a stick at `times` (s); NaN where not known.
+        """Lower and upper limit between which friction can hold a stick; NaN where they are not known.
 
-        They limit the number of the state that `band_coordinate` names. `velocity` (m/s), `acceleration` (m/s^2): of
-        the base; `ground`: acceleration of the ground (m/s^2).
+        Args:
+            times: s.
+            state: The state at these times.
+            velocity: Of the base, m/s.
+            acceleration: Of the base, m/s^2.
+            ground: Acceleration of the ground, m/s^2.
+
+        Returns:
+            Two arrays like `times`: limits of the number of the state that `band_coordinate` names.
         """
         return jnp.full_like(times, jnp.nan), jnp.full_like(times, jnp.nan)
 

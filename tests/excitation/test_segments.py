@@ -27,7 +27,7 @@ T1 = 20.0
 
 def example():
     """The class in the documentation of `SegmentLaw`, and the lines that use it."""
-    lines = inspect.getdoc(ss.SegmentLaw).splitlines()
+    lines = inspect.getdoc(ss.SegmentLaw).partition("Attributes:")[0].splitlines()
     code = textwrap.dedent("\n".join(line for line in lines if line.startswith("    ") or not line))
     made, used = code.split("law = ")
     names = {"ss": ss, "jnp": jnp, "jax": jax, "math": math, "Annotated": __import__("typing").Annotated}
