@@ -220,17 +220,18 @@ logarithms of the errors at the widths {first} to {last}, with its standard erro
   w^(2/3). That time is the order of the end of a stick, and that velocity the order of the default threshold. Over
   these widths the logarithm looks like an order of 0.89.
 - A stick begins early by threshold / deceleration: the order of the threshold.
-- The velocity at the release is what the mass has too much of in the slip that follows: the order of the trajectory.
+- At its release the mass already has this velocity, which the exact motion does not have: in the slip that follows it
+  remains as an error, which gives the order of the trajectory.
 - An instant has an error of its own, and that of a trajectory which comes there early or late. Where these have
   opposite signs their sum passes through zero at some width, as under the square wave. A line through such a dip
   means nothing, and its large standard error says so. The default threshold makes the sum small for ends of sticks
   under Poisson switching.
 - The stick fraction has the lower order of begin and end, or a better one where early and late instants cancel.
 
-Sticks are paired by their overlap in time. Missed are short ones: the regularised motion is below the threshold for
-less than the default duration, or passes by. Invented are those where the exact motion passes slowly, just before it
-comes back and sticks. In Leine's system errors of a tenth of the orbit and more are bounded by its size, which makes
-measured orders too small.
+Sticks are paired by their overlap in time. The missed ones are short: the regularised motion stays below the threshold
+for less than the default duration, or never falls below it. The invented ones are those where the exact motion passes
+slowly, just before it comes back and sticks. In Leine's system errors of a tenth of the orbit and more are bounded by
+its size, which makes measured orders too small.
 """
 
 

@@ -170,7 +170,7 @@ def excitation_of(base: BaseMotion, name: str = "base") -> Excitation:
 
 
 def path_in_excitation(base: BaseMotion, path: Path) -> Path:
-    """Where in ``excitation_of(base)`` the number is that `base` has at `path`."""
+    """The path in ``excitation_of(base)`` of the number that has the `path` in `base`."""
     return base.path_in_excitation(path) if isinstance(base, Motion) else ("smooth", "motion", *path)
 
 

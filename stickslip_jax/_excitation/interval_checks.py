@@ -1,6 +1,6 @@
 """Intervals that a user's law gives: impossible ones are marked, equal neighbours joined.
 
-An interval that cannot be (a negative duration, a number that is not finite) gets the duration NaN, from which the
+An impossible interval (a negative duration, a number that is not finite) gets the duration NaN, from which the
 engines make ``Status.BASE_INVALID``.
 """
 
@@ -39,8 +39,8 @@ def joined(durations: Each, velocities: Each) -> tuple[Each, Each]:
 
 
 def check_drawn(law: object, method: str, unit: str, durations: Each, *numbers: Each) -> None:
-    """Check segments (segments,) that the `method` of a user's `law` gave. Raises ValueError that names the first that
-    cannot be; traced ones pass, and show in the status of a simulation.
+    """Check segments (segments,) that the `method` of a user's `law` gave. Raises ValueError that names the first
+    impossible one; traced ones pass, and show in the status of a simulation.
     """
     if any(_checks.is_traced(array) for array in (durations, *numbers)):
         return

@@ -40,15 +40,17 @@ class Merged(PiecewiseConstantLaw):
         return self.law.capacity(t1)
 
     def begin(self, key_data, dtype):
-        """Memory: the law's, the number of its next interval, and when the present one begins, its length and
-        velocity: it is looked at before it is given.
+        """Memory: the law's, the number of its next interval, and the length and velocity of the present one, which is
+        drawn one step ahead; and when that begins.
         """
         nothing = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)
         first = self._following(key_data, (self.law.begin(key_data, dtype), jnp.zeros((), jnp.uint32), *nothing), dtype)
         return first, jnp.zeros((), dtype)
 
     def draw(self, key_data, number, dtype):
-        return jnp.asarray(key_data[0]), jnp.asarray(key_data[1])  # the number does not say which intervals were joined
+        return jnp.asarray(key_data[0]), jnp.asarray(
+            key_data[1]
+        )  # which of the law's intervals are next is in the memory
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         present, began = memory
@@ -63,7 +65,7 @@ class Merged(PiecewiseConstantLaw):
             return self._following(drawn, following, dtype), total + following[2]
 
         following, total = lax.while_loop(repeats, join, (self._following(drawn, present, dtype), duration))
-        # What comes after the horizon is not looked at: it may be impossible.
+        # Intervals after the horizon are not checked: they may be impossible.
         counts = began < self.t1
         return jnp.where(counts, total, jnp.inf), jnp.where(counts, velocity, 0), (following, began + total)
 
@@ -85,7 +87,7 @@ def merged(base: B, t1: Scalar) -> B | Merged:
 
 
 def path_in_merged(base: BaseMotion, path: Path) -> Path:
-    """Where in ``merged(base, t1)`` the number is that `base` has at `path`."""
+    """The path in ``merged(base, t1)`` of the number that has the `path` in `base`."""
     if isinstance(base, WithJumps) and path[:1] == ("jumps",):
         return "jumps", *path_in_merged(base.jumps, path[1:])
     return ("law", *path) if merged(base, 0.0) is not base else path

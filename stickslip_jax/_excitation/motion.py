@@ -47,7 +47,7 @@ class Motion(eqx.Module):
         )
 
     def path_in_excitation(self, path: Path) -> Path:
-        """Where in the `Excitation` of its parts the number is that it has at `path`."""
+        """The path in the `Excitation` of its parts of the number that has the `path` in it."""
         return (
             (self.part_of_excitation, *path)
             if self.part_of_excitation == "smooth"

@@ -1,4 +1,4 @@
-"""Laws of one's own: any object with a method ``sample(key, t1)``."""
+"""Laws that users write: any object with a method ``sample(key, t1)``."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable

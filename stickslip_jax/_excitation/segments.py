@@ -301,7 +301,7 @@ def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype: np.dt
 
 
 def is_invalid(segment_state: SegmentState) -> BoolScalar:
-    """Whether the present segment ended the realisation because it cannot be, and not because it has no duration."""
+    """Whether the present segment ended the realisation because it is impossible, and not because its duration is 0."""
     return segment_state.spent & (segment_state.segment.end != segment_state.segment.begin)
 
 

@@ -129,7 +129,7 @@ class MassSpring(System):
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
-        # A solver of one's own takes the steps it is given, unless the friction law is one's own too.
+        # A solver that the user gives takes the given steps, unless the friction law is the user's too.
         controlled = solver is None or not is_built_in(self)
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
 
@@ -331,7 +331,7 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
         c = 0 if c is None else c
         x, p = (forcing.load - friction) / k, jnp.zeros_like(tau)
         force: Any = self.system.force
-        if isinstance(force, Signal):  # a sum of harmonics: there were no closed form otherwise
+        if isinstance(force, Signal):  # a sum of harmonics: under others there is no closed form
             position, velocity = steady_response(force.tones, m, k, c, forcing.t + tau)
             x, p = x + force.mean / k + position, p + velocity
         return x, p

@@ -244,7 +244,7 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     spare = [limit - mean for limit in (-held, held)]
     low, high = (_asin_within(some * per_amplitude) for some in spare)
     over_lowest, over_highest = spare[0] <= -amplitude, spare[1] >= amplitude
-    # Over an extremum the current turns: it takes the way back, too.
+    # At an extremum the current turns back, and passes through the same values again.
     bound = (high - low) * jnp.where(over_lowest | over_highest, 2, 1) / voltage.angular_frequency
     bound = jnp.where(amplitude > 0, bound, 0)
     return jnp.where(held > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
@@ -328,7 +328,7 @@ class CartModel(SwitchedModel[FloatScalar]):
 
     def slip_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         sine, cosine = sincos(y[0])
-        # Exactly at dead centre, what comes next: r' = cos(alpha) alpha'^2.
+        # Exactly at dead centre r is 0, and its sign follows from its rate, r' = cos(alpha) alpha'^2.
         at_dead_center = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
         return jnp.where(at_dead_center, jnp.sign(cosine), jnp.sign(sine * y[1]))
 

@@ -103,7 +103,7 @@ class System(Checked):
         """The time scales of the system and of its excitation, by name."""
 
     def usual_step(self, excitation: Excitation) -> Scalar:
-        """The length (s) that most steps do not exceed, because the motion is fast, however long a step is allowed."""
+        """An upper bound (s) of most steps where a fast motion needs shorter ones than are allowed; else infinity."""
         return math.inf
 
     @property
@@ -131,9 +131,9 @@ class System(Checked):
 
     @property
     def stops_are_unstable(self) -> bool:
-        """Whether friction changes with the position of a stop, so that a near stop may grow into motion of any size.
+        """Whether friction depends on where the motion stops, so that two motions that nearly stop there may part quickly.
 
-        How near it was then follows a parameter too unevenly for first-order margins (docs/sensitivity.md).
+        First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
         """
         return False
 
