@@ -14,13 +14,7 @@ from ._events.sticks import Slips, Sticks
 from ._excitation.excitation import BaseMotion, WithJumps
 from ._excitation.ground import GroundAcceleration, GroundMotion
 from ._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
-from ._excitation.piecewise_constant_laws import (
-    Constant,
-    PiecewiseConstant,
-    PoissonSwitching,
-    RandomSteps,
-    SquareWave,
-)
+from ._excitation.piecewise_constant_laws import Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase
 from ._excitation.recorded import Recorded
 from ._excitation.segments import SegmentLaw, VelocitySegments

@@ -1,6 +1,6 @@
 """A user's law of piecewise-constant base velocity as the engines need it: neighbouring velocities differ."""
 
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,8 +14,6 @@ from .excitation import BaseMotion, WithJumps
 from .interval_checks import marked
 from .motion import Path
 from .piecewise_constant import Interval, PiecewiseConstantLaw
-
-B = TypeVar("B", bound=BaseMotion)
 
 _Present: TypeAlias = tuple[PyTree, Word, FloatScalar, FloatScalar]
 """The memory of a law after an interval, the number of the next one, and the duration and velocity of the interval."""
@@ -77,7 +75,7 @@ class Merged(PiecewiseConstantLaw):
         return memory, number + np.uint32(1), jnp.where(duration > 0, marked(more, velocity), 0), velocity
 
 
-def merged(base: B, t1: Scalar) -> B | Merged:
+def merged(base: BaseMotion, t1: Scalar) -> BaseMotion:
     """`base`, in which a law of the user's that jumps is `Merged`."""
     if isinstance(base, WithJumps):
         jumps = merged(base.jumps, t1)

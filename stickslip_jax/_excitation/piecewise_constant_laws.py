@@ -16,7 +16,7 @@ from .._numerics.random_bits import exponential, random_words, uniform
 from .._types import AnyArray, Array, Float, IntArray, Number, Scalar
 from .interval_checks import marked
 from .piecewise_constant import Interval, PiecewiseConstantLaw
-from .segments import BEGINNING
+from .segments import BEGINNING, drawn_sign
 
 PerInterval: TypeAlias = Float[AnyArray, " intervals"]
 
@@ -97,10 +97,7 @@ class PoissonSwitching(PiecewiseConstantLaw):
     has_exponential_gaps = True
 
     def begin(self, key_data, dtype):
-        if self.first_sign != "random":
-            return jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        high, _ = random_words(key_data, jnp.asarray(BEGINNING))
-        return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
+        return drawn_sign(self.first_sign, key_data, dtype)
 
     def draw(self, key_data, number, dtype):
         return exponential(*random_words(key_data, number), dtype)

@@ -250,9 +250,8 @@ class GivenSegments(SegmentLaw):
     def draw(self, key_data, number, dtype):
         size = np.shape(self.durations)[-1]
         here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        duration, value, slope = (
-            jnp.asarray(array, dtype)[here] for array in (self.durations, self.values, self.slopes)
-        )
+        arrays = (self.durations, self.values, self.slopes)
+        duration, value, slope = (jnp.asarray(array, dtype)[here] for array in arrays)
         return jnp.where(number < size, duration, 0), value, slope
 
     def next_segment(self, memory, drawn, dtype):
@@ -280,13 +279,8 @@ def first_segment(law: SegmentLaw, key_data: KeyData, dtype: np.dtype) -> Segmen
     """The first segment of the realisation that `key_data` draw."""
     zero = jnp.zeros((), dtype)
     memory = law.begin(key_data, dtype)
-    segment_state = SegmentState(
-        (key_data[0], key_data[1]),
-        jnp.zeros((), jnp.uint32),
-        memory,
-        Segment(zero, zero, zero, zero),
-        jnp.zeros((), bool),
-    )
+    words, none, before = (key_data[0], key_data[1]), jnp.zeros((), jnp.uint32), Segment(zero, zero, zero, zero)
+    segment_state = SegmentState(words, none, memory, before, jnp.zeros((), bool))
     return following_segment(law, segment_state, dtype)
 
 
@@ -355,3 +349,11 @@ def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: np.dtype) -> tup
 
     start = law.begin(words, dtype), jnp.zeros((), bool)
     return lax.scan(step, start, jnp.arange(size, dtype=jnp.uint32))[1]
+
+
+def drawn_sign(first_sign: str, key_data: KeyData, dtype: np.dtype) -> FloatScalar:
+    """1 or -1: the `first_sign`, "positive" or "negative", or a random one drawn by `key_data`."""
+    if first_sign != "random":
+        return jnp.asarray(1 if first_sign == "positive" else -1, dtype)
+    high, _ = random_words(key_data, jnp.asarray(BEGINNING))
+    return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)

@@ -14,9 +14,9 @@ from .._distributions.families import Discrete
 from .._distributions.random_number import RandomNumber, Truncated
 from .._fields import Choice, is_of_package
 from .._numerics.random_bits import fine_uniform, random_words
-from .._types import Array, FloatArray, Number, Scalar
+from .._types import Array, Float, FloatArray, Number, Scalar
 from .piecewise_constant import Interval, PiecewiseConstantLaw
-from .segments import BEGINNING
+from .segments import BEGINNING, drawn_sign
 
 _CHANCE = 1e-9  # bound of the probability that a realisation needs more intervals than `capacity`
 _CELLS = 1024  # of the quantiles that `capacity` looks at
@@ -75,14 +75,12 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
     def begin(self, key_data, dtype):
         """Memory: the time of the switch (s), and the sign, the index of a `Discrete` velocity or the last velocity."""
         time = jnp.zeros((), dtype)
-        high, low = random_words(key_data, jnp.asarray(BEGINNING))
-        if not self.alternating:
-            if isinstance(self.speed, Discrete):
-                return time, _chosen(fine_uniform(high, low, dtype), _shares(self.speed, dtype))
+        if self.alternating:
+            return time, drawn_sign(self.first_sign, key_data, dtype)
+        if not isinstance(self.speed, Discrete):
             return time, jnp.full((), jnp.nan, dtype)
-        if self.first_sign != "random":
-            return time, jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        return time, jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
+        words = random_words(key_data, jnp.asarray(BEGINNING))
+        return time, _chosen(fine_uniform(*words, dtype), _shares(self.speed, dtype))
 
     def draw(self, key_data, number, dtype):
         """The gap (s), and the speed or what the next `Discrete` velocity is chosen by."""
@@ -196,14 +194,11 @@ def _check_values(speed: RandomNumber) -> None:
         )
 
 
-def _shares(values: Discrete, dtype) -> Array:
+def _shares(values: Discrete, dtype: np.dtype) -> Float[Array, " values"]:
     """The probabilities of the values."""
-    number = len(values.values)
-    return (
-        jnp.full(number, 1 / number, dtype)
-        if values.probabilities is None
-        else jnp.asarray(values.probabilities, dtype)
-    )
+    if values.probabilities is None:
+        return jnp.full(len(values.values), 1 / len(values.values), dtype)
+    return jnp.asarray(values.probabilities, dtype)
 
 
 def _chosen(deviate: FloatArray, shares: FloatArray, excluded: Array | int = -1) -> Array:

@@ -82,9 +82,9 @@ class _Tones(Signal):
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
     @property
-    @abc.abstractmethod
     def mean(self) -> Scalar:
         """Mean of the signal."""
+        return self.offset  # pyright: ignore[reportAttributeAccessIssue] - a field of both
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.mean + _motion(self.tones, t)[0]
@@ -158,10 +158,6 @@ class Harmonic(_Tones):
         return self.amplitude, self.angular_frequency, self.phase
 
     @property
-    def mean(self) -> Scalar:
-        return self.offset
-
-    @property
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
@@ -204,10 +200,6 @@ class SumOfHarmonics(_Tones):
         amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
         phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
         return amplitudes, jnp.asarray(self.angular_frequencies), phases
-
-    @property
-    def mean(self) -> Scalar:
-        return self.offset
 
     @property
     def shortest_period(self) -> Scalar:

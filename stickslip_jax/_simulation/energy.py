@@ -1,7 +1,7 @@
 """Friction force and energies along one trajectory."""
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,8 @@ from .._types import Array, BoolScalar, FloatScalar, Scalar, State
 
 if TYPE_CHECKING:
     from .result import Simulation
+
+Times: TypeAlias = Float[Array, " times"]
 
 _MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
 
@@ -85,13 +87,8 @@ def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float
 
 @jax.jit
 def _forces(
-    model: SwitchedModel,
-    path: Path,
-    method: Exact | Regularized,
-    sticks: Sticks,
-    last: FloatScalar,
-    times: Float[Array, " times"],
-) -> Float[Array, " times"]:
+    model: SwitchedModel, path: Path, method: Exact | Regularized, sticks: Sticks, last: FloatScalar, times: Times
+) -> Times:
     def at(time: FloatScalar) -> FloatScalar:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
         if isinstance(method, Regularized):
@@ -138,9 +135,7 @@ def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
 
 
 @jax.jit
-def _energies(
-    model: SwitchedModel, beginnings: Beginnings, last: FloatScalar, times: Float[Array, " times"], rule: _Rule
-) -> Energies:
+def _energies(model: SwitchedModel, beginnings: Beginnings, last: FloatScalar, times: Times, rule: _Rule) -> Energies:
     def worked(begun: Beginnings, h: FloatScalar) -> energy.Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 

@@ -14,7 +14,7 @@ _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed
 
 def steady_response(
     tones: Tones, mass: Scalar, stiffness: Scalar, damping: Scalar, t: FloatScalar
-) -> tuple[FloatScalar, FloatScalar]:
+) -> tuple[FloatScalar, ...]:
     """Position (m) and velocity (m/s) of the steady vibration under harmonic forces of amplitude, frequency, phase."""
 
     def answer(amplitude, w, phase):

@@ -131,7 +131,7 @@ class System(Checked):
 
     @property
     def stops_are_unstable(self) -> bool:
-        """Whether friction depends on where the motion stops, so that two motions that nearly stop there may part quickly.
+        """Whether friction depends on where the motion stops: two motions that nearly stop there may part quickly.
 
         First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
         """

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from .. import _checks
 from .._types import Number
@@ -92,7 +91,7 @@ def _check_rates(kind: str, rates: object, size: int) -> None:
             )
 
 
-def _check_affine(kind: str, rates: Float[np.ndarray, "shares states"], gradient: Float[np.ndarray, " states"]) -> None:
+def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
     """Check that `rates`, (4, states) at `_SHARES`, are affine in them, and that friction opposes the sliding."""
     if not np.all(np.isfinite(rates)):
         return  # the status of the simulation reports it

@@ -12,13 +12,7 @@ from pydantic import Field, model_validator
 from .._excitation.excitation import WithJumps
 from .._excitation.kanai_tajimi import KanaiTajimi
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
-from .._excitation.piecewise_constant_laws import (
-    Constant,
-    PiecewiseConstant,
-    PoissonSwitching,
-    RandomSteps,
-    SquareWave,
-)
+from .._excitation.piecewise_constant_laws import Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from .._excitation.random import RandomPhase
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._excitation.voltage import SourceVoltage
