@@ -76,6 +76,11 @@ class FrictionLaw(Checked):
         """
         return self
 
+    @property
+    def depends_on_direction(self) -> bool:
+        """Whether it may differ between the two directions of slip."""
+        return type(self).in_direction is not FrictionLaw.in_direction
+
     def slip_coefficient(self, velocity: FloatArray) -> Scalar | FloatArray:
         """The kinetic friction coefficient at this relative velocity (m/s, of either sign)."""
         return self.in_direction(velocity).kinetic(jnp.abs(velocity))

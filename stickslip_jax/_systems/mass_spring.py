@@ -119,7 +119,8 @@ class MassSpring(System):
     @property
     def has_interval_form(self) -> bool:
         friction = self.friction
-        return friction.constant and not friction.static_exceeds_kinetic and self.damping is None and self.force is None
+        is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
+        return is_simple and self.damping is None and self.force is None
 
     @property
     def has_closed_form(self) -> bool:

@@ -7,14 +7,12 @@ import numpy as np
 from .._excitation.smooth import Tones, added_up, angle
 from .._numerics.known import bounds_of, values_of
 from .._numerics.sharing import sincos
-from .._types import FloatScalar, Number, Scalar
+from .._types import FloatScalar, Number, Scalar, State
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
 
 
-def steady_response(
-    tones: Tones, mass: Scalar, stiffness: Scalar, damping: Scalar, t: FloatScalar
-) -> tuple[FloatScalar, ...]:
+def steady_response(tones: Tones, mass: Scalar, stiffness: Scalar, damping: Scalar, t: FloatScalar) -> State:
     """Position (m) and velocity (m/s) of the steady vibration under harmonic forces of amplitude, frequency, phase."""
 
     def answer(amplitude, w, phase):

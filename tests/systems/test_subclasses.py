@@ -103,6 +103,36 @@ def test_static_friction_that_holds_less_than_a_slip():
     assert float(Sticky(0.4).static) == pytest.approx(0.6)
 
 
+class Ratchet(ss.FrictionLaw):
+    """Another coefficient in each direction of slip."""
+
+    forward: float
+    backward: float
+
+    @property
+    def static(self):
+        return jnp.maximum(self.forward, self.backward)
+
+    def kinetic(self, speed):
+        return self.static
+
+    def in_direction(self, velocity):
+        return ss.Coulomb(jnp.where(velocity < 0, self.backward, self.forward))
+
+
+@pytest.mark.parametrize(("method", "error"), [(ss.Exact(), 1e-9), (ss.Regularized(1e-4, step=1e-3), 1e-2)])
+def test_friction_that_depends_on_the_direction(method, error):
+    """Free vibration: each half of a period takes ``2 mu n / k`` of the amplitude, until friction holds the spring."""
+    system = ss.MassSpring(1.0, 4.0, 1.0, Ratchet(forward=0.3, backward=1.0))
+    assert not system.has_interval_form
+    one = ss.simulate(system, ss.Constant(0.0), t1=12.0, y0=(2.0, 0.0), method=method)
+    turns = np.array([-1.5, 1.35, -0.85, 0.7, -0.2, 0.05])
+    positions = one.evaluate(np.pi / 2 * np.arange(1, 7))[0]
+    np.testing.assert_allclose(positions, turns, rtol=0, atol=error)
+    np.testing.assert_allclose(one.final_state, (0.05, 0.0), rtol=0, atol=error)
+    np.testing.assert_allclose(one.friction_force(np.array([1.0, 2.0, 11.0])), [1.0, -0.3, 0.2], rtol=0, atol=4 * error)
+
+
 def test_statements_made_anew_hold():
     halved, plain = (ss.MassSpring(1.0, 4.0, 1.0, friction) for friction in (Halved(0.8), ss.Coulomb(0.4)))
     base = POISSON.sample(jax.random.key(0), 20.0)
