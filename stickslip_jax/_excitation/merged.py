@@ -46,9 +46,8 @@ class Merged(PiecewiseConstantLaw):
         return first, jnp.zeros((), dtype)
 
     def draw(self, key_data, number, dtype):
-        return jnp.asarray(key_data[0]), jnp.asarray(
-            key_data[1]
-        )  # which of the law's intervals are next is in the memory
+        # Which of the law's intervals come next is in the memory, for some may have been joined.
+        return jnp.asarray(key_data[0]), jnp.asarray(key_data[1])
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         present, began = memory

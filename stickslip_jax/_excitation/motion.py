@@ -1,7 +1,7 @@
 """The base class of all that drives a system: laws, signals and realisations."""
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
 import equinox as eqx
 
@@ -41,18 +41,13 @@ class Motion(eqx.Module):
 
     def parts(self) -> Parts:
         """Its smooth part and its parts in segments."""
-        part: Any = self
-        return (
-            Parts(smooth=part) if self.part_of_excitation == "smooth" else Parts(**{self.part_of_excitation: (part,)})
-        )
+        name, part = self.part_of_excitation, cast(Any, self)
+        return Parts(smooth=part) if name == "smooth" else Parts(**{name: (part,)})
 
     def path_in_excitation(self, path: Path) -> Path:
         """The path in the `Excitation` of its parts of the number that has the `path` in it."""
-        return (
-            (self.part_of_excitation, *path)
-            if self.part_of_excitation == "smooth"
-            else (self.part_of_excitation, 0, *path)
-        )
+        name = self.part_of_excitation
+        return (name, *path) if name == "smooth" else (name, 0, *path)
 
     @property
     def covered_time(self) -> float:
