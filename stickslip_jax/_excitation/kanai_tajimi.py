@@ -8,16 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._fields import Quantity
 from .._numerics.elementary import log, sincos
-from .._numerics.known import NotKnown, largest, smallest
+from .._numerics.known import largest, smallest
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Number, Scalar
 from .ground import GroundAcceleration, GroundMotion
-from .segments import BEGINNING, LARGEST_CAPACITY
+from .segments import BEGINNING, LARGEST_CAPACITY, known_number
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact to rounding for the integrands of `_step`, over one radian or less.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -154,13 +153,10 @@ class KanaiTajimi(GroundMotion):
         return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
 
     def _points(self, t1: Scalar) -> int:
-        try:
-            samples = largest(t1) / smallest(self.interval)
-        except (ConcretizationTypeError, NotKnown):
-            raise ValueError(
-                "Argument points must be given when t1 or the law's interval is traced by a JAX transformation (their "
-                "values are not known then); about t1 / interval + 2 are enough."
-            ) from None
+        enough = "about t1 / interval + 2 are enough"
+        samples = known_number(
+            lambda t1: largest(t1) / smallest(self.interval), t1, enough, "points", "law's interval is"
+        )
         if samples > LARGEST_CAPACITY - 2:
             raise ValueError(
                 f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} samples, "

@@ -7,7 +7,7 @@ length, and an ensemble can draw segments while it simulates.
 import abc
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -32,6 +32,7 @@ BEGINNING = np.uint32(0xFFFFFFFF)
 _MOST_DOUBLINGS = 6  # of the number of segments, before a realisation is left too short
 
 
+N = TypeVar("N", int, float)
 PerSegment: TypeAlias = Float[Array, " segments"]
 
 
@@ -152,8 +153,8 @@ class SegmentLaw(Checked, Motion):
         if not self.is_random:
             return self
         key_data, dtype = self.key_data(key), jnp.result_type(float)
-        call = f"{type(self).__name__}(...).segments(t1)"
-        size = checked_capacity(known_capacity(self.segments, t1, call) if capacity is None else capacity)
+        advice = f"find one with {type(self).__name__}(...).segments(t1)"
+        size = checked_capacity(known_number(self.segments, t1, advice) if capacity is None else capacity)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             if _lasts(drawn[0], t1):
@@ -316,14 +317,16 @@ def checked_capacity(capacity: int) -> int:
     return int(capacity)
 
 
-def known_capacity(number: Callable[[Scalar], int], t1: Scalar, call: str) -> int:
-    """The `number` of segments until `t1`. Raises ValueError, with the `call` that finds it, for traced numbers."""
+def known_number(
+    number: Callable[[Scalar], N], t1: Scalar, advice: str, name: str = "capacity", of: str = "law's parameters are"
+) -> N:
+    """The `number` of segments or points until `t1`. Raises ValueError, with `advice`, for traced numbers."""
     try:
         return number(t1)
     except (ConcretizationTypeError, NotKnown):
         raise ValueError(
-            "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation (their "
-            f"values are not known then); find one with {call}."
+            f"Argument {name} must be given when t1 or the {of} traced by a JAX transformation (their values are not "
+            f"known then); {advice}."
         ) from None
 
 

@@ -351,7 +351,8 @@ class SolverOscillatorModel(OscillatorModel):
     def slip_and_error(
         self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
     ) -> tuple[State, FloatScalar | None]:
-        y1, error = runge_kutta_step(Partial(type(self).rates, self, forcing, sign=sign), y, h, solver=self.solver)
+        rates = Partial(type(self).rates, self, forcing, sign=sign)
+        y1, error = runge_kutta_step(rates, y, h, solver=self.solver)
         if not self.controlled:
             return y1, None
         m, k, c = self._constants()
