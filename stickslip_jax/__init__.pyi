@@ -4,6 +4,7 @@ Type checkers read this file; `__init__.py` reads it too, and loads a name when 
 """
 
 from . import design as design, papers as papers, plot as plot, study as study
+from ._types import InitialState as InitialState
 from ._uncertainty.copula import GaussianCopula as GaussianCopula
 from ._uncertainty.families import (
     Beta as Beta,
@@ -26,16 +27,18 @@ from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJ
 from ._excitation.gaussian import GaussianProcess as GaussianProcess
 from ._excitation.ground import GroundAcceleration as GroundAcceleration, GroundMotion as GroundMotion
 from ._excitation.kanai_tajimi import KanaiTajimi as KanaiTajimi
-from ._excitation.laws import (
-    BangBangLaw as BangBangLaw,
+from ._excitation.piecewise_constant import (
+    PiecewiseConstantLaw as PiecewiseConstantLaw,
+    VelocitySteps as VelocitySteps,
+)
+from ._excitation.piecewise_constant_laws import (
     Constant as Constant,
     PiecewiseConstant as PiecewiseConstant,
     PoissonSwitching as PoissonSwitching,
     RandomSteps as RandomSteps,
     SquareWave as SquareWave,
 )
-from ._excitation.piecewise import VelocitySteps as VelocitySteps
-from ._excitation.random import InitialState as InitialState, RandomPhase as RandomPhase
+from ._excitation.random import RandomPhase as RandomPhase
 from ._excitation.reading import (
     read_acceleration_csv as read_acceleration_csv,
     read_at2 as read_at2,

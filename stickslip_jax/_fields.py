@@ -189,7 +189,7 @@ class Checked(WithClaims, WithMethods):
         type(self).check_parts(self)
         if vary:  # what several fields must satisfy together is checked for what is drawn
             return
-        type(self).check_relations(self)  # bound, it would be a module of its own, and cost as much as all checks
+        type(self).check_relations(self)  # `self.check_relations` would make a module of the method
 
     def check_parts(self) -> None:
         """Check fields of other kinds than numbers. Raises ValueError otherwise."""

@@ -1,5 +1,6 @@
 """Names of types for annotations: shapes are in the annotations, units in the docstrings."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ForwardRef, TypeAlias
 
 import numpy as np
@@ -23,8 +24,18 @@ AnyInteger: TypeAlias = Array | np.integer
 FloatArray: TypeAlias = Float[Array, "..."]
 BoolArray: TypeAlias = Bool[Array, "..."]
 IntArray: TypeAlias = Int[Array, "..."]
+FloatScalar: TypeAlias = Float[Array, ""]
+BoolScalar: TypeAlias = Bool[Array, ""]
 KeyData: TypeAlias = UInt32[Array | np.ndarray, "2"] | tuple[UInt32[Array, "..."], UInt32[Array, "..."]]
 """The two 32-bit words of a threefry key, as one array or as two."""
+
+InitialState: TypeAlias = Sequence[Number] | AnyArray
+"""An initial state: a number for each coordinate of the system; in ensembles also an array (samples,) or a distribution
+of it, or an array (samples, coordinates) of all.
+"""
+
+Word: TypeAlias = UInt32[Array, ""]
+"""32 random bits, or the number of a segment, of which there are at most 2^32."""
 
 State: TypeAlias = tuple[FloatArray, ...]
 """The state of a system: one array for each of its coordinates, all of one shape."""
@@ -43,10 +54,13 @@ __all__ = [
     "Array",
     "Bool",
     "BoolArray",
+    "BoolScalar",
     "DType",
     "ExplicitSolver",
     "Float",
     "FloatArray",
+    "FloatScalar",
+    "InitialState",
     "Int",
     "IntArray",
     "KeyData",
@@ -54,4 +68,5 @@ __all__ = [
     "Scalar",
     "Solver",
     "State",
+    "Word",
 ]

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import _checks
-from ._excitation.laws import BangBangLaw, Constant, PoissonSwitching, RandomSteps, SquareWave
+from ._excitation.piecewise_constant import PiecewiseConstantLaw
+from ._excitation.piecewise_constant_laws import Constant, PoissonSwitching, RandomSteps, SquareWave
 from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage
@@ -53,7 +54,7 @@ class SetUp(NamedTuple):
     """
 
     system: System
-    law: BangBangLaw | RandomPhase | Harmonic
+    law: PiecewiseConstantLaw | RandomPhase | Harmonic
     t1: float
     y0: tuple[Scalar | Uniform, ...]
 

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 
 from .._compiler import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
-from .._systems.own import is_own
+from .._systems.built_in import is_built_in
 from . import lanes
 from .regularized import lanes as regularized_lanes
 
@@ -30,16 +30,16 @@ def compiled_for(engine: lanes.Engine, *, with_records: bool = False) -> Compile
     """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
     arrays, which are too large for native loops.
     """
-    return _COMPILED[is_own(engine) and not with_records]
+    return _COMPILED[is_built_in(engine) and not with_records]
 
 
 # filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
 solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
 
 
-def _compiled(is_own: bool) -> CompiledLanes:
-    options = {**WIDE_VECTORS, **COMPILED_QUICKLY} if is_own else {}
-    compiled = partial(CompiledNatively, compiler_options=options) if is_own else jax.jit
+def _compiled(is_built_in: bool) -> CompiledLanes:
+    options = {**WIDE_VECTORS, **COMPILED_QUICKLY} if is_built_in else {}
+    compiled = partial(CompiledNatively, compiler_options=options) if is_built_in else jax.jit
     return CompiledLanes(
         compiled(lanes.summarize, static_argnames=("lanes", "rows", "dtype")),
         jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
@@ -47,4 +47,4 @@ def _compiled(is_own: bool) -> CompiledLanes:
     )
 
 
-_COMPILED = {is_own: _compiled(is_own) for is_own in (True, False)}
+_COMPILED = {is_built_in: _compiled(is_built_in) for is_built_in in (True, False)}

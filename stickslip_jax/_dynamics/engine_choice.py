@@ -1,16 +1,17 @@
 """Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
+import equinox as eqx
 import numpy as np
 
-from .._excitation.excitation import GivenSteps, excitation_of
-from .._excitation.laws import BangBangLaw
+from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
-from .._excitation.piecewise import VelocitySteps
+from .._excitation.motion import Motion
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.known import largest
 from .._systems.system import System
-from .._types import Scalar
+from .._types import AnyArray, Number, Scalar
 from .._uncertainty.inputs import Inputs
 from .interval.lanes import IntervalEngine
 from .interval.path import follow_intervals
@@ -24,51 +25,50 @@ from .regularized.solve import table_sizes
 from .switched.lanes import SwitchedEngine
 from .switched.path import follow_steps
 from .switched.run import steps_for
-from .validation import check_length, checked_step, warn_of_soft_spring
+from .validation import Arguments
 from .varying import Engines, engines_of, widest
 
 _MOST_COUNTED = 2**31 - 1
 _AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes
 
+InitialNumbers: TypeAlias = tuple[Number, ...]
+
 
 class ByIntervals(NamedTuple):
     """Closed forms over whole intervals of a piecewise-constant base velocity.
 
-    `system` is a `MassSpring`, the only system with an interval form.
+    The system is a `MassSpring`, the only one with an interval form.
     """
 
-    system: Any
-    base: Any
-    method: Exact
-    t1: Scalar
+    arguments: Arguments[Exact]
 
-    def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Exact, Run]:
+    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
-        return self.method, follow_intervals(self.system, self.base, self.t1, y0, dtype)
+        system, base, method, t1 = self.arguments
+        return method, follow_intervals(system, base, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Any, ...], dtype) -> IntervalEngine:
+    def lanes(self, y0: InitialNumbers, dtype: np.dtype) -> IntervalEngine:
         """The engine that simulates samples of the law."""
-        law = GivenSteps(self.base) if isinstance(self.base, VelocitySteps) else self.base
-        return IntervalEngine(self.system, law, self.t1, y0)
+        system, base, _, t1 = self.arguments
+        (law,) = excitation_of(base).base
+        return IntervalEngine(system, law, t1, y0)
 
 
 class BySteps(NamedTuple):
     """Time steps in which every event is located, for any system and excitation."""
 
-    system: System
-    base: Any
-    method: Exact
-    t1: Scalar
+    arguments: Arguments[Exact]
 
-    def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Exact, Run]:
+    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
-        return self.method, follow_steps(self.system, self.base, self.method, self.t1, y0, dtype)
+        system, base, method, t1 = self.arguments
+        return method, follow_steps(system, base, method, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Any, ...], dtype) -> SwitchedEngine:
+    def lanes(self, y0: InitialNumbers, dtype: np.dtype) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
-        system, method, t1 = self.system, self.method, self.t1
-        excitation, step = checked_step(system, self.base, method, t1, "law")
-        check_length(system, self.base, t1)
+        system, _, method, t1 = self.arguments
+        excitation, step = self.arguments.checked_step("law")
+        self.arguments.check_length()
         # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
         most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
         return SwitchedEngine(system, excitation, method.solver, t1, y0, step, most)
@@ -77,22 +77,19 @@ class BySteps(NamedTuple):
 class Smoothed(NamedTuple):
     """Regularised dynamics, in fixed or adaptive steps."""
 
-    system: System
-    base: Any
-    method: Regularized
-    t1: Scalar
+    arguments: Arguments[Regularized]
 
-    def follow(self, y0: tuple[Any, ...], dtype) -> tuple[Regularized, Run]:
+    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
-        return follow_regularized(self.system, self.base, self.method, self.t1, y0, dtype)
+        return follow_regularized(*self.arguments, y0, dtype)
 
-    def lanes(self, y0: tuple[Any, ...], dtype) -> FixedEngine | AdaptiveBatch:
+    def lanes(self, y0: InitialNumbers, dtype: np.dtype) -> FixedEngine | AdaptiveBatch:
         """The engine that simulates samples of the law."""
-        system, t1 = self.system, self.t1
-        excitation = excitation_of(self.base, "law")
+        system, base, method, t1 = self.arguments
+        excitation = excitation_of(base, "law")
         system.check_excitation(excitation)
-        check_length(system, self.base, t1)
-        method = resolved(system, excitation, self.method, dtype)
+        self.arguments.check_length()
+        method = resolved(system, excitation, method, dtype)
         if method.step is None:
             sizes = table_sizes(system, excitation, largest(t1))
             return AdaptiveBatch(system, excitation, method, t1, y0, tuple(np.int32(size) for size in sizes))
@@ -103,43 +100,50 @@ class Smoothed(NamedTuple):
         )
 
 
-def engine_for(system: System, base: Any, method: Exact | Regularized, t1: Scalar) -> ByIntervals | BySteps | Smoothed:
-    """The fastest engine that can simulate `system` on `base` (a law or a realisation) up to `t1` (s) by `method`.
+def engine_for(arguments: Arguments[Exact | Regularized]) -> ByIntervals | BySteps | Smoothed:
+    """The fastest engine for these arguments, whose base is a law or a realisation.
 
-    The choice depends on the types and options of the arguments, not on their numbers.
+    The choice depends on their types and options, not on their numbers.
     """
+    system, base, method, t1 = arguments
     base = merged(base, t1)
     if isinstance(method, Regularized):
-        return Smoothed(system, base, method, t1)
-    warn_of_soft_spring(system, method.solver, t1)
-    steady = isinstance(base, (VelocitySteps, BangBangLaw)) and system.has_interval_form
-    if steady and method.step is None and method.solver is None:
-        return ByIntervals(system, base, method, t1)
-    return BySteps(system, base, method, t1)
+        return Smoothed(Arguments(system, base, method, t1))
+    exact = Arguments(system, base, method, t1)
+    exact.warn_of_soft_spring()
+    is_steady = isinstance(base, Motion) and base.is_piecewise_constant
+    if is_steady and system.has_interval_form and method.step is None and method.solver is None:
+        return ByIntervals(exact)
+    return BySteps(exact)
 
 
 def lanes_for(
-    system: System, law: Any, method: Exact | Regularized, t1: float, y0: tuple[Any, ...], dtype
+    system: System, law: BaseMotion, method: Exact | Regularized, t1: float, y0: InitialNumbers, dtype: np.dtype
 ) -> Engine | AdaptiveBatch:
     """The engine that simulates samples of `law`, with its arguments checked."""
-    if isinstance(law, BangBangLaw):
+    if isinstance(law, PiecewiseConstantLaw):
         law.checked_capacity(t1)
-    return engine_for(system, law, method, t1).lanes(y0, dtype)
+    return engine_for(Arguments(system, law, method, t1)).lanes(y0, dtype)
 
 
-def sample_engines(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype, first: int, number: int) -> Engines:
+def sample_engines(
+    inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype: np.dtype, first: int, number: int
+) -> Engines:
     """The engines of samples ``first .. first + number - 1``, whose `inputs` differ."""
 
-    def build(values, base):
+    def build(values: tuple[AnyArray, ...], base: eqx.Module | None) -> Engine | AdaptiveBatch:
         system, law, y0 = inputs.filled(values)
-        return engine_for(system, law if base is None else base, method, t1).lanes(y0, dtype)
+        return engine_for(Arguments(system, law if base is None else base, method, t1)).lanes(y0, dtype)
 
     base = inputs.realizations(first, number, float(t1))
     return engines_of(build, inputs.drawn(first, number, dtype), base)
 
 
-def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype) -> Engines:
-    """The engines of all samples: `template`, `places` and `origins`; the own leaves of the first samples only."""
+def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype: np.dtype) -> Engines:
+    """The engines of all samples: one that stands for all, and which of its leaves are drawn for each sample.
+
+    Of the drawn leaves, those of the first samples only are returned.
+    """
     every = [
         sample_engines(inputs, method, t1, dtype, first, min(_AT_ONCE, inputs.samples - first))
         for first in range(0, inputs.samples, _AT_ONCE)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from .. import _checks
 from .._excitation.excitation import Excitation
 from .._numerics.known import NotKnown, largest, primal_of, smallest
-from .._systems.system import OWN_TIME, StepCount, System
+from .._systems.system import SHORTEST_TIME, StepCount, System
 from .._types import Scalar
 from .method import Regularized
 from .stopping_scan import padded_length
@@ -33,7 +33,7 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
     if method.step is None and unknown:
         raise ValueError(
             f"Argument method must give the step, Exact(step=...), but the {unknown[0]} is not known; or give what "
-            f"you wrote a property {'shortest_time' if unknown[0] == OWN_TIME else 'shortest_period'} (s)."
+            f"you wrote a property {'shortest_time' if unknown[0] == SHORTEST_TIME else 'shortest_period'} (s)."
         )
     if method.step is None:
         steps = [time / count.default for time, count in known.values()]

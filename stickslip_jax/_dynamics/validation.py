@@ -1,20 +1,22 @@
 """Checks of the arguments of `simulate` and `simulate_ensemble`."""
 
 import warnings
-from typing import Any
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._excitation.excitation import Excitation, WithJumps, excitation_of, is_random, longest_time
-from .._excitation.laws import BangBangLaw
-from .._excitation.piecewise import VelocitySteps
-from .._excitation.smooth import UserMotion
+from .._excitation.excitation import (
+    BaseMotion,
+    Excitation,
+    excitation_of,
+    motion_of,
+)
 from .._numerics.known import primal_of
-from .._systems.system import System
-from .._types import AnyArray, Scalar
+from .._systems.system import System, require_system
+from .._types import AnyArray, InitialState, Number, Scalar
 from .._uncertainty.inputs import varying
 from .._uncertainty.numbers import shown
 from .method import Exact, Regularized
@@ -23,7 +25,88 @@ from .time_scales import step_for
 _LEAST_TURN = 1e-3  # rad in the whole duration: the motion is then good to about 1e-8 in double precision
 
 
-def check_method(method: Any) -> None:
+M_co = TypeVar("M_co", bound=Exact | Regularized, covariant=True)
+
+
+class Arguments(NamedTuple, Generic[M_co]):
+    """What is simulated: a system on a base motion (a law or a realisation), by a method, up to `t1` (s)."""
+
+    system: System
+    base: BaseMotion
+    method: M_co
+    t1: Scalar
+
+    @classmethod
+    def of_one(
+        cls, system: System, base: BaseMotion, method: M_co, t1: Scalar, y0: InitialState | None
+    ) -> tuple["Arguments[M_co]", tuple[Number, ...]]:
+        """The checked arguments of `simulate`, the base as a motion without randomness, and the initial state.
+
+        Raises:
+            ValueError: For what `simulate` does not take.
+        """
+        check_fixed(system=system, base=base)
+        require_system(system)
+        check_method(method)
+        _checks.positive("t1", t1, "s")
+        start, motion = state_of(system, y0), motion_of(base)
+        if motion.is_random:
+            raise ValueError(
+                f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
+                "draw one with base.sample(key, t1)."
+            )
+        arguments = cls(system, motion, method, t1)
+        arguments.check_length()
+        return arguments._replace(base=motion.realized_until(t1)), start
+
+    def check_length(self) -> None:
+        """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
+        if _checks.is_traced(self.t1):
+            return
+        loads = (("force", load) for load in self.system.recorded_loads)
+        for name, motion in (("base", motion_of(self.base)), *loads):
+            if motion.covered_time < float(self.t1) * (1 - 1e-12):
+                raise ValueError(
+                    f"Argument {name} must last until t1 = {float(self.t1):g} s, but it ends at "
+                    f"{motion.covered_time:g} s; record more of it or choose a smaller t1."
+                )
+
+    def warn_of_soft_spring(self) -> None:
+        """Warn where round-off of the position under a force at rest, ``force / stiffness``, hides the motion.
+
+        The motion up to `t1` is of the size ``force t1^2 / (2 mass)``. An integration does not have this round-off.
+        """
+        frequency = self.system.natural_frequency
+        if frequency is None or self.method.solver is not None or not self.system.has_closed_form:
+            return
+        if _checks.is_traced(frequency) or _checks.is_traced(self.t1):
+            return
+        lowest, duration = float(np.min(frequency)), float(np.min(self.t1))
+        if lowest * duration < _LEAST_TURN:
+            warnings.warn(
+                f"The natural period, {2 * np.pi / lowest:.3g} s, is so long beside t1 = {duration:.3g} s that the "
+                "closed form loses digits: its round-off is that of force / stiffness. If there is to be no spring, "
+                "integrate instead: method=Exact(solver=diffrax.Dopri8()).",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+
+    def checked_step(self, name: str = "base") -> tuple[Excitation, Scalar]:
+        """The `Excitation` made from `base` (the argument called `name`), and the time step (s), at most `t1`.
+
+        Raises:
+            ValueError: For a base, solver or step that does not suit the system.
+        """
+        excitation = excitation_of(self.base, name)
+        self.system.check_excitation(excitation)
+        self.system.check_solver(self.method.solver)
+        step, horizon = step_for(self.system, excitation, self.method), primal_of(self.t1)
+        if _checks.is_traced(step) or _checks.is_traced(horizon):
+            return excitation, jnp.minimum(step, horizon)
+        return excitation, min(float(step), float(horizon))
+
+
+def check_method(method: object) -> None:
     """Check that `method` is an `Exact` or a `Regularized`. Raises ValueError otherwise."""
     if not isinstance(method, (Exact, Regularized)):
         raise ValueError(
@@ -31,7 +114,7 @@ def check_method(method: Any) -> None:
         )
 
 
-def state_of(system: System, y0: Any) -> tuple[Any, ...]:
+def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
     """The initial state `y0` of `system`, checked; zeros if `y0` is None."""
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
     entries = _checks.entries("y0", (0.0,) * len(meaning) if y0 is None else y0, meaning)
@@ -41,7 +124,7 @@ def state_of(system: System, y0: Any) -> tuple[Any, ...]:
     return numbers
 
 
-def check_fixed(**arguments: Any) -> None:
+def check_fixed(**arguments: object) -> None:
     """Check that no argument holds a distribution, or an array where a number belongs. Raises ValueError otherwise."""
     for name, value in arguments.items():
         for path, source, _ in varying(value, (name,)):
@@ -51,71 +134,7 @@ def check_fixed(**arguments: Any) -> None:
             )
 
 
-def one_realization(system: System, base: Any, t1: Scalar) -> Any:
-    """`base` as a motion without randomness that covers ``[0, t1]``. Raises ValueError if it is not one."""
-    if isinstance(base, VelocitySteps) and base.durations.ndim != 1:
-        raise ValueError(
-            f"Argument base must be one realisation, but it has durations of shape {base.durations.shape}; "
-            "use jax.vmap over the realisations, or simulate_ensemble."
-        )
-    smooth = excitation_of(base).smooth
-    if is_random(base):
-        raise ValueError(
-            f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
-            "draw one with base.sample(key, t1)."
-        )
-    check_length(system, base, t1)
-    if isinstance(smooth, UserMotion) and not isinstance(base, WithJumps):
-        return smooth
-    return base.sample(None, t1) if isinstance(base, BangBangLaw) else base
-
-
-def check_length(system: System, base: Any, t1: Scalar) -> None:
-    """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
-    if _checks.is_traced(t1):
-        return
-    for name, motion in (("base", base), *(("force", load) for load in system.recorded_loads)):
-        longest = longest_time(motion)
-        if longest < float(t1) * (1 - 1e-12):
-            raise ValueError(
-                f"Argument {name} must last until t1 = {float(t1):g} s, but it ends at {longest:g} s; record more of "
-                "it or choose a smaller t1."
-            )
-
-
-def warn_of_soft_spring(system: System, solver: Any, t1: Scalar) -> None:
-    """Warn where round-off of the position under a force at rest, ``force / stiffness``, hides the motion up to `t1`.
-
-    The motion is of the size ``force t1^2 / (2 mass)``. An integration does not have this round-off.
-    """
-    frequency = system.natural_frequency
-    if frequency is None or solver is not None or not system.has_closed_form:
-        return
-    if _checks.is_traced(frequency) or _checks.is_traced(t1):
-        return
-    lowest, duration = float(np.min(frequency)), float(np.min(t1))
-    if lowest * duration < _LEAST_TURN:
-        warnings.warn(
-            f"The natural period, {2 * np.pi / lowest:.3g} s, is so long beside t1 = {duration:.3g} s that the closed "
-            "form loses digits: its round-off is that of force / stiffness. If there is to be no spring, integrate "
-            "instead: method=Exact(solver=diffrax.Dopri8()).",
-            RuntimeWarning,
-            stacklevel=4,
-        )
-
-
-def checked_step(system: System, base: Any, method: Exact, t1: Scalar, name: str = "base") -> tuple[Excitation, Scalar]:
-    """The `Excitation` made from `base` (the argument called `name`), and the time step (s), at most `t1`."""
-    excitation = excitation_of(base, name)
-    system.check_excitation(excitation)
-    system.check_solver(method.solver)
-    step, horizon = step_for(system, excitation, method), primal_of(t1)
-    if _checks.is_traced(step) or _checks.is_traced(horizon):
-        return excitation, jnp.minimum(step, horizon)
-    return excitation, min(float(step), float(horizon))
-
-
-def working_dtype(*arrays: AnyArray, stacklevel: int = 3):
+def working_dtype(*arrays: AnyArray, stacklevel: int = 3) -> np.dtype:
     """The floating dtype of a simulation; in float32, warns and says how to get float64."""
     dtype = jnp.result_type(float, *arrays)
     if not jax.config.read("jax_enable_x64"):

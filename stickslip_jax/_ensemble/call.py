@@ -21,12 +21,11 @@ from .._dynamics.regularized.lanes import AdaptiveBatch
 from .._dynamics.regularized.settings import as_arrays
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._processor import cores
 from .._statistics.accumulator import Numbering
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Model

@@ -1,6 +1,5 @@
 """The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them."""
 
-import math
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import equinox as eqx
@@ -9,87 +8,82 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._claims import keeps
 from .._numerics.random_bits import key_data_of, random_words
 from .._types import Array, KeyData, Scalar
 from .._uncertainty.sampled_law import SampledLaw, UserLaw
-from .ground import GroundAcceleration, GroundMotion
-from .laws import BangBangLaw
-from .piecewise import VelocitySteps
+from .motion import Motion, Parts, Path
+from .piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from .random import RandomSignal
-from .recorded import Recorded
 from .segments import SegmentLaw
 from .smooth import Signal, UserMotion
-from .voltage import SourceVoltage
 
-_SEGMENTS = "draw", "next_segment"  # a record that is continued by another rule has another length
 _MOTION = 1  # number of the key data of a random motion in segments, among those of the jumps
 
 
-class WithJumps(eqx.Module):
+class WithJumps(Motion):
     """A base velocity that is the sum of a continuous motion and of one that jumps.
 
-    - `motion`: a `Signal` such as `Harmonic`, a `RandomPhase`, a `GaussianProcess`, a `Recorded`, a `SegmentLaw` or a
-      motion of your own.
-    - `jumps`: a law such as `PoissonSwitching`, or a realisation of one.
+    Args:
+        motion: A `Signal` such as `Harmonic`, a `RandomPhase`, a `GaussianProcess`, a `Recorded`, a `SegmentLaw` or a
+            motion of your own.
+        jumps: A law such as `PoissonSwitching`, or a realisation of one.
 
-    Raises ValueError for anything else.
+    Raises:
+        ValueError: For anything else.
     """
 
     motion: Any = eqx.field(converter=lambda v: UserMotion(v) if _is_users(v) else v)
-    jumps: BangBangLaw | VelocitySteps
+    jumps: PiecewiseConstantLaw | VelocitySteps
+    takes_jumps = False
 
     def __check_init__(self):
-        if not isinstance(self.jumps, (BangBangLaw, VelocitySteps)):
+        if not isinstance(self.jumps, (PiecewiseConstantLaw, VelocitySteps)):
             raise ValueError(
                 f"Argument jumps must be a law such as PoissonSwitching, but {_checks.show(self.jumps)} was given."
             )
-        if isinstance(self.motion, (BangBangLaw, VelocitySteps, GroundMotion, WithJumps, SourceVoltage)):
+        if not motion_of(self.motion).takes_jumps:
             raise ValueError(
                 "Argument motion must be a continuous base velocity such as a Harmonic, but "
                 f"{_checks.show(self.motion)} was given."
             )
-        excitation_of(self.motion)
+
+    @property
+    def is_random(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its parts
+        """Whether realisations differ."""
+        return self.motion.is_random or self.jumps.is_random
+
+    def parts(self) -> Parts:
+        smooth, base, *_ = self.motion.parts()
+        base = tuple(_Reseeded(law) if law.is_random else law for law in base)
+        return Parts(smooth, base + self.jumps.parts().base, has_key_per_part=True)
+
+    def path_in_excitation(self, path: Path) -> Path:
+        part, *rest = path
+        if part == "jumps":
+            return "base", -1, *rest
+        is_reseeded = self.motion.is_random and self.motion.parts().base
+        return self.motion.path_in_excitation(("law", *rest) if is_reseeded else tuple(rest))
+
+    @property
+    def covered_time(self) -> float:
+        return self.motion.covered_time
 
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "WithJumps":
         """One realisation that covers ``[0, t1]``; arguments and errors as for the law of the jumps."""
-        if key is None and is_random(self):
+        if key is None and self.is_random:
             raise ValueError("Argument key must be a key such as jax.random.key(0), but None was given.")
+        of_segments, of_signal = (None, None) if key is None else (jax.random.fold_in(key, part) for part in (0, 1))
         motion, jumps = self.motion, self.jumps
-        own = [None, None] if key is None else [jax.random.fold_in(key, part) for part in (0, 1)]
-        if isinstance(motion, RandomSignal) and own[1] is not None:
-            motion = motion.sample(own[1], t1)
-        elif isinstance(motion, SegmentLaw) and motion.is_random and own[0] is not None:
-            motion = motion.sample(jax.random.fold_in(own[0], _MOTION), t1)
-        if isinstance(jumps, BangBangLaw):
-            jumps = jumps.sample(own[0], t1, capacity=capacity)
+        if motion.is_random:
+            is_signal = motion.parts().smooth is not None
+            motion = motion.sample(of_signal if is_signal else jax.random.fold_in(of_segments, _MOTION), t1)
+        if isinstance(jumps, PiecewiseConstantLaw):
+            jumps = jumps.sample(of_segments, t1, capacity=capacity)
         return WithJumps(motion, jumps)
 
 
-class GivenSteps(BangBangLaw):
-    """A realisation of a base velocity that jumps, as a law with this one realisation."""
-
-    steps: VelocitySteps
-    is_random = False
-
-    def capacity(self, t1) -> int:
-        return self.steps.durations.shape[-1]
-
-    def begin(self, key_data, dtype):
-        return ()
-
-    def draw(self, key_data, number, dtype):
-        size = self.steps.durations.shape[-1]
-        here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        duration = jnp.where(number < size, self.steps.durations[here], 0)
-        return duration.astype(dtype), self.steps.velocities[here].astype(dtype)
-
-    def next_interval(self, memory, drawn, dtype):
-        return *drawn, ()
-
-
-class _Apart(SegmentLaw):
-    """A random law that draws from key data of its own, where it is added to another."""
+class _Reseeded(SegmentLaw):
+    """A random law, added to another: it draws from other key data than that."""
 
     law: SegmentLaw
     is_random = True
@@ -114,15 +108,17 @@ class _Apart(SegmentLaw):
 class Excitation(eqx.Module):
     """The parts of a base motion, ground motion or voltage.
 
-    - `smooth`: the smooth part (base velocity or voltage), None if there is none.
-    - `base`: piecewise-linear parts of the base velocity; `ground`: of the ground acceleration.
-    - `parts_differ`: whether each part draws from key data of its own.
+    Attributes:
+        smooth: The smooth part (base velocity or voltage), None if there is none.
+        base: Piecewise-linear parts of the base velocity.
+        ground: Piecewise-linear parts of the ground acceleration.
+        has_key_per_part: Whether each part draws from other key data.
     """
 
     smooth: Signal | RandomSignal | None
     base: tuple[SegmentLaw, ...] = ()
     ground: tuple[SegmentLaw, ...] = ()
-    parts_differ: bool = eqx.field(static=True, default=False)
+    has_key_per_part: bool = eqx.field(static=True, default=False)
 
     @property
     def signal(self) -> Signal | None:
@@ -133,12 +129,12 @@ class Excitation(eqx.Module):
     def realized(self, key_data: KeyData, dtype) -> Signal | None:
         """The smooth part of the realisation that `key_data` draw."""
         if isinstance(self.smooth, RandomSignal):
-            return self.smooth.realized(_part(key_data, 1) if self.parts_differ else key_data, dtype)
+            return self.smooth.realized(_part(key_data, 1) if self.has_key_per_part else key_data, dtype)
         return self.signal
 
     def segment_key_data(self, key_data: KeyData) -> KeyData:
         """The key data for `base` and `ground`."""
-        return _part(key_data, 0) if self.parts_differ else key_data
+        return _part(key_data, 0) if self.has_key_per_part else key_data
 
 
 @runtime_checkable
@@ -152,66 +148,47 @@ class UserBaseMotion(Protocol):
         """Its time derivative, m/s^2."""
 
 
-BaseMotion: TypeAlias = SegmentLaw | VelocitySteps | Signal | RandomSignal | WithJumps | UserBaseMotion | UserLaw
+BaseMotion: TypeAlias = Motion | UserBaseMotion | UserLaw
 """Excitation of a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
 
 
-def excitation_of(base: Any, name: str = "base") -> Excitation:
-    """The parts of `base`, the argument called `name`. Raises ValueError for anything else."""
-    if isinstance(base, VelocitySteps):
-        return Excitation(None, (GivenSteps(base),))
-    if isinstance(base, GroundMotion):
-        return Excitation(None, (), (base,))
-    if isinstance(base, SegmentLaw):
-        return Excitation(None, (base,))
-    if isinstance(base, (Signal, RandomSignal)):
-        return Excitation(base)
-    if isinstance(base, WithJumps):
-        motion, jumps = excitation_of(base.motion), excitation_of(base.jumps)
-        apart = tuple(_Apart(law) if law.is_random else law for law in motion.base)
-        return Excitation(motion.smooth, apart + jumps.base, parts_differ=True)
+def motion_of(base: BaseMotion, name: str = "base") -> Motion:
+    """`base`, the argument called `name`, as a motion of the package. Raises ValueError for anything else."""
+    if isinstance(base, Motion):
+        return base
     if _is_users(base):
-        return Excitation(UserMotion(base))
+        return UserMotion(base)
     raise ValueError(
         f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
         f"and acceleration(t), but {_checks.show(base)} was given."
     )
 
 
-def place_in_excitation(base: BaseMotion, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """Where in ``excitation_of(base)`` the number is that `base` has at `path`."""
-    if isinstance(base, WithJumps):
-        part, *rest = path
-        if part == "jumps":
-            return "base", -1, *rest
-        apart = isinstance(base.motion, SegmentLaw) and base.motion.is_random
-        return place_in_excitation(base.motion, ("law", *rest) if apart else tuple(rest))
-    if isinstance(base, GroundMotion):
-        return "ground", 0, *path
-    if isinstance(base, SegmentLaw):
-        return "base", 0, *path
-    if isinstance(base, (Signal, RandomSignal)):
-        return "smooth", *path
-    return "smooth", "motion", *path  # a user's object, wrapped
+def excitation_of(base: BaseMotion, name: str = "base") -> Excitation:
+    """The parts of `base`, the argument called `name`. Raises ValueError for what is no motion."""
+    return Excitation(*motion_of(base, name).parts())
 
 
-def _is_users(base: Any) -> bool:
-    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal, type))
-    return not known and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
+def path_in_excitation(base: BaseMotion, path: Path) -> Path:
+    """The path in ``excitation_of(base)`` of the number that has the `path` in `base`."""
+    return base.path_in_excitation(path) if isinstance(base, Motion) else ("smooth", "motion", *path)
 
 
-def is_random(base: BaseMotion) -> bool:
+def _is_users(base: object) -> bool:
+    is_other = not isinstance(base, (Motion, type))
+    return is_other and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
+
+
+def is_random(base: BaseMotion | SampledLaw) -> bool:
     """Whether `base` is a law whose realisations differ, so that one must be drawn before `simulate`."""
-    if isinstance(base, WithJumps):
-        return is_random(base.motion) or is_random(base.jumps)
-    return isinstance(base, (RandomSignal, SampledLaw)) or (isinstance(base, SegmentLaw) and base.is_random)
+    return isinstance(base, (Motion, SampledLaw)) and base.is_random
 
 
-def law_of(base: Any) -> Any:
+def law_of(base: BaseMotion) -> BaseMotion | SampledLaw:
     """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
-    known = isinstance(base, (SegmentLaw, VelocitySteps, Signal, RandomSignal, WithJumps, SampledLaw, type))
     draws = callable(getattr(base, "sample", None)) and not hasattr(base, "__array__")  # as tables of pandas do
-    return base if known or _is_users(base) or not draws else SampledLaw(base)
+    is_known = isinstance(base, (Motion, SampledLaw, type)) or _is_users(base)
+    return SampledLaw(base) if draws and not is_known else base
 
 
 def key_data_for(base: BaseMotion, key: Array | None) -> Array:
@@ -224,15 +201,6 @@ def key_data_for(base: BaseMotion, key: Array | None) -> Array:
             "was given."
         )
     return jnp.zeros(2, jnp.uint32)
-
-
-def longest_time(base: BaseMotion) -> float:
-    """Duration of a recorded motion, s; infinity for one that is not recorded, or whose times are traced."""
-    if isinstance(base, WithJumps):
-        return min(longest_time(base.motion), longest_time(base.jumps))
-    record: Any = base
-    times = record.times if any(keeps(base, kind, *_SEGMENTS) for kind in (Recorded, GroundAcceleration)) else None
-    return math.inf if times is None or _checks.is_traced(times) else float(times[-1])
 
 
 def _part(key_data: KeyData, number: int) -> tuple[Array, Array]:

@@ -1,7 +1,8 @@
 """Stationary Gaussian motions with a given power spectrum, as sums of harmonics."""
 
 import math
-from typing import Annotated, Any, ClassVar, NamedTuple
+from types import ModuleType
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 from .. import _checks
 from .._fields import Quantity
 from .._numerics.random_bits import fine_uniform, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, KeyData, Number, Scalar
+from .._types import AnyArray, Array, Float, FloatArray, KeyData, Number, Scalar
 from .random import RandomSignal
 from .smooth import SumOfHarmonics
 from .spectra import PowerSpectrum, spectrum_of
@@ -26,8 +27,8 @@ _STREAM = np.uint32(0xFFFFFF00)  # number of the random words that the key data 
 class _Band(NamedTuple):
     """The parts of the band: their edges, rad/s, (parts + 1,), and the variance of each, (parts,)."""
 
-    edges: Any
-    variances: Any
+    edges: Float[AnyArray, " edges"]
+    variances: Float[AnyArray, " parts"]
 
 
 class GaussianSample(SumOfHarmonics):
@@ -36,7 +37,7 @@ class GaussianSample(SumOfHarmonics):
     The time step follows the cutoff, so that it is the same for all samples.
     """
 
-    cutoff: Any = None
+    cutoff: Number = None
 
     @property
     def shortest_period(self) -> Scalar:
@@ -45,16 +46,6 @@ class GaussianSample(SumOfHarmonics):
 
 class GaussianProcess(RandomSignal):
     """A stationary Gaussian base velocity (or motion in general) with a given power spectrum.
-
-    - `spectrum`: the one-sided power spectral density over angular frequency, m^2/s for a base velocity: a
-      `CloughPenzienSpectrum`, `VelocitySpectrum`, `KanaiTajimiSpectrum`, `TabulatedSpectrum`, or a function of angular
-      frequency (rad/s) that JAX can trace, such as ``lambda w: 0.1 * jnp.exp(-(w**2))``.
-    - `cutoff`: the highest angular frequency, rad/s; the spectrum is cut off there. The time step of a simulation is a
-      fraction of its period, ``2 pi / cutoff``, so let the spectrum have faded there, but no lower.
-    - `rms`: standard deviation, m/s for a base velocity. None (the default) leaves the spectrum as it is, and the
-      variance is its integral up to `cutoff`; a number scales it.
-    - `mean`: the mean, m/s.
-    - `harmonics`: the number of harmonics of a sample, 128 by default.
 
     A sample is ``mean + sum_j a_j cos(w_j t + phase_j)`` with random phases, amplitudes of Rayleigh's distribution, and
     frequencies of which one is drawn, by the density, from each of as many strata of equal variance. So whatever their
@@ -71,8 +62,20 @@ class GaussianProcess(RandomSignal):
     ``sensitivity(..., estimator="finite-difference")``, the default, because phases grow with time and the corrected
     estimator would need narrow windows.
 
-    Raises ValueError for numbers outside these bounds, a spectrum that is negative, zero or infinite, or one that
-    varies so quickly that 1024 parts of the band do not resolve it.
+    Args:
+        spectrum: The one-sided power spectral density over angular frequency, m^2/s for a base velocity: a
+            `CloughPenzienSpectrum`, `VelocitySpectrum`, `KanaiTajimiSpectrum`, `TabulatedSpectrum`, or a function of
+            angular frequency (rad/s) that JAX can trace, such as ``lambda w: 0.1 * jnp.exp(-(w**2))``.
+        cutoff: The highest angular frequency, rad/s; the spectrum is cut off there. The time step of a simulation is a
+            fraction of its period, ``2 pi / cutoff``, so let the spectrum have faded there, but no lower.
+        rms: Standard deviation, m/s for a base velocity. None (the default) leaves the spectrum as it is, and the
+            variance is its integral up to `cutoff`; a number scales it.
+        mean: The mean, m/s.
+        harmonics: The number of harmonics of a sample, 128 by default.
+
+    Raises:
+        ValueError: For numbers outside these bounds, a spectrum that is negative, zero or infinite, or one that varies
+            so quickly that 1024 parts of the band do not resolve it.
     """
 
     spectrum: PowerSpectrum = eqx.field(converter=lambda v: spectrum_of("spectrum", v))
@@ -90,13 +93,13 @@ class GaussianProcess(RandomSignal):
         if self.spectrum.varies or any(map(_checks.is_traced, jax.tree.leaves((self.spectrum, self.cutoff)))):
             return
         with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):  # what is not finite is refused below
-            rough, fine = (np.asarray(self._band(np, rule).variances, float) for rule in _RULES)
+            coarse, fine = (np.asarray(self._band(np, rule).variances, float) for rule in _RULES)
         if not (np.all(np.isfinite(fine)) and np.all(fine >= 0) and fine.sum() > 0):
             raise ValueError(
                 "Argument spectrum must be finite and zero or positive up to the cutoff, and not zero everywhere, but "
                 f"{_checks.show(self.spectrum)} was given."
             )
-        if np.abs(fine - rough).sum() > _LARGEST_ERROR * fine.sum():
+        if np.abs(fine - coarse).sum() > _LARGEST_ERROR * fine.sum():
             raise ValueError(
                 f"Argument spectrum must vary little within a {_PARTS}th of the cutoff, "
                 f"{float(self.cutoff) / _PARTS:.3g} rad/s, and fade towards 0 if it is a VelocitySpectrum, but "
@@ -144,10 +147,10 @@ class GaussianProcess(RandomSignal):
         return math.ceil(float(jnp.sum(variances) ** 2 / squared) * float(t1) / math.pi)
 
     def realized(self, key_data: KeyData, dtype) -> GaussianSample:
-        own, number = random_words(key_data, jnp.asarray(_STREAM)), self.harmonics
+        words, number = random_words(key_data, jnp.asarray(_STREAM)), self.harmonics
         strata = jnp.arange(number, dtype=jnp.uint32)
-        for_amplitude = fine_uniform(*random_words(own, 2 * strata), dtype)
-        for_phase, inside = (uniform(words, dtype) for words in random_words(own, 2 * strata + np.uint32(1)))
+        for_amplitude = fine_uniform(*random_words(words, 2 * strata), dtype)
+        for_phase, inside = (uniform(bits, dtype) for bits in random_words(words, 2 * strata + np.uint32(1)))
         edges, variances = self._band(jnp)
         below = jnp.concatenate([jnp.zeros(1, variances.dtype), jnp.cumsum(variances)])
         share = (strata.astype(dtype) + inside) / number
@@ -163,7 +166,7 @@ class GaussianProcess(RandomSignal):
         """The integral of the spectrum up to the cutoff."""
         return jnp.sum(self._band(jnp).variances)
 
-    def _band(self, numpy: Any, rule: tuple[np.ndarray, np.ndarray] = _RULES[0]) -> _Band:
+    def _band(self, numpy: ModuleType, rule: tuple[np.ndarray, np.ndarray] = _RULES[0]) -> _Band:
         """The parts of the band, integrated by the `rule` on [0, 1] with the functions of `numpy`, NumPy or JAX."""
         edges = self.spectrum.edges(self.cutoff, _PARTS, numpy)
         begins, widths = edges[:-1], edges[1:] - edges[:-1]

@@ -1,5 +1,6 @@
 """Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
 
+import math
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -8,9 +9,9 @@ import jax.numpy as jnp
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, Array, FloatArray
+from .._types import AnyArray, Float, FloatArray
 from .recorded import Recorded, check_times
-from .segments import GivenSegments, SegmentLaw
+from .segments import GivenSegments, PerSegment, SegmentLaw
 
 
 class GroundMotion(SegmentLaw):
@@ -20,9 +21,11 @@ class GroundMotion(SegmentLaw):
     acceleration of the ground acts as the force ``-mass * acceleration``.
     """
 
+    part_of_excitation = "ground"
     jumps = False
+    takes_jumps = False
 
-    def realization(self, durations: Array, values: Array, slopes: Array) -> SegmentLaw:
+    def realization(self, durations: PerSegment, values: PerSegment, slopes: PerSegment) -> SegmentLaw:
         """The realisation with these segments, arrays (segments,)."""
         return GroundSegments(durations, values, slopes, may_jump=False)
 
@@ -38,19 +41,22 @@ class GroundSegments(GivenSegments, GroundMotion):  # pyright: ignore[reportInco
 class GroundAcceleration(GroundMotion):
     """A recorded ground acceleration, linear in time between the points of the record.
 
-    - `times`: s, increasing, the first one 0, (points,), at least 2.
-    - `accelerations`: m/s^2, as many.
+    Args:
+        times: s, increasing, the first one 0, (points,), at least 2.
+        accelerations: m/s^2, as many.
 
-    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    Raises:
+        ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "times")
     )
-    accelerations: Annotated[AnyArray, Quantity("m/s^2", ndim=1)] = eqx.field(
+    accelerations: Annotated[Float[AnyArray, " points"], Quantity("m/s^2", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
+    rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
@@ -61,15 +67,16 @@ class GroundAcceleration(GroundMotion):
         """Duration of the record, s: the last of `times`."""
         return self.times[-1]
 
+    @property
+    def covered_time(self) -> float:
+        return math.inf if _checks.is_traced(self.times) else float(self.times[-1])
+
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.accelerations))
 
     def segments(self, t1) -> int:
         return len(self.times)
-
-    def begin(self, key_data, dtype):
-        return ()
 
     def draw(self, key_data, number, dtype):
         return Recorded(self.times, self.accelerations).draw(key_data, number, dtype)

@@ -8,19 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._fields import Quantity
 from .._numerics.elementary import log, sincos
-from .._numerics.known import NotKnown, largest, smallest
+from .._numerics.known import largest, smallest
 from .._numerics.random_bits import key_data_of, random_words, uniform
 from .._types import AnyArray, Array, FloatArray, Number, Scalar
 from .ground import GroundAcceleration, GroundMotion
+from .segments import BEGINNING, LARGEST_CAPACITY, known_number
 
-LARGEST_NUMBER_OF_POINTS = 2**31
-"""Samples of one realisation are numbered in 32 bits."""
-_BEGINNING = np.uint32(0xFFFFFFFF)  # number of the random words that the beginning of a realisation is drawn from
 # Gauss-Legendre nodes and weights on [-1, 1]: exact to rounding for the integrands of `_step`, over one radian or less.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
@@ -34,21 +31,27 @@ class KanaiTajimi(GroundMotion):
     relative to the surface, ``x'' + 2 ground_damping ground_frequency x' + ground_frequency^2 x = w``, and the surface
     accelerates by ``ground_frequency^2 x + 2 ground_damping ground_frequency x'``, positive in the direction of w.
 
-    - `rms`: standard deviation of the acceleration while the envelope is 1, m/s^2. At every time t the standard
-      deviation is ``rms * envelope(t)``.
-    - `ground_frequency`: angular frequency of the layer, rad/s. `ground_damping`: its damping ratio, between 0 and 1.
-      The defaults, 5 pi rad/s and 0.6, are the usual ones for firm soil.
-    - `rise`, `plateau` (s) and `decay` (1/s): the envelope is ``(t / rise)^2`` up to `rise`, then 1 for `plateau`, then
-      ``exp(-decay (t - rise - plateau))`` (Jennings, Housner and Tsai 1968). `decay` may be 0.
-    - `interval`: time between samples, s, at most ``1 / ground_frequency``. The samples have exactly the covariance of
-      the continuous motion, times the envelope; between them the acceleration is linear in time.
+    The envelope is ``(t / rise)^2`` up to `rise`, then 1 for `plateau`, then ``exp(-decay (t - rise - plateau))``
+    (Jennings, Housner and Tsai 1968).
 
     The layer is already in its stationary motion at t = 0, where the envelope is 0: so the acceleration begins with 0,
     and its standard deviation is known at every time. The normal deviates behind each step end at 6.8 (5.8 in float32)
     standard deviations. The spectrum does not vanish at frequency 0, so the ground's own velocity and displacement
     drift; motion relative to the ground is not affected.
 
-    Raises ValueError for numbers outside these bounds.
+    Args:
+        rms: Standard deviation of the acceleration while the envelope is 1, m/s^2. At every time t the standard
+            deviation is ``rms * envelope(t)``.
+        ground_frequency: Angular frequency of the layer, rad/s; the default, 5 pi, is usual for firm soil.
+        ground_damping: Its damping ratio, between 0 and 1; the default, 0.6, is usual for firm soil.
+        rise: Of the envelope, s.
+        plateau: Of the envelope, s; may be 0.
+        decay: Of the envelope, 1/s; may be 0.
+        interval: Time between samples, s, at most ``1 / ground_frequency``. The samples have exactly the covariance of
+            the continuous motion, times the envelope; between them the acceleration is linear in time.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
 
     rms: Annotated[Number, Quantity("m/s^2", "standard deviation of the ground's acceleration at its height", above=0)]
@@ -106,7 +109,7 @@ class KanaiTajimi(GroundMotion):
         return math.ceil(largest(t1) / smallest(self.interval)) + 1
 
     def begin(self, key_data, dtype) -> Memory:
-        return *_normal_pair(key_data, jnp.asarray(_BEGINNING), dtype), jnp.zeros((), dtype)
+        return *_normal_pair(key_data, jnp.asarray(BEGINNING), dtype), jnp.zeros((), dtype)
 
     def draw(self, key_data, number, dtype):
         # Differences of the sampling times, not the interval: added up, they stay on those times even in float32.
@@ -133,30 +136,30 @@ class KanaiTajimi(GroundMotion):
     ) -> GroundAcceleration:
         """One realisation that covers ``[0, t1]``: the motion that a simulation of this law draws from the same key.
 
-        - `key`: a key from ``jax.random.key(seed)``. `t1`: duration to cover, s.
-        - `points`: number of samples, `interval` apart from t = 0; by default as many as cover `t1`. More continue the
-          same motion. They must be given under ``jit`` or ``grad`` when `t1` or the law's `interval` is traced.
+        Args:
+            key: A key from ``jax.random.key(seed)``.
+            t1: Duration to cover, s.
+            points: Number of samples, `interval` apart from t = 0; by default as many as cover `t1`. More continue the
+                same motion. They must be given under ``jit`` or ``grad`` when `t1` or the law's `interval` is traced.
 
-        Raises ValueError for an unsuitable key, a `t1` that is not positive or is too long, fewer than 2 points.
+        Raises:
+            ValueError: For an unsuitable key, a `t1` that is not positive or is too long, fewer than 2 points.
         """
         _checks.positive("t1", t1, "s")
         if points is None:
             points = self._points(t1)
-        if _checks.whole_number("points", points, minimum=2) > LARGEST_NUMBER_OF_POINTS:
-            raise ValueError(f"Argument points must be at most {LARGEST_NUMBER_OF_POINTS}, but {points} was given.")
+        if _checks.whole_number("points", points, minimum=2) > LARGEST_CAPACITY:
+            raise ValueError(f"Argument points must be at most {LARGEST_CAPACITY}, but {points} was given.")
         return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
 
     def _points(self, t1: Scalar) -> int:
-        try:
-            samples = largest(t1) / smallest(self.interval)
-        except (ConcretizationTypeError, NotKnown):
+        enough = "about t1 / interval + 2 are enough"
+        samples = known_number(
+            lambda t1: largest(t1) / smallest(self.interval), t1, enough, "points", "law's interval is"
+        )
+        if samples > LARGEST_CAPACITY - 2:
             raise ValueError(
-                "Argument points must be given when t1 or the law's interval is traced by a JAX transformation (their "
-                "values are not known then); about t1 / interval + 2 are enough."
-            ) from None
-        if samples > LARGEST_NUMBER_OF_POINTS - 2:
-            raise ValueError(
-                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_NUMBER_OF_POINTS} samples, "
+                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} samples, "
                 f"{self.interval} s apart."
             )
         # Both ends, and one to spare: rounded, the last sampling time may lie just short of t1.

@@ -1,27 +1,32 @@
 """A user's law of piecewise-constant base velocity as the engines need it: neighbouring velocities differ."""
 
-from typing import Any
+from typing import TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import PyTree
 
 from .._fields import is_of_package
-from .._types import Scalar
-from .excitation import WithJumps
-from .laws import BangBangLaw, Interval
-from .sound import marked
+from .._types import FloatScalar, KeyData, Scalar, Word
+from .excitation import BaseMotion, WithJumps
+from .interval_checks import marked
+from .motion import Path
+from .piecewise_constant import Interval, PiecewiseConstantLaw
+
+_Present: TypeAlias = tuple[PyTree, Word, FloatScalar, FloatScalar]
+"""The memory of a law after an interval, the number of the next one, and the duration and velocity of the interval."""
 
 
-class Merged(BangBangLaw):
+class Merged(PiecewiseConstantLaw):
     """The same realisations as those of `law`, until `t1` (s); neighbours of equal velocity are one interval.
 
     An impossible interval has the duration NaN; after it, and after one of duration 0, there are no more. Only laws of
     users need it: those of the package never repeat a velocity.
     """
 
-    law: BangBangLaw
+    law: PiecewiseConstantLaw
     t1: Scalar
 
     @property
@@ -33,15 +38,16 @@ class Merged(BangBangLaw):
         return self.law.capacity(t1)
 
     def begin(self, key_data, dtype):
-        """Memory: the law's, the number of its next interval, and when the present one begins, its length and
-        velocity: it is looked at before it is given.
+        """Memory: the law's, the number of its next interval, and the length and velocity of the present one, which is
+        drawn one step ahead; and when that begins.
         """
         nothing = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)
         first = self._following(key_data, (self.law.begin(key_data, dtype), jnp.zeros((), jnp.uint32), *nothing), dtype)
         return first, jnp.zeros((), dtype)
 
     def draw(self, key_data, number, dtype):
-        return jnp.asarray(key_data[0]), jnp.asarray(key_data[1])  # the number does not say which intervals were joined
+        # Which of the law's intervals come next is in the memory, for some may have been joined.
+        return jnp.asarray(key_data[0]), jnp.asarray(key_data[1])
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         present, began = memory
@@ -56,11 +62,11 @@ class Merged(BangBangLaw):
             return self._following(drawn, following, dtype), total + following[2]
 
         following, total = lax.while_loop(repeats, join, (self._following(drawn, present, dtype), duration))
-        # What comes after the horizon is not looked at: it may be impossible.
+        # Intervals after the horizon are not checked: they may be impossible.
         counts = began < self.t1
         return jnp.where(counts, total, jnp.inf), jnp.where(counts, velocity, 0), (following, began + total)
 
-    def _following(self, key_data: Any, present: Any, dtype) -> Any:
+    def _following(self, key_data: KeyData, present: _Present, dtype: np.dtype) -> _Present:
         """The law's memory, number, duration and velocity after the interval with the `present` ones."""
         memory, number, duration, _ = present
         more, velocity, memory = self.law.next_interval(memory, self.law.draw(key_data, number, dtype), dtype)
@@ -68,17 +74,17 @@ class Merged(BangBangLaw):
         return memory, number + np.uint32(1), jnp.where(duration > 0, marked(more, velocity), 0), velocity
 
 
-def merged(base: Any, t1: Scalar) -> Any:
+def merged(base: BaseMotion, t1: Scalar) -> BaseMotion:
     """`base`, in which a law of the user's that jumps is `Merged`."""
     if isinstance(base, WithJumps):
         jumps = merged(base.jumps, t1)
         return base if jumps is base.jumps else eqx.tree_at(lambda whole: whole.jumps, base, jumps)
-    is_theirs = isinstance(base, BangBangLaw) and not is_of_package(base)
+    is_theirs = isinstance(base, PiecewiseConstantLaw) and not is_of_package(base)
     return Merged(base, t1) if is_theirs else base
 
 
-def place_in_merged(base: Any, path: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """Where in ``merged(base, t1)`` the number is that `base` has at `path`."""
+def path_in_merged(base: BaseMotion, path: Path) -> Path:
+    """The path in ``merged(base, t1)`` of the number that has the `path` in `base`."""
     if isinstance(base, WithJumps) and path[:1] == ("jumps",):
-        return "jumps", *place_in_merged(base.jumps, path[1:])
+        return "jumps", *path_in_merged(base.jumps, path[1:])
     return ("law", *path) if merged(base, 0.0) is not base else path

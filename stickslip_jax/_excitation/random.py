@@ -1,8 +1,7 @@
-"""Random signals, among them random phases; the type of initial states."""
+"""Random signals, among them random phases."""
 
 import abc
-from collections.abc import Sequence
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,16 +10,18 @@ import numpy as np
 from .. import _checks
 from .._fields import Checked
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, KeyData, Number, Scalar
+from .._types import Array, KeyData, Scalar
+from .motion import Motion
 from .smooth import Harmonic, Signal, SumOfHarmonics
 from .voltage import SourceVoltage
 
 _FIRST_PHASE = 0xFFFFFF00  # number of the random word that the first phase is drawn from
 
 
-class RandomSignal(Checked):
+class RandomSignal(Checked, Motion):
     """Base class of smooth random functions of time: each realisation is a `Signal`."""
 
+    is_random = True
     rests_on: ClassVar = {"shortest_period": ("realized",)}
 
     @abc.abstractmethod
@@ -40,8 +41,12 @@ class RandomSignal(Checked):
 class RandomPhase(RandomSignal):
     """A signal whose phase is uniform on ``[0, 2 pi]``; each harmonic of a sum has its own, independent of the others.
 
-    `signal`: a `Harmonic`, a `SumOfHarmonics` or a `SourceVoltage` (Lima and Sampaio 2022, section 6); its own phases
-    are ignored. Raises ValueError for anything else.
+    Args:
+        signal: A `Harmonic`, a `SumOfHarmonics` or a `SourceVoltage` (Lima and Sampaio 2022, section 6); its phases are
+            not used.
+
+    Raises:
+        ValueError: For anything else.
     """
 
     signal: Signal
@@ -66,12 +71,6 @@ class RandomPhase(RandomSignal):
             return eqx.tree_at(lambda signal: signal.phases, self.signal, phases, is_leaf=lambda leaf: leaf is None)
         phase = _angle(random_words(key_data, jnp.asarray(_FIRST_PHASE, jnp.uint32))[0], dtype)
         return eqx.tree_at(lambda signal: signal.phase, self.signal, phase)
-
-
-InitialState: TypeAlias = Sequence[Number] | AnyArray
-"""An initial state: a number for each coordinate of the system; in ensembles also an array (samples,) or a distribution
-of it, or an array (samples, coordinates) of all.
-"""
 
 
 def _angle(key_data: Array, dtype) -> Array:

@@ -6,9 +6,10 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from .. import _checks
 from .ground import GroundAcceleration
@@ -38,18 +39,28 @@ def read_csv(
     scale: float = 1.0,
     delimiter: str | None = ",",
     shift: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times (s) and values of a record in a text file, one sample a line, both (points,), float64.
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+    """Times and values of a record in a text file, one sample a line.
 
-    - `time_column`, `value_column`: numbers of the columns, counted from 0, or their names in the header row. The first
-      row is a header if it has no number in either column. Blank lines, and lines that begin with ``#``, do not count.
-    - `scale`: what the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2. Times must be in s.
-    - `delimiter`: the character between columns; None for any white space.
-    - `shift`: subtract the first time from all; without it, the first time must be 0.
+    The first row is a header if it has no number in either column. Blank lines, and lines that begin with ``#``, do not
+    count.
 
-    Raises ValueError for arguments outside these bounds and, with the number of the line, for a file that is empty, has
-    rows of different lengths or too few columns, entries that are not finite numbers, or times that do not increase;
-    OSError for a file that is missing or cannot be read.
+    Args:
+        path: Name of the file.
+        time_column: Number of the column of times, counted from 0, or its name in the header row. Times must be in s.
+        value_column: Number or name of the column of values.
+        scale: What the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2.
+        delimiter: The character between columns; None for any white space.
+        shift: Subtract the first time from all; without it, the first time must be 0.
+
+    Returns:
+        Times (s) and values, both (points,), float64.
+
+    Raises:
+        ValueError: For arguments outside these bounds and, with the number of the line, for a file that is empty, has
+            rows of different lengths or too few columns, entries that are not finite numbers, or times that do not
+            increase.
+        OSError: For a file that is missing or cannot be read.
     """
     _check_column("time_column", time_column)
     _check_column("value_column", value_column)
@@ -92,7 +103,7 @@ def read_recorded_csv(
 
     Arguments and errors of `read_csv`.
     """
-    columns: dict[str, Any] = {"time_column": time_column, "value_column": value_column}
+    columns = {"time_column": time_column, "value_column": value_column}
     return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
 
 
@@ -109,22 +120,25 @@ def read_acceleration_csv(
 
     Arguments and errors of `read_csv`.
     """
-    columns: dict[str, Any] = {"time_column": time_column, "value_column": value_column}
+    columns = {"time_column": time_column, "value_column": value_column}
     return GroundAcceleration(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
 
 
 def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> GroundAcceleration:
     """A ground acceleration from an AT2 file of the PEER NGA database, in m/s^2.
 
-    - `g`: m/s^2 in one unit of the file.
-
     The header states that the record is an acceleration in units of g; its last line gives the number of samples and
     the time between them (s), as ``NPTS= 5372, DT= .0050 SEC`` or ``5372 0.0050 NPTS, DT``. The samples follow, any
     number a line.
 
-    Raises ValueError for a `g` that is not positive, and for a file that is empty, has no such header, holds
-    another quantity or unit, another number of samples, or an entry that is not a finite number (with its line);
-    OSError for a file that is missing or cannot be read.
+    Args:
+        path: Name of the file.
+        g: m/s^2 in one unit of the file.
+
+    Raises:
+        ValueError: For a `g` that is not positive, and for a file that is empty, has no such header, holds another
+            quantity or unit, another number of samples, or an entry that is not a finite number (with its line).
+        OSError: For a file that is missing or cannot be read.
     """
     _checks.positive("g", g, "m/s^2")
     path = _checks.path("path", path, "the name of a file")
@@ -208,7 +222,7 @@ def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
     return rows
 
 
-def _check_column(name: str, column: Any) -> None:
+def _check_column(name: str, column: object) -> None:
     whole = isinstance(column, (int, np.integer)) and not isinstance(column, bool)
     if not isinstance(column, str) and not (whole and column >= 0):
         raise ValueError(
@@ -242,7 +256,7 @@ def _is_number(entry: str) -> bool:
     return "_" not in entry  # Python reads 1_000 as a number
 
 
-def _finite(file: str, entries: Iterable[tuple[int, str]]) -> np.ndarray:
+def _finite(file: str, entries: Iterable[tuple[int, str]]) -> Float[np.ndarray, " points"]:
     """The entries as numbers."""
     numbers = []
     for line, entry in entries:
@@ -255,7 +269,7 @@ def _finite(file: str, entries: Iterable[tuple[int, str]]) -> np.ndarray:
     return np.array(numbers, float)
 
 
-def _check_times(file: str, times: np.ndarray, lines: list[int], shift: bool) -> None:
+def _check_times(file: str, times: Float[np.ndarray, " points"], lines: list[int], shift: bool) -> None:
     if len(times) < 2:
         raise _unsuitable("at least 2 samples", f"{file} has {len(times)}")
     falls = np.diff(times) <= 0

@@ -1,5 +1,6 @@
 """Recorded motions: values at given times, joined by straight lines."""
 
+import math
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, FloatArray
+from .._types import AnyArray, Float, FloatArray
 from .segments import SegmentLaw
 from .smooth import SIGNAL_UNIT
 
@@ -17,22 +18,25 @@ from .smooth import SIGNAL_UNIT
 class Recorded(SegmentLaw):
     """A recorded base velocity or force, linear in time between the points of the record.
 
-    - `times`: s, increasing, the first one 0, (points,), at least 2.
-    - `values`: as many; m/s for a base velocity, N for a force.
-
     The acceleration of a base whose velocity is linear between points jumps at each point. Short slips there
     may interrupt a stick that friction can just hold: there are then more and shorter sticks than on a smooth base.
 
-    Raises ValueError for times that do not increase from 0, different lengths, or numbers that are not finite.
+    Args:
+        times: s, increasing, the first one 0, (points,), at least 2.
+        values: As many; m/s for a base velocity, N for a force.
+
+    Raises:
+        ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[AnyArray, Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "times")
     )
-    values: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+    values: Annotated[Float[AnyArray, " points"], Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "values")
     )
     is_random = False
+    rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"value": ("draw", "next_segment")}
     jumps = False
 
@@ -44,15 +48,16 @@ class Recorded(SegmentLaw):
         """Duration of the record, s: the last of `times`."""
         return self.times[-1]
 
+    @property
+    def covered_time(self) -> float:
+        return math.inf if _checks.is_traced(self.times) else float(self.times[-1])
+
     def value(self, t: AnyArray | float) -> FloatArray:
         """The signal at times `t` (s, any shape)."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.values))
 
     def segments(self, t1) -> int:
         return len(self.times)
-
-    def begin(self, key_data, dtype):
-        return ()
 
     def draw(self, key_data, number, dtype):
         times, values = jnp.asarray(self.times, dtype), jnp.asarray(self.values, dtype)

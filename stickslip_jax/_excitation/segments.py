@@ -7,7 +7,7 @@ length, and an ensemble can draw segments while it simulates.
 import abc
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,18 +15,25 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.errors import ConcretizationTypeError
+from jaxtyping import PyTree, UInt32
 
 from .. import _checks
 from .._fields import Checked
+from .._numerics.known import NotKnown
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, FloatArray, KeyData, Scalar
-from .sound import check_drawn
+from .._types import AnyArray, Array, BoolScalar, Float, FloatArray, FloatScalar, IntArray, KeyData, Scalar, Word
+from .interval_checks import check_drawn
+from .motion import Motion
 
 LARGEST_CAPACITY = 2**31
 """Segments of one realisation are numbered in 32 bits."""
 BEGINNING = np.uint32(0xFFFFFFFF)
 """Number of the random words that the beginning of a realisation is drawn from."""
 _MOST_DOUBLINGS = 6  # of the number of segments, before a realisation is left too short
+
+
+N = TypeVar("N", int, float)
+PerSegment: TypeAlias = Float[Array, " segments"]
 
 
 class Segment(NamedTuple):
@@ -38,17 +45,21 @@ class Segment(NamedTuple):
     slope: FloatArray
 
 
+DrawnSegment: TypeAlias = tuple[FloatScalar, FloatScalar, FloatScalar, PyTree]
+"""Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next."""
+
+
 class SegmentState(NamedTuple):
     """The present segment of one realisation, and what the next follows from; `spent` after the last one."""
 
-    key_data: tuple[Array, Array]
-    number: Array
-    memory: Any
+    key_data: tuple[Word, Word]
+    number: Word
+    memory: PyTree
     segment: Segment
-    spent: Array
+    spent: BoolScalar
 
 
-class SegmentLaw(Checked):
+class SegmentLaw(Checked, Motion):
     """Base class of the laws of piecewise-linear base velocity. Subclass it to write one of your own.
 
     Segment number i is computed from the key, i, and a memory of the segments before it: so a realisation has no fixed
@@ -80,28 +91,31 @@ class SegmentLaw(Checked):
         ss.simulate_ensemble(system, law, t1=100.0, samples=1000, key=jax.random.key(0))
         ss.simulate(system, law.sample(jax.random.key(0), 100.0), t1=100.0)
 
-    Class attributes: `is_random`, whether realisations differ; `jumps`, whether the velocity (m/s) jumps between
-    segments: a stick on a base whose velocity jumps ends there. For piecewise-constant velocity subclass
-    `BangBangLaw`, which is simulated in closed form, for ground accelerations `GroundMotion`.
+    For piecewise-constant velocity subclass `PiecewiseConstantLaw`, which is simulated in closed form, for ground
+    accelerations `GroundMotion`.
+
+    Attributes:
+        is_random: Whether realisations differ.
+        jumps: Whether the velocity (m/s) jumps between segments: a stick on a base whose velocity jumps ends there.
     """
 
-    is_random: ClassVar[bool]
+    part_of_excitation = "base"
     jumps: ClassVar[bool]
 
     @abc.abstractmethod
     def segments(self, t1: Scalar) -> int:
         """The number of segments that nearly every realisation on ``[0, t1]`` needs at most; `t1` (s) is not traced."""
 
-    @abc.abstractmethod
-    def begin(self, key_data: KeyData, dtype) -> Any:
-        """The memory before the first segment, drawn by the key data: an array or a tuple of arrays, or ``()``."""
+    def begin(self, key_data: KeyData, dtype: np.dtype) -> PyTree:
+        """The memory before the first segment, drawn by the key data: an array or a tuple of arrays. Default: none."""
+        return ()
 
     @abc.abstractmethod
-    def draw(self, key_data: KeyData, number: Array, dtype) -> Any:
+    def draw(self, key_data: KeyData, number: Word, dtype: np.dtype) -> PyTree:
         """What is random (or looked up) about segment `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
-    def next_segment(self, memory: Any, drawn: Any, dtype) -> tuple[FloatArray, FloatArray, FloatArray, Any]:
+    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: np.dtype) -> DrawnSegment:
         """Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next.
 
         A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
@@ -109,7 +123,7 @@ class SegmentLaw(Checked):
         """
 
     @staticmethod
-    def uniforms(key_data: KeyData, number: Array | None, dtype) -> tuple[FloatArray, FloatArray]:
+    def uniforms(key_data: KeyData, number: Word | None, dtype: np.dtype) -> tuple[FloatScalar, FloatScalar]:
         """Two independent random numbers, uniform on (0, 1), for segment `number`; None: for `begin`.
 
         A `RandomNumber` makes others of them: ``ss.Weibull(2.0, 1.5).icdf(u)``. To draw more than two, or by other
@@ -118,22 +132,29 @@ class SegmentLaw(Checked):
         high, low = random_words(key_data, jnp.asarray(BEGINNING if number is None else number))
         return uniform(high, dtype), uniform(low, dtype)
 
-    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> Any:
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "Motion":
         """One realisation that covers ``[0, t1]``, for `simulate`; a law without randomness is its own.
 
-        - `key`: a key from ``jax.random.key(seed)``; None for a law without randomness. `t1`: duration to cover, s.
-        - `capacity`: number of segments of the realisation. By default enough for it, or under ``vmap`` over keys what
-          `segments` says; where that is too few, `simulate` reports ``Status.BASE_TOO_SHORT``. It must be given under
-          ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
+        Args:
+            key: A key from ``jax.random.key(seed)``; None for a law without randomness.
+            t1: Duration to cover, s.
+            capacity: Number of segments of the realisation. By default enough for it, or under ``vmap`` over keys what
+                `segments` says; where that is too few, `simulate` reports ``Status.BASE_TOO_SHORT``. It must be given
+                under ``jit`` or ``grad`` when `t1` or the law's parameters are traced.
 
-        Returns `VelocitySegments`. Raises ValueError for a missing or unsuitable key, a `t1` that is not positive, a
-        capacity below 1, and segments of a law of your own that cannot be.
+        Returns:
+            `VelocitySegments`.
+
+        Raises:
+            ValueError: For a missing or unsuitable key, a `t1` that is not positive, a capacity below 1, and impossible
+                segments of a law of your own.
         """
         _checks.positive("t1", t1, "s")
         if not self.is_random:
             return self
         key_data, dtype = self.key_data(key), jnp.result_type(float)
-        size = checked_capacity(capacity if capacity is not None else _known_capacity(self, t1, self.segments))
+        advice = f"find one with {type(self).__name__}(...).segments(t1)"
+        size = checked_capacity(known_number(self.segments, t1, advice) if capacity is None else capacity)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             if _lasts(drawn[0], t1):
@@ -143,11 +164,11 @@ class SegmentLaw(Checked):
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
-    def realization(self, durations: Array, values: Array, slopes: Array) -> "SegmentLaw":
+    def realization(self, durations: PerSegment, values: PerSegment, slopes: PerSegment) -> "SegmentLaw":
         """The realisation with these segments, arrays (segments,)."""
         return VelocitySegments(durations, values, slopes, self.jumps)
 
-    def key_data(self, key: Array | None) -> Array:
+    def key_data(self, key: Array | None) -> UInt32[Array, "2"]:
         """The two 32-bit words of `key`; zeros for a law without randomness. Raises ValueError for a missing key."""
         if not self.is_random:
             return jnp.zeros(2, jnp.uint32)
@@ -159,9 +180,23 @@ class SegmentLaw(Checked):
         return key_data_of(key)
 
 
-def _as_truth(may_jump: Any) -> bool:
+def _as_truth(may_jump: object) -> bool:
     _checks.truth("may_jump", may_jump)
     return bool(may_jump)
+
+
+def begins_of(durations: Float[AnyArray, "*batch segments"]) -> Float[Array, "*batch segments"]:
+    """Times at which the segments begin that follow one another from t = 0, s."""
+    durations = jnp.asarray(durations)
+    zero = jnp.zeros_like(durations[..., :1])
+    return jnp.concatenate([zero, jnp.cumsum(durations, axis=-1)[..., :-1]], axis=-1)
+
+
+def index_at(durations: Float[AnyArray, " segments"], t: AnyArray | float) -> IntArray:
+    """Which of these segments holds at times `t` (s, any shape); at the instant between two, the second."""
+    # Unused segments are moved to infinity, so that the search skips them.
+    begins = jnp.where(durations > 0, begins_of(durations), jnp.inf)
+    return jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
 
 
 class GivenSegments(SegmentLaw):
@@ -171,9 +206,9 @@ class GivenSegments(SegmentLaw):
     whether the value jumps between them.
     """
 
-    durations: AnyArray = eqx.field(converter=partial(_checks.jax_array, "durations"))
-    values: AnyArray = eqx.field(converter=partial(_checks.jax_array, "values"))
-    slopes: AnyArray = eqx.field(converter=partial(_checks.jax_array, "slopes"))
+    durations: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "durations"))
+    values: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "values"))
+    slopes: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "slopes"))
     may_jump: bool = eqx.field(static=True, default=True, converter=_as_truth)
     is_random = False
     only_with: ClassVar = {"value": ("draw", "next_segment")}
@@ -201,31 +236,23 @@ class GivenSegments(SegmentLaw):
             _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
     @property
-    def times(self) -> Array:
+    def times(self) -> PerSegment:
         """Times at which the segments begin, s, (segments,)."""
-        durations = jnp.asarray(self.durations)
-        zero = jnp.zeros_like(durations[..., :1])
-        return jnp.concatenate([zero, jnp.cumsum(durations, axis=-1)[..., :-1]], axis=-1)
+        return begins_of(self.durations)
 
-    def value(self, t: AnyArray | float) -> Array:
+    def value(self, t: AnyArray | float) -> FloatArray:
         """The value at times `t` (s, any shape); at a jump, the one after it. One realisation only."""
-        # Unused segments are moved to infinity, so that the search skips them.
-        begins = jnp.where(self.durations > 0, self.times, jnp.inf)
-        here = jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
+        here = index_at(self.durations, t)
         return jnp.asarray(self.values)[here] + jnp.asarray(self.slopes)[here] * (t - self.times[here])
 
     def segments(self, t1) -> int:
         return np.shape(self.durations)[-1]
 
-    def begin(self, key_data, dtype):
-        return ()
-
     def draw(self, key_data, number, dtype):
         size = np.shape(self.durations)[-1]
         here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        duration, value, slope = (
-            jnp.asarray(array, dtype)[here] for array in (self.durations, self.values, self.slopes)
-        )
+        arrays = (self.durations, self.values, self.slopes)
+        duration, value, slope = (jnp.asarray(array, dtype)[here] for array in arrays)
         return jnp.where(number < size, duration, 0), value, slope
 
     def next_segment(self, memory, drawn, dtype):
@@ -235,30 +262,30 @@ class GivenSegments(SegmentLaw):
 class VelocitySegments(GivenSegments):
     """One realisation of a piecewise-linear base velocity, ``values[i] + slopes[i] (t - times[i])``.
 
-    - `durations` (s), `values` (m/s, at the beginning of each segment) and `slopes` (m/s^2): arrays (segments,). The
-      segments follow one another from t = 0; unused ones at the end have duration 0.
-    - `may_jump`: whether the velocity jumps between segments, which ends a stick.
+    The segments follow one another from t = 0; unused ones at the end have duration 0. The ``sample`` method of a
+    `SegmentLaw` makes them; for a record of your own use `Recorded`.
 
-    The ``sample`` method of a `SegmentLaw` makes them; for a record of your own use `Recorded`. Raises ValueError for
-    arrays of different shapes, negative durations, and numbers that are not finite.
+    Args:
+        durations: s, (segments,).
+        values: At the beginning of each segment, m/s, (segments,).
+        slopes: m/s^2, (segments,).
+        may_jump: Whether the velocity jumps between segments, which ends a stick.
+
+    Raises:
+        ValueError: For arrays of different shapes, negative durations, and numbers that are not finite.
     """
 
 
-def first_segment(law: SegmentLaw, key_data: KeyData, dtype) -> SegmentState:
+def first_segment(law: SegmentLaw, key_data: KeyData, dtype: np.dtype) -> SegmentState:
     """The first segment of the realisation that `key_data` draw."""
     zero = jnp.zeros((), dtype)
     memory = law.begin(key_data, dtype)
-    segment_state = SegmentState(
-        (key_data[0], key_data[1]),
-        jnp.zeros((), jnp.uint32),
-        memory,
-        Segment(zero, zero, zero, zero),
-        jnp.zeros((), bool),
-    )
+    words, none, before = (key_data[0], key_data[1]), jnp.zeros((), jnp.uint32), Segment(zero, zero, zero, zero)
+    segment_state = SegmentState(words, none, memory, before, jnp.zeros((), bool))
     return following_segment(law, segment_state, dtype)
 
 
-def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> SegmentState:
+def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype: np.dtype) -> SegmentState:
     """The segment after the present one."""
     drawn = law.draw(segment_state.key_data, segment_state.number, dtype)
     duration, value, slope, memory = law.next_segment(segment_state.memory, drawn, dtype)
@@ -268,8 +295,8 @@ def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype) -> Se
     return SegmentState(segment_state.key_data, segment_state.number + np.uint32(1), memory, segment, spent)
 
 
-def is_invalid(segment_state: SegmentState) -> Array:
-    """Whether the present segment ended the realisation because it cannot be, and not because it has no duration."""
+def is_invalid(segment_state: SegmentState) -> BoolScalar:
+    """Whether the present segment ended the realisation because it is impossible, and not because its duration is 0."""
     return segment_state.spent & (segment_state.segment.end != segment_state.segment.begin)
 
 
@@ -281,7 +308,7 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
     return value, slope
 
 
-def checked_capacity(capacity: Any) -> int:
+def checked_capacity(capacity: int) -> int:
     """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
     if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
         raise ValueError(
@@ -290,18 +317,20 @@ def checked_capacity(capacity: Any) -> int:
     return int(capacity)
 
 
-def _known_capacity(law: SegmentLaw, t1: Scalar, segments: Callable[[Scalar], int]) -> int:
-    """The number of segments until `t1`. Raises ValueError where it depends on traced numbers."""
+def known_number(
+    number: Callable[[Scalar], N], t1: Scalar, advice: str, name: str = "capacity", of: str = "law's parameters are"
+) -> N:
+    """The `number` of segments or points until `t1`. Raises ValueError, with `advice`, for traced numbers."""
     try:
-        return segments(t1)
-    except ConcretizationTypeError:
+        return number(t1)
+    except (ConcretizationTypeError, NotKnown):
         raise ValueError(
-            "Argument capacity must be given when t1 or the law's parameters are traced by a JAX transformation (their "
-            f"values are not known then); find one with {type(law).__name__}(...).segments(t1)."
+            f"Argument {name} must be given when t1 or the {of} traced by a JAX transformation (their values are not "
+            f"known then); {advice}."
         ) from None
 
 
-def _lasts(durations: Array, t1: Scalar) -> bool:
+def _lasts(durations: PerSegment, t1: Scalar) -> bool:
     """Whether segments with these durations cover ``[0, t1]``, or there are no more; True where it is not known."""
     if _checks.is_traced(durations) or _checks.is_traced(t1):
         return True
@@ -310,16 +339,24 @@ def _lasts(durations: Array, t1: Scalar) -> bool:
 
 
 @partial(jax.jit, static_argnames=("size", "dtype"))
-def _sample(law: SegmentLaw, key_data: Array, size: int, dtype) -> tuple[Array, Array, Array]:
+def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: np.dtype) -> tuple[PerSegment, PerSegment, PerSegment]:
     """Durations, values and slopes of the first `size` segments; zeros after the last."""
-    own = (key_data[0], key_data[1])
+    words = (key_data[0], key_data[1])
 
     def step(carry, number):
         memory, spent = carry
-        duration, value, slope, memory = law.next_segment(memory, law.draw(own, number, dtype), dtype)
+        duration, value, slope, memory = law.next_segment(memory, law.draw(words, number, dtype), dtype)
         spent = spent | (duration == 0)
         duration, value, slope = (jnp.where(spent, 0, jnp.asarray(x, dtype)) for x in (duration, value, slope))
         return (memory, spent), (duration, value, slope)
 
-    start = law.begin(own, dtype), jnp.zeros((), bool)
+    start = law.begin(words, dtype), jnp.zeros((), bool)
     return lax.scan(step, start, jnp.arange(size, dtype=jnp.uint32))[1]
+
+
+def drawn_sign(first_sign: str, key_data: KeyData, dtype: np.dtype) -> FloatScalar:
+    """1 or -1: the `first_sign`, "positive" or "negative", or a random one drawn by `key_data`."""
+    if first_sign != "random":
+        return jnp.asarray(1 if first_sign == "positive" else -1, dtype)
+    high, _ = random_words(key_data, jnp.asarray(BEGINNING))
+    return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)

@@ -1,7 +1,7 @@
 """Semi-Markov switching: a piecewise-constant base velocity whose gaps and speeds have any distribution."""
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 import equinox as eqx
 import jax
@@ -12,40 +12,42 @@ from .. import _checks
 from .._claims import keeps
 from .._fields import Choice, is_of_package
 from .._numerics.random_bits import fine_uniform, random_words
-from .._types import Array, FloatArray, Scalar
+from .._types import Array, Float, FloatArray, Number, Scalar
 from .._uncertainty.families import Discrete
 from .._uncertainty.random_number import RandomNumber, Truncated
-from .laws import BangBangLaw, Interval
-from .segments import BEGINNING
+from .piecewise_constant import Interval, PiecewiseConstantLaw
+from .segments import BEGINNING, drawn_sign
 
 _CHANCE = 1e-9  # bound of the probability that a realisation needs more intervals than `capacity`
 _CELLS = 1024  # of the quantiles that `capacity` looks at
 
 
-class SemiMarkovSwitching(BangBangLaw):
+class SemiMarkovSwitching(PiecewiseConstantLaw):
     """A base velocity that switches after independent gaps of any distribution, to speeds of any distribution.
-
-    - `gap`: distribution of the time between switches, s, such as ``Weibull(scale=2.0, shape=1.5)``, whose draws are
-      all positive.
-    - `speed`: m/s; a positive number, the same for all samples, or a distribution that each interval draws anew.
-    - `alternating`: True (the default) for velocities ``+speed`` and ``-speed`` in turn; `speed` is then positive.
-      False for velocities drawn from the distribution `speed` with their signs. Each is then drawn on condition that it
-      differs from the one before, which only matters for `Discrete` speeds: a value of probability p is then in the
-      long run that of a share of all intervals in proportion to ``p (1 - p)``. (A distribution of your own may draw a
-      velocity twice in a row: then both gaps are one interval.)
-    - `first_sign`: "random" (a fair coin, the default), "positive" or "negative", where the signs alternate.
 
     A switch takes place at t = 0: the first gap has the distribution of all others, and not that of the rest of a gap
     that began earlier. (For an `Exponential` gap there is no difference, and the law is `PoissonSwitching`.) Gaps that
     are shorter than the rounding of time are lengthened to it. Source of the name: a process that jumps between states
     after times of any distribution (Cinlar 1975, "Introduction to stochastic processes", chapter 10).
 
-    Raises ValueError for gaps or speeds that need not be positive, distributions of other packages, those whose
-    quantiles cannot be computed while simulating (`Beta`), and numbers outside these bounds.
+    Args:
+        gap: Distribution of the time between switches, s, such as ``Weibull(scale=2.0, shape=1.5)``, whose draws are
+            all positive.
+        speed: m/s; a positive number, the same for all samples, or a distribution that each interval draws anew.
+        alternating: True (the default) for velocities ``+speed`` and ``-speed`` in turn; `speed` is then positive.
+            False for velocities drawn from the distribution `speed` with their signs. Each is then drawn on condition
+            that it differs from the one before, which only matters for `Discrete` speeds: a value of probability p is
+            then in the long run that of a share of all intervals in proportion to ``p (1 - p)``. (A distribution of
+            your own may draw a velocity twice in a row: then both gaps are one interval.)
+        first_sign: "random" (a fair coin, the default), "positive" or "negative", where the signs alternate.
+
+    Raises:
+        ValueError: For gaps or speeds that need not be positive, distributions of other packages, those whose quantiles
+            cannot be computed while simulating (`Beta`), and numbers outside these bounds.
     """
 
     gap: RandomNumber
-    speed: Any
+    speed: Number | RandomNumber
     alternating: bool = eqx.field(static=True, default=True)
     first_sign: Annotated[
         str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
@@ -73,14 +75,12 @@ class SemiMarkovSwitching(BangBangLaw):
     def begin(self, key_data, dtype):
         """Memory: the time of the switch (s), and the sign, the index of a `Discrete` velocity or the last velocity."""
         time = jnp.zeros((), dtype)
-        high, low = random_words(key_data, jnp.asarray(BEGINNING))
-        if not self.alternating:
-            if isinstance(self.speed, Discrete):
-                return time, _chosen(fine_uniform(high, low, dtype), _shares(self.speed, dtype))
+        if self.alternating:
+            return time, drawn_sign(self.first_sign, key_data, dtype)
+        if not isinstance(self.speed, Discrete):
             return time, jnp.full((), jnp.nan, dtype)
-        if self.first_sign != "random":
-            return time, jnp.asarray(1 if self.first_sign == "positive" else -1, dtype)
-        return time, jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
+        words = random_words(key_data, jnp.asarray(BEGINNING))
+        return time, _chosen(fine_uniform(*words, dtype), _shares(self.speed, dtype))
 
     def draw(self, key_data, number, dtype):
         """The gap (s), and the speed or what the next `Discrete` velocity is chosen by."""
@@ -140,7 +140,7 @@ class SemiMarkovSwitching(BangBangLaw):
         return math.ceil(float(np.min((rates * horizon - math.log(_CHANCE)) / decay))) + 1
 
 
-def _check_distribution(name: str, given: Any, unit: str, *, positive: bool) -> None:
+def _check_distribution(name: str, given: object, unit: str, *, positive: bool) -> None:
     """Check the distribution of gaps or speeds. Raises ValueError for one that cannot be drawn while simulating."""
     what = f"Argument {name} must be a distribution of {'positive numbers' if positive else 'velocities'} (in {unit})"
     if not isinstance(given, RandomNumber):
@@ -183,25 +183,22 @@ def _check_values(speed: RandomNumber) -> None:
             "Argument speed must be continuous or a Discrete, and no other distribution of single values, where "
             f"alternating is False, but {_checks.show(speed)} was given."
         )
-    inner: Any = speed
-    shares = inner.probabilities
+    assert isinstance(speed, Discrete)
+    shares = speed.probabilities
     if _checks.is_traced(shares):
         return
-    if (len(inner.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
+    if (len(speed.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
         raise ValueError(
             f"Argument speed must have two or more values with positive probabilities, but {_checks.show(speed)} was "
             "given."
         )
 
 
-def _shares(values: Discrete, dtype) -> Array:
+def _shares(values: Discrete, dtype: np.dtype) -> Float[Array, " values"]:
     """The probabilities of the values."""
-    number = len(values.values)
-    return (
-        jnp.full(number, 1 / number, dtype)
-        if values.probabilities is None
-        else jnp.asarray(values.probabilities, dtype)
-    )
+    if values.probabilities is None:
+        return jnp.full(len(values.values), 1 / len(values.values), dtype)
+    return jnp.asarray(values.probabilities, dtype)
 
 
 def _chosen(deviate: FloatArray, shares: FloatArray, excluded: Array | int = -1) -> Array:

@@ -15,7 +15,8 @@ from jax import lax
 from .. import _checks
 from .._fields import Checked, Quantity
 from .._numerics.elementary import sincos
-from .._types import AnyArray, FloatArray, Number, Scalar
+from .._types import AnyArray, Float, FloatArray, Number, Scalar
+from .motion import Motion
 
 # Gauss-Legendre nodes and weights on [-1, 1]: exact for polynomials of degree 19.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -23,15 +24,20 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray]
 """Amplitudes, angular frequencies (rad/s) and phases (rad): numbers, or arrays (harmonics,)."""
 
+PerHarmonic: TypeAlias = Float[AnyArray, " harmonics"]
+
 SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
 
-class Signal(Checked):
+class Signal(Checked, Motion):
     """A smooth function of time. Subclass it and write `value`; everything else follows, or may be overridden.
 
-    `shortest_period`: the period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
-    not known, and the step of a simulation must then be given. A subclass of a signal that has another `value` has the
-    rates, integrals and shortest period of that value, not those of its parent.
+    A subclass of a signal that has another `value` has the rates, integrals and shortest period of that value, not
+    those of its parent.
+
+    Attributes:
+        shortest_period: The period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
+            not known, and the step of a simulation must then be given.
     """
 
     is_harmonic: ClassVar[bool] = False  # a sum of `tones` and a `mean`, as `_Tones` has them
@@ -76,9 +82,9 @@ class _Tones(Signal):
         """Amplitude, angular frequency and phase: numbers, or arrays (harmonics,)."""
 
     @property
-    @abc.abstractmethod
     def mean(self) -> Scalar:
         """Mean of the signal."""
+        return self.offset  # pyright: ignore[reportAttributeAccessIssue] - a field of both
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.mean + _motion(self.tones, t)[0]
@@ -132,10 +138,14 @@ def added_up(one: Callable[..., tuple[FloatArray, ...]], tones: Tones) -> tuple[
 class Harmonic(_Tones):
     """A harmonic base velocity or force, ``offset + amplitude cos(angular_frequency t + phase)``.
 
-    - `amplitude`, `offset`: m/s for a base velocity, N for a force.
-    - `angular_frequency`: rad/s, positive. `phase`: rad.
+    Args:
+        amplitude: m/s for a base velocity, N for a force.
+        angular_frequency: rad/s, positive.
+        phase: rad.
+        offset: The mean; m/s for a base velocity, N for a force.
 
-    Raises ValueError for numbers that are not finite, or a frequency that is not positive.
+    Raises:
+        ValueError: For numbers that are not finite, or a frequency that is not positive.
     """
 
     amplitude: Annotated[Number, Quantity(SIGNAL_UNIT)]
@@ -148,10 +158,6 @@ class Harmonic(_Tones):
         return self.amplitude, self.angular_frequency, self.phase
 
     @property
-    def mean(self) -> Scalar:
-        return self.offset
-
-    @property
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
@@ -159,19 +165,23 @@ class Harmonic(_Tones):
 class SumOfHarmonics(_Tones):
     """A sum of harmonics, ``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
 
-    - `amplitudes`, (harmonics,), and `offset`: m/s for a base velocity, N for a force.
-    - `angular_frequencies`: rad/s, positive, (harmonics,). `phases`: rad, (harmonics,); by default 0.
+    Args:
+        amplitudes: m/s for a base velocity, N for a force, (harmonics,).
+        angular_frequencies: rad/s, positive, (harmonics,).
+        phases: rad, (harmonics,); by default 0.
+        offset: The mean; m/s for a base velocity, N for a force.
 
-    Raises ValueError for arrays of different lengths, numbers that are not finite, or frequencies not positive.
+    Raises:
+        ValueError: For arrays of different lengths, numbers that are not finite, or frequencies not positive.
     """
 
-    amplitudes: Annotated[AnyArray, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
+    amplitudes: Annotated[PerHarmonic, Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "amplitudes")
     )
     angular_frequencies: Annotated[
-        AnyArray, Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
+        PerHarmonic, Quantity("rad/s", above=0, ndim=1, hint="a constant part is the offset")
     ] = eqx.field(converter=partial(_checks.real_array, "angular_frequencies"))
-    phases: Annotated[AnyArray | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
+    phases: Annotated[PerHarmonic | None, Quantity("rad", "of each harmonic; not given: 0", ndim=1)] = eqx.field(
         default=None, converter=lambda v: None if v is None else _checks.real_array("phases", v)
     )
     offset: Annotated[Number, Quantity(SIGNAL_UNIT)] = 0.0
@@ -190,10 +200,6 @@ class SumOfHarmonics(_Tones):
         amplitudes, phases = jnp.asarray(self.amplitudes), self.phases
         phases = jnp.zeros_like(amplitudes) if phases is None else jnp.asarray(phases)
         return amplitudes, jnp.asarray(self.angular_frequencies), phases
-
-    @property
-    def mean(self) -> Scalar:
-        return self.offset
 
     @property
     def shortest_period(self) -> Scalar:

@@ -7,7 +7,8 @@ import abc
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from types import ModuleType
+from typing import Annotated, TypeAlias
 
 import equinox as eqx
 import jax
@@ -16,7 +17,12 @@ import numpy as np
 
 from .. import _checks
 from .._fields import Checked, Quantity, described, varies
-from .._types import AnyArray, Number
+from .._types import AnyArray, Array, Float, Number, Scalar
+
+PerPoint: TypeAlias = Float[AnyArray, " points"]
+
+Frequencies: TypeAlias = Float[AnyArray, "..."] | float
+"""Angular frequencies, rad/s, or densities at these, of NumPy or JAX."""
 
 
 class PowerSpectrum(Checked):
@@ -26,10 +32,10 @@ class PowerSpectrum(Checked):
     """
 
     @abc.abstractmethod
-    def density(self, angular_frequency: Any) -> Any:
+    def density(self, angular_frequency: Frequencies) -> Frequencies:
         """The density at each of these angular frequencies, rad/s, positive, any shape; zero or positive."""
 
-    def edges(self, cutoff: Any, parts: int, numpy: Any) -> Any:
+    def edges(self, cutoff: Scalar, parts: int, numpy: ModuleType) -> Float[AnyArray, " edges"]:
         """Edges of about so many parts of ``[0, cutoff]`` in which the density is smooth, rad/s, (edges,).
 
         `numpy`: NumPy or ``jax.numpy``, whose functions to use.
@@ -49,18 +55,20 @@ class KanaiTajimiSpectrum(PowerSpectrum):
     ``intensity (w_g^4 + 4 z_g^2 w_g^2 w^2) / ((w_g^2 - w^2)^2 + 4 z_g^2 w_g^2 w^2)``, with w_g the `ground_frequency`
     and z_g the `ground_damping`: the density of the acceleration of the surface.
 
-    - `intensity`: one-sided density of the white noise, m^2/s^3 for an acceleration.
-    - `ground_frequency`: angular frequency of the layer, rad/s. `ground_damping`: its damping ratio. The defaults, 5 pi
-      rad/s and 0.6, are the usual ones for firm soil.
+    Args:
+        intensity: One-sided density of the white noise, m^2/s^3 for an acceleration.
+        ground_frequency: Angular frequency of the layer, rad/s; the default, 5 pi, is usual for firm soil.
+        ground_damping: Its damping ratio; the default, 0.6, is usual for firm soil.
 
-    Raises ValueError for numbers that are not positive.
+    Raises:
+        ValueError: For numbers that are not positive.
     """
 
     intensity: Annotated[Number, Quantity("m^2/s^3", "one-sided density of the white noise", above=0)] = 1.0
     ground_frequency: Annotated[Number, Quantity("rad/s", "of the layer", above=0)] = 5 * math.pi
     ground_damping: Annotated[Number, Quantity(meaning="its damping ratio", above=0)] = 0.6
 
-    def density(self, angular_frequency: Any) -> Any:
+    def density(self, angular_frequency: Frequencies) -> Frequencies:
         squared = (angular_frequency / self.ground_frequency) ** 2
         passed = 4 * self.ground_damping**2 * squared
         return self.intensity * (1 + passed) / ((1 - squared) ** 2 + passed)
@@ -73,12 +81,15 @@ class CloughPenzienSpectrum(PowerSpectrum):
     `filter_frequency` and z_f the `filter_damping`: the density of the acceleration of the surface. That of its
     velocity is ``VelocitySpectrum(CloughPenzienSpectrum(...))``.
 
-    - `intensity` (m^2/s^3 for an acceleration), `ground_frequency` (rad/s), `ground_damping`: as in
-      `KanaiTajimiSpectrum`.
-    - `filter_frequency`: angular frequency below which the motion fades, rad/s; by default a tenth of 5 pi.
-      `filter_damping`: its damping ratio.
+    Args:
+        intensity: As in `KanaiTajimiSpectrum`, m^2/s^3 for an acceleration.
+        ground_frequency: As in `KanaiTajimiSpectrum`, rad/s.
+        ground_damping: As in `KanaiTajimiSpectrum`.
+        filter_frequency: Angular frequency below which the motion fades, rad/s; by default a tenth of 5 pi.
+        filter_damping: Damping ratio of the filter.
 
-    Raises ValueError for numbers that are not positive.
+    Raises:
+        ValueError: For numbers that are not positive.
     """
 
     intensity: Annotated[Number, Quantity("m^2/s^3", "one-sided density of the white noise", above=0)] = 1.0
@@ -87,7 +98,7 @@ class CloughPenzienSpectrum(PowerSpectrum):
     filter_frequency: Annotated[Number, Quantity("rad/s", "of the filter", above=0)] = 0.5 * math.pi
     filter_damping: Annotated[Number, Quantity(meaning="damping ratio of the filter", above=0)] = 0.6
 
-    def density(self, angular_frequency: Any) -> Any:
+    def density(self, angular_frequency: Frequencies) -> Frequencies:
         layer = KanaiTajimiSpectrum(self.intensity, self.ground_frequency, self.ground_damping)
         squared = (angular_frequency / self.filter_frequency) ** 2
         passed = squared**2 / ((1 - squared) ** 2 + 4 * self.filter_damping**2 * squared)
@@ -97,16 +108,20 @@ class CloughPenzienSpectrum(PowerSpectrum):
 class VelocitySpectrum(PowerSpectrum):
     """The density of the velocity of a motion whose acceleration has the density `acceleration`: that over ``w^2``.
 
-    `acceleration`: a `PowerSpectrum` that fades towards frequency 0, such as `CloughPenzienSpectrum`, or a function of
-    angular frequency. Raises ValueError for anything else.
+    Args:
+        acceleration: A `PowerSpectrum` that fades towards frequency 0, such as `CloughPenzienSpectrum`, or a function
+            of angular frequency.
+
+    Raises:
+        ValueError: For anything else.
     """
 
     acceleration: PowerSpectrum = eqx.field(converter=lambda v: spectrum_of("acceleration", v))
 
-    def density(self, angular_frequency: Any) -> Any:
+    def density(self, angular_frequency: Frequencies) -> Frequencies:
         return self.acceleration.density(angular_frequency) / angular_frequency**2
 
-    def edges(self, cutoff: Any, parts: int, numpy: Any) -> Any:
+    def edges(self, cutoff: Scalar, parts: int, numpy: ModuleType) -> Float[AnyArray, " edges"]:
         return self.acceleration.edges(cutoff, parts, numpy)
 
     @property
@@ -117,17 +132,20 @@ class VelocitySpectrum(PowerSpectrum):
 class TabulatedSpectrum(PowerSpectrum):
     """A density that is given at some frequencies, linear between them and zero outside.
 
-    - `angular_frequencies`: rad/s, increasing, the first one zero or positive, (points,), at least 2.
-    - `densities`: as many, zero or positive; m^2/s for a velocity.
+    Densities over frequencies in Hz are to be divided by 2 pi, and two-sided ones multiplied by 2.
 
-    Densities over frequencies in Hz are to be divided by 2 pi, and two-sided ones multiplied by 2. Raises ValueError
-    for frequencies that do not increase, different lengths, or densities that are negative.
+    Args:
+        angular_frequencies: rad/s, increasing, the first one zero or positive, (points,), at least 2.
+        densities: As many, zero or positive; m^2/s for a velocity.
+
+    Raises:
+        ValueError: For frequencies that do not increase, different lengths, or densities that are negative.
     """
 
-    angular_frequencies: Annotated[AnyArray, Quantity("rad/s", "increasing", at_least=0, ndim=1)] = eqx.field(
+    angular_frequencies: Annotated[PerPoint, Quantity("rad/s", "increasing", at_least=0, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "angular_frequencies")
     )
-    densities: Annotated[AnyArray, Quantity("m^2/s", "one-sided", at_least=0, ndim=1)] = eqx.field(
+    densities: Annotated[PerPoint, Quantity("m^2/s", "one-sided", at_least=0, ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "densities")
     )
 
@@ -143,12 +161,12 @@ class TabulatedSpectrum(PowerSpectrum):
                 f"Argument angular_frequencies must increase, but {_checks.show(np.asarray(frequencies))} was given."
             )
 
-    def density(self, angular_frequency: Any) -> Any:
+    def density(self, angular_frequency: Frequencies) -> Frequencies:
         frequencies, densities = self.angular_frequencies, self.densities
         known = all(isinstance(values, np.ndarray) for values in (angular_frequency, frequencies, densities))
         return (np if known else jnp).interp(angular_frequency, frequencies, densities, left=0, right=0)
 
-    def edges(self, cutoff: Any, parts: int, numpy: Any) -> Any:
+    def edges(self, cutoff: Scalar, parts: int, numpy: ModuleType) -> Float[AnyArray, " edges"]:
         frequencies = numpy.asarray(self.angular_frequencies, float)
         each = -(-parts // (len(frequencies) - 1))
         inside = (frequencies[1:] - frequencies[:-1])[:, None] * (np.arange(each) / each)[None]
@@ -159,10 +177,10 @@ class TabulatedSpectrum(PowerSpectrum):
 class _OwnSpectrum(PowerSpectrum):
     """A function of angular frequency as a spectrum."""
 
-    function: Any
+    function: Callable[[Scalar], Scalar]
     holds_users_code = True
 
-    def density(self, angular_frequency: Any) -> Any:
+    def density(self, angular_frequency: Frequencies) -> Frequencies:
         values = jnp.asarray(angular_frequency, float)
         return jax.vmap(self.function)(values.reshape(-1)).reshape(values.shape)
 
@@ -170,13 +188,13 @@ class _OwnSpectrum(PowerSpectrum):
 class _Constant(eqx.Module):
     """A function that is no pytree, as a pytree without leaves."""
 
-    held: Callable[..., Any] = eqx.field(static=True)
+    held: Callable[[Scalar], Scalar] = eqx.field(static=True)
 
-    def __call__(self, angular_frequency: Any) -> Any:
+    def __call__(self, angular_frequency: Scalar) -> Float[Array, ""]:
         return jnp.asarray(self.held(angular_frequency), jnp.result_type(float))
 
 
-def spectrum_of(name: str, given: Any) -> PowerSpectrum:
+def spectrum_of(name: str, given: object) -> PowerSpectrum:
     """The argument called `name` as a spectrum. Raises ValueError for what is no spectrum and no function."""
     if isinstance(given, PowerSpectrum):
         return given

@@ -13,12 +13,19 @@ from .smooth import Signal
 class SourceVoltage(Signal):
     """The source voltage of a motor, ``mean + amplitude sin(angular_frequency t + phase)``.
 
-    - `mean`, `amplitude`: V. `angular_frequency`: rad/s, positive. `phase`: rad.
-
     Source: Lima and Sampaio 2022, section 2; the defaults are its Table 1.
-    Raises ValueError for numbers that are not finite, or a frequency that is not positive.
+
+    Args:
+        mean: V.
+        amplitude: V.
+        angular_frequency: rad/s, positive.
+        phase: rad.
+
+    Raises:
+        ValueError: For numbers that are not finite, or a frequency that is not positive.
     """
 
+    takes_jumps = False
     mean: Annotated[Number, Quantity("V")] = 1.0
     amplitude: Annotated[Number, Quantity("V")] = 0.5
     angular_frequency: Annotated[Number, Quantity("rad/s", above=0)] = 10.0

@@ -60,32 +60,32 @@ def _error(h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:
     return _moved(tuple(jnp.zeros_like(value) for value in slopes[0]), h, weights, slopes)
 
 
-def relative_error(error: State, y: State, reached: State, way: State) -> FloatArray:
+def relative_error(error: State, y: State, reached: State, gross: State) -> FloatArray:
     """Largest relative error of a component of the state, for a step from `y` to `reached` with this `error`.
 
-    `way`: the sum of the changes of each component in the step by each term of its rate alone. Where these terms
-    cancel, the change is round-off, whose relative error no shorter step would reduce.
+    `gross`: the gross change of each component (`gross_changes`), the sum of those by each term of its rate alone.
+    Where these terms cancel, the change is round-off, whose relative error no shorter step would reduce.
     """
     worst = jnp.zeros_like(error[0])
-    for wrong, begin, end, alone in zip(error, y, reached, way, strict=True):
+    for wrong, begin, end, alone in zip(error, y, reached, gross, strict=True):
         size = jnp.maximum(jnp.abs(begin), jnp.abs(end)) + jnp.abs(end - begin) + jnp.abs(alone)
         worst = jnp.maximum(worst, jnp.abs(wrong) / jnp.where(size > 0, size, 1))
     return worst
 
 
-def ways(h: FloatArray, y: State, idle: State, by_state: tuple[State, ...], push: State) -> State:
-    """The `way` of each component for `relative_error`.
+def gross_changes(h: FloatArray, y: State, idle: State, by_state: tuple[State, ...], by_friction: State) -> State:
+    """The gross change of each component in the time `h`, for `relative_error`.
 
-    `idle`: the rates without friction; `by_state`: their derivatives with respect to the state (rows: rates); `push`:
-    what one unit of friction adds. Components are coupled, so the round-off of one moves the others; hence one pass for
-    each component.
+    `idle`: the rates without friction; `by_state`: their derivatives with respect to the state (rows: rates);
+    `by_friction`: what one unit of friction adds. Components are coupled, so the round-off of one moves the others;
+    hence one pass for each component.
     """
-    moved, way = tuple(map(jnp.abs, y)), y
+    moved, gross = tuple(map(jnp.abs, y)), y
     for _ in y:
         terms = [
-            [rate, rub, *(slope * size for slope, size in zip(row, moved, strict=True))]
-            for rate, rub, row in zip(idle, push, by_state, strict=True)
+            [rate, effect, *(slope * size for slope, size in zip(row, moved, strict=True))]
+            for rate, effect, row in zip(idle, by_friction, by_state, strict=True)
         ]
-        way = tuple(h * sum(map(jnp.abs, of_one)) for of_one in terms)
-        moved = tuple(jnp.maximum(size, more) for size, more in zip(moved, way, strict=True))
-    return way
+        gross = tuple(h * sum(map(jnp.abs, of_one)) for of_one in terms)
+        moved = tuple(jnp.maximum(size, more) for size, more in zip(moved, gross, strict=True))
+    return gross

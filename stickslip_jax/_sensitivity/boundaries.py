@@ -16,7 +16,7 @@ from jax import lax
 from .._dynamics.interval.arcs import carry_across, excess_of, touch
 from .._dynamics.interval.engine import Motion, Scales, cross_interval
 from .._events.sticks import StickRecord, Totals
-from .._excitation.laws import BangBangLaw
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.elementary import angle_of
 from .._status import Ending
 from .._types import Array, BoolArray, FloatArray, IntArray
@@ -103,7 +103,7 @@ class IntervalLane(NamedTuple):
 
 
 def cross_with_distances(
-    law: BangBangLaw, scales: Scales, lane: IntervalLane, drawn: Any
+    law: PiecewiseConstantLaw, scales: Scales, lane: IntervalLane, drawn: Any
 ) -> tuple[IntervalLane, StickRecord, BoundaryDistances, FloatArray]:
     """Cross the next interval: the lane after it, its stick, its signed distances, its length (s)."""
     memory, motion, totals, cut_velocity = lane

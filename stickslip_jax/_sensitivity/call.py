@@ -9,10 +9,9 @@ import numpy as np
 from .. import _checks
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from . import windows
 from .chunks import Accumulator
 from .differences import differenced, differenced_ensembles

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._dynamics.compiled import chunks_of
+from .._dynamics.compiled import compiled_for
 from .._dynamics.lanes import Engine, Job
 from .._ensemble.call import simulate_batch
 from .._ensemble.parts import RETAINED
@@ -135,7 +135,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
     def values(engine: Engine, first: int, number: int) -> _Values:
         job = _drawn(problem.job(engine, first, lanes * rows, -(-number // lanes)))
         with_records = problem.random is not None and problem.random.inputs.has_sampled_law
-        results = chunks_of(job.engine, with_records=with_records).summarize(
+        results = compiled_for(job.engine, with_records=with_records).summarize(
             job, lanes=lanes, rows=rows, dtype=problem.dtype
         )
         totals = (flat(leaf, number) for leaf in (results.stick_time, results.sticks, results.status))

@@ -13,11 +13,10 @@ from jaxtyping import Float
 
 from .._dynamics.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._statistics.totals import StatisticOfTotals
 from .._status import Status
 from .._systems.system import System
-from .._types import Array, FloatArray
+from .._types import Array, FloatArray, InitialState
 from .._uncertainty.numbers import with_numbers
 from .estimators import counting_engine, score_path, wrapped_paths
 from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._dynamics.lanes import Engine
 from .._status import Status
-from .._systems.own import is_own
+from .._systems.built_in import is_built_in
 from .._types import AnyArray
 from .._uncertainty.numbers import Path
 from .chunks import Accumulator, RecordedCounts, Rows, count_chunk, run_chunks, sequence_chunk, units_of
@@ -120,7 +120,7 @@ def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> tuple[
 
     def count(first: int, number: int) -> Rows:
         job = problem.job(engine, first, lanes * rows, -(-number // lanes))
-        totals, (d_time, d_events, d_window), status = count_chunk[is_own(engine)](
+        totals, (d_time, d_events, d_window), status = count_chunk[is_built_in(engine)](
             job, paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype
         )
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)

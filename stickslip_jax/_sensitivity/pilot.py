@@ -7,14 +7,13 @@ from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
-from .._excitation.excitation import BaseMotion, GivenSteps, is_random, key_data_for, law_of
-from .._excitation.piecewise import VelocitySteps
-from .._excitation.random import InitialState
+from .._excitation.excitation import BaseMotion, is_random, key_data_for, law_of
+from .._excitation.piecewise_constant import GivenSteps, VelocitySteps
 from .._forks import require_threads_of_jax
 from .._processor import cores
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System, require_system
-from .._types import Array
+from .._types import Array, InitialState
 from .._uncertainty.inputs import Inputs, Model
 from .._uncertainty.numbers import parameters_of
 from .problem import Pilot, Problem

@@ -8,10 +8,10 @@ from .._dynamics.engine_choice import ByIntervals, engine_for
 from .._dynamics.lanes import BLOCK, Engine, Job
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.switched.run import steps_for
-from .._dynamics.validation import checked_step
-from .._excitation.excitation import BaseMotion, place_in_excitation
-from .._excitation.laws import BangBangLaw
-from .._excitation.merged import merged, place_in_merged
+from .._dynamics.validation import Arguments
+from .._excitation.excitation import BaseMotion, path_in_excitation
+from .._excitation.merged import merged, path_in_merged
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._systems.system import System
 from .._types import AnyArray, Array, Scalar
 from .._uncertainty.inputs import Inputs, Model
@@ -62,7 +62,7 @@ class Problem(NamedTuple):
     @property
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
-        return isinstance(engine_for(self.system, self.law, self.method, self.t1), ByIntervals)
+        return isinstance(engine_for(Arguments(self.system, self.law, self.method, self.t1)), ByIntervals)
 
     def in_closed_form(self) -> "Problem":
         """The same problem without a solver, where closed forms exist.
@@ -93,7 +93,7 @@ class Problem(NamedTuple):
         A mass that just touches the base velocity then sticks for a finite time or not at all: all later motion
         differs, and there are no sticks of zero length.
         """
-        return self.system.holds_more
+        return self.system.static_exceeds_kinetic
 
     @property
     def is_paired(self) -> bool:
@@ -133,7 +133,7 @@ class Problem(NamedTuple):
         """The fastest engine that simulates the motion."""
         if self.random is not None:
             return self.random.engine
-        engine = engine_for(self.system, self.law, self.method, self.t1).lanes(self.y0, self.dtype)
+        engine = engine_for(Arguments(self.system, self.law, self.method, self.t1)).lanes(self.y0, self.dtype)
         assert isinstance(engine, Engine)
         return engine
 
@@ -147,21 +147,21 @@ class Problem(NamedTuple):
     def _path(self, path: Path) -> Path:
         if path[0] != "law":
             return path
-        inner = place_in_merged(self.law, path[1:])
+        inner = path_in_merged(self.law, path[1:])
         if self.by_intervals:
             return ("law", *inner)
-        return ("excitation", *place_in_excitation(merged(self.law, self.t1), inner))
+        return ("excitation", *path_in_excitation(merged(self.law, self.t1), inner))
 
 
 def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
     """Buffer sizes that suffice for nearly every realisation; callers enlarge them when they do not."""
     assert pilot.most is not None
     if problem.by_intervals:
-        assert isinstance(problem.law, BangBangLaw)
+        assert isinstance(problem.law, PiecewiseConstantLaw)
         intervals = problem.law.checked_capacity(problem.t1)
     else:
         assert isinstance(problem.method, Exact)
-        excitation, step = checked_step(problem.system, problem.law, problem.method, problem.t1, "law")
+        excitation, step = Arguments(problem.system, problem.law, problem.method, problem.t1).checked_step("law")
         intervals = steps_for(problem.system, excitation, problem.t1, step)
     slots = 8 * -(-pilot.most // 8) + 8
     return BufferSizes(-(-intervals // BLOCK), slots, 2 * slots)

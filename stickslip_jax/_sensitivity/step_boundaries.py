@@ -157,7 +157,7 @@ def _outcome_of(
     sticking = step.sign == 0
     tau = step.end - step.t
     stop = _stop(t1, step)
-    inputs = model.inputs(step.t, segment_laws.segments(step.segment_states))
+    inputs = model.forcing(step.t, segment_laws.segments(step.segment_states))
 
     def measured(tau, y):
         s, d = model.guard(inputs, tau, y, step.sign)
@@ -174,7 +174,7 @@ def _outcome_of(
     crosses = inside & ~sticking & (step.sign_end == -step.sign)
     # Far from the edge of the stick band a crossing stays one whatever the parameter's change.
     held, _ = model.guard(
-        model.inputs(step.end, segment_laws.segments(step.segment_states)), 0 * tau, step.y_end, 0 * tau
+        model.forcing(step.end, segment_laws.segments(step.segment_states)), 0 * tau, step.y_end, 0 * tau
     )
     crosses = crosses & (jnp.abs(held) < _FAR)
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
@@ -245,7 +245,7 @@ def _search(
             to = before.tau + jnp.where(after.found, _between(before, after), jnp.nan_to_num(share) * longest)
             to = jnp.where(jnp.isnan(share), first, to)
             # The flow goes on from the last instant before the root, not from its beginning.
-            inputs = model.inputs(t0 + before.tau, segments)
+            inputs = model.forcing(t0 + before.tau, segments)
             ahead = _flow(model, inputs, y, to - before.tau, sign)
             value = residual(to, *model.guard(inputs, to - before.tau, ahead, sign))
             # A residual that is positive at the first instant has no root after it: `before` is then never found.
@@ -300,10 +300,10 @@ def _at(model: SwitchedModel, segments: Segments, start: _Start, tau: FloatArray
         @sharing
         def go_on(carry, _):
             t, y = carry
-            return (t + length, _flow(model, model.inputs(t, segments), y, length, sign)), None
+            return (t + length, _flow(model, model.forcing(t, segments), y, length, sign)), None
 
         (t, y), _ = lax.scan(go_on, (t0, y0), None, length=parts)
-        return _AtRoot(t, y, *model.guard(model.inputs(t, segments), jnp.zeros_like(t), y, sign))
+        return _AtRoot(t, y, *model.guard(model.forcing(t, segments), jnp.zeros_like(t), y, sign))
 
     t0, y0, sign = start
     return jax.vmap(at)(t0, y0, sign, lax.stop_gradient(tau))
@@ -319,7 +319,7 @@ def _grazing(
     shift = jnp.where(is_ratio, 0, -lax.stop_gradient(then.slope) / bend)
     lowest = then.value + then.slope * shift + 0.5 * bend * shift * shift
     when = lax.stop_gradient(then.t) + shift
-    scale = model.guard_scale(model.inputs(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
+    scale = model.guard_scale(model.forcing(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
     # A minimum that is 0 but for round-off stays so, as after a release; one of half the scale is out of reach.
     size = jnp.abs(lowest)
     is_close = (size > _ROUND_OFF[size.dtype.itemsize] * scale) & (size < _FAR * scale)
@@ -337,7 +337,7 @@ def _switch_without_stop(
     slope = lax.stop_gradient(jnp.where(falls, then.slope, -1))
     # The Newton step carries the derivative.
     when = then.t - then.value / slope
-    there = model.inputs(lax.stop_gradient(when), lax.stop_gradient(segments))
+    there = model.forcing(lax.stop_gradient(when), lax.stop_gradient(segments))
     # A slip's end is a stick only if friction can hold the mass there; a stick's end is a slip in any case.
     sticks = model.can_stick(there, model.on_base(there, lax.stop_gradient(then.y)))
     return when, falls & ((fixed.sign == 0) | sticks)
@@ -349,7 +349,7 @@ def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Step, out
         return jnp.zeros_like(outcome.falls)
     following, jumped = following_segments(segment_laws, fixed.segment_states, outcome.stop, jnp.ones((), bool))
     now = jnp.where(outcome.has_event, fixed.end, outcome.stop)
-    inputs = model.inputs(now, segment_laws.segments(following))
+    inputs = model.forcing(now, segment_laws.segments(following))
     y = model.on_base(inputs, fixed.y_end)
     _, rate = model.guard(inputs, jnp.zeros_like(now), y, jnp.zeros_like(now))
     # A release is undone where the force needed falls back; an arrival, where the base velocity jumps or friction can
@@ -367,7 +367,7 @@ def _crossing(
     slip that it would begin. Arrivals that are not held have that distance in their own slips.
     """
     fixed = lax.stop_gradient(step)
-    inputs, nothing = model.inputs(step.end, segments), jnp.zeros_like(step.end)
+    inputs, nothing = model.forcing(step.end, segments), jnp.zeros_like(step.end)
     guard, rate = model.guard(inputs, nothing, step.y_end, nothing)
     # At this edge a released mass goes on in the other direction: it crosses the base velocity.
     other = model.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign

@@ -3,15 +3,13 @@
 import equinox as eqx
 import jax
 
-from .. import _checks
 from .._dynamics.engine_choice import engine_for
 from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import check_fixed, check_method, one_realization, state_of, working_dtype
+from .._dynamics.validation import Arguments, working_dtype
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
-from .._systems.system import System, require_system
-from .._types import Scalar
+from .._systems.system import System
+from .._types import InitialState, Scalar
 from .result import Simulation
 
 
@@ -25,17 +23,21 @@ def simulate(
 ) -> Simulation:
     """Simulate one realisation and record every stick. A pure function: works under jit, vmap, jvp, grad.
 
-    - `system`: the oscillator: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
-    - `base`: its excitation: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
-      `Harmonic`, `SumOfHarmonics`, `Recorded`, `WithJumps`, or an object with ``velocity(t)`` and ``acceleration(t)``,
-      m/s and m/s^2); a `GroundAcceleration`; for a `MotorCart` a `SourceVoltage`.
-    - `t1`: duration, s.
-    - `y0`: initial state: position (m) and velocity (m/s); for a `MotorCart` angle (rad), angular velocity (rad/s) and
-      current (A). Zeros by default.
-    - `method`: `Exact`, with a time step where one is needed, or `Regularized`.
+    Args:
+        system: The oscillator: a `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
+        base: Its excitation: a realisation, ``law.sample(key, t1)``; a base motion without randomness (`SquareWave`,
+            `Harmonic`, `SumOfHarmonics`, `Recorded`, `WithJumps`, or an object with ``velocity(t)`` and
+            ``acceleration(t)``, m/s and m/s^2); a `GroundAcceleration`; for a `MotorCart` a `SourceVoltage`.
+        t1: Duration, s.
+        y0: Initial state: position (m) and velocity (m/s); for a `MotorCart` angle (rad), angular velocity (rad/s) and
+            current (A). Zeros by default.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
 
-    Returns a `Simulation`; check its `status`. Its arrays have slots for all sticks that can happen. Raises ValueError
-    for arguments outside these bounds, and for a step too long for the shortest time scale.
+    Returns:
+        The trajectory; check its `status`. Its arrays have slots for all sticks that can happen.
+
+    Raises:
+        ValueError: For arguments outside these bounds, and for a step too long for the shortest time scale.
 
     >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
     >>> one = ss.simulate(system, ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))
@@ -43,12 +45,7 @@ def simulate(
     0.0 0.25 RELEASED
     """
     require_threads_of_jax()
-    check_fixed(system=system, base=base)
-    require_system(system)
-    check_method(method)
-    _checks.positive("t1", t1, "s")
-    y0 = state_of(system, y0)
-    base = one_realization(system, base, t1)
-    dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(base) if eqx.is_inexact_array(leaf)))
-    method, run = engine_for(system, base, method, t1).follow(y0, dtype)
-    return Simulation(system, base, t1, method, *run)
+    arguments, start = Arguments.of_one(system, base, method, t1, y0)
+    dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(arguments.base) if eqx.is_inexact_array(leaf)))
+    method, run = engine_for(arguments).follow(start, dtype)
+    return Simulation(system, arguments.base, t1, method, *run)

@@ -1,7 +1,7 @@
 """Friction force and energies along one trajectory."""
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,13 @@ from .._dynamics.switched.run import Beginnings, state_in_step
 from .._events.sticks import Sticks
 from .._status import Ending
 from .._systems import energy
-from .._types import AnyArray, Array, FloatArray
+from .._systems.switched_model import F, SwitchedModel
+from .._types import Array, BoolScalar, FloatScalar, Scalar, State
+
+if TYPE_CHECKING:
+    from .result import Simulation
+
+Times: TypeAlias = Float[Array, " times"]
 
 _MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
 
@@ -25,34 +31,35 @@ _MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its l
 class Energies(NamedTuple):
     """Energies along a trajectory, J: dicts of arrays with the shape of the times, by name.
 
-    - `stored`: kinetic, elastic (of a `MotorCart` kinetic and magnetic), at each time.
-    - `supplied`: from the start to each time, by the base (the friction force times the base velocity; negative where
-      the mass drives the base) and by the load (external force and ground acceleration), of a `MotorCart` by the
-      voltage.
-    - `dissipated`: from the start to each time, by friction (only in slips), by damping, of a `MotorCart` also in the
-      resistance.
-    - `imbalance`: what was stored at the start and supplied, less what is stored and was dissipated: round-off, and of
-      a trajectory without a closed form the error of its steps.
+    Attributes:
+        stored: Kinetic and elastic energy (of a `MotorCart` kinetic and magnetic), at each time.
+        supplied: From the start to each time, by the base (the friction force times the base velocity; negative where
+            the mass drives the base) and by the load (external force and ground acceleration), of a `MotorCart` by the
+            voltage.
+        dissipated: From the start to each time, by friction (only in slips) and by damping, of a `MotorCart` also in
+            the resistance.
+        imbalance: What was stored at the start and supplied, less what is stored and was dissipated: round-off, and
+            for a trajectory without a closed form the error of its steps.
     """
 
-    stored: dict[str, Array]
-    supplied: dict[str, Array]
-    dissipated: dict[str, Array]
-    imbalance: Array
+    stored: dict[str, Float[Array, "*times"]]
+    supplied: dict[str, Float[Array, "*times"]]
+    dissipated: dict[str, Float[Array, "*times"]]
+    imbalance: Float[Array, "*times"]
 
 
 class _Rule(NamedTuple):
     """Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
 
-    nodes: np.ndarray
-    weights: np.ndarray
+    nodes: Float[np.ndarray, " nodes"]
+    weights: Float[np.ndarray, " nodes"]
 
     @classmethod
-    def of(cls, decay: Any, longest: Any) -> "_Rule":
+    def of(cls, decay: Scalar, longest: Scalar) -> "_Rule":
         """The rule for steps of at most `longest` (s), at whose beginning a motion may die out at the rate `decay`.
 
-        No step is longer than a tenth of the shortest period, so that powers are smooth there, but for such a motion of
-        strong damping: its parts are then the second half of the step, the second half of the first, and so on.
+        No step is longer than a tenth of the shortest period, so that powers are smooth in it, unless damping is so
+        strong that a motion dies out within the step. Then the step is cut into parts, each half as long as the next.
         """
         if not _checks.is_traced(decay) and decay == 0:
             halves = 0
@@ -61,16 +68,16 @@ class _Rule(NamedTuple):
         else:
             halves = min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
         nodes, weights = np.polynomial.legendre.leggauss(8 if halves == 0 else 16)
-        edges = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
-        parts = np.diff(edges)[:, None]
-        return cls((edges[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1))
+        bounds = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
+        parts = np.diff(bounds)[:, None]
+        return cls((bounds[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1))
 
 
-def _sum(terms: energy.Terms) -> Array:
+def _sum(terms: energy.Terms) -> FloatScalar:
     return jnp.stack(list(terms.values())).sum(axis=0)
 
 
-def friction_force_of(one: Any, times: Float[Array, "*times"]) -> Float[Array, "*times"]:
+def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float[Array, "*times"]:
     """The friction force of a `Simulation` at `times`; see there."""
     model = one.system.switched_model(one._path.smooth, None)
     energy.require_known(one.system, model, "friction_force")
@@ -79,32 +86,34 @@ def friction_force_of(one: Any, times: Float[Array, "*times"]) -> Float[Array, "
 
 
 @jax.jit
-def _forces(model: Any, path: Path, method: Any, sticks: Sticks, last: FloatArray, times: FloatArray) -> FloatArray:
-    def at(time):
-        y, inputs = path.state(time), model.inputs(time, path.segments(time))
+def _forces(
+    model: SwitchedModel, path: Path, method: Exact | Regularized, sticks: Sticks, last: FloatScalar, times: Times
+) -> Times:
+    def at(time: FloatScalar) -> FloatScalar:
+        y, forcing = path.state(time), model.forcing(time, path.segments(time))
         if isinstance(method, Regularized):
-            speed = model.relative_velocity(inputs, jnp.zeros_like(time), y)
-            grip = Switch(method.width, method.shape).grip(model.friction, speed)
+            speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
+            coefficient = Switch(method.width, method.shape).coefficient(model.friction, speed)
         else:
             lasts = (time < sticks.end) | ((sticks.ending == Ending.HORIZON) & (time <= sticks.end))
-            grip = _grip(model, inputs, y, jnp.any(sticks.mask & (sticks.start <= time) & lasts))
+            # At isolated instants of no relative velocity the friction of the slip that follows.
+            sign = jnp.where(model.at_rest(forcing, y), model.release_sign(forcing, y), model.slip_sign(forcing, y))
+            now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
+            coefficient = _coefficient(model, forcing, y, sign, now)
         inside = (time >= 0) & (time <= last)
-        return jnp.where(inside, energy.friction_force(model, y, grip), jnp.nan)
+        return jnp.where(inside, energy.friction_force(model, y, coefficient), jnp.nan)
 
     return jax.vmap(at)(times)
 
 
-def _grip(model: Any, inputs: Any, y: Any, sticks: AnyArray) -> FloatArray:
-    """The signed friction coefficient in a stick or slip."""
+def _coefficient(model: SwitchedModel[F], forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
+    """The signed friction coefficient in a stick, or in a slip of this sign."""
     none = jnp.zeros_like(y[0])
-    speed = model.relative_velocity(inputs, none, y)
-    # At isolated instants of no relative velocity the friction of the slip that follows.
-    sign = jnp.where(model.at_rest(inputs, y), model.release_sign(inputs, y), model.slip_sign(inputs, y))
-    slip = model.grip_of(y, sign) * model.friction.kinetic(jnp.abs(speed))
-    return jnp.where(sticks, model.holding(inputs, none, y), slip)
+    slip = model.slip_direction(y, sign) * model.friction.slip_coefficient(model.relative_velocity(forcing, none, y))
+    return jnp.where(sticks, model.holding_coefficient(forcing, none, y), slip)
 
 
-def energies_of(one: Any, times: Float[Array, "*times"]) -> Energies:
+def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
     """The energies of a `Simulation` at `times`; see there."""
     if not isinstance(one.method, Exact):
         raise ValueError(
@@ -126,18 +135,15 @@ def energies_of(one: Any, times: Float[Array, "*times"]) -> Energies:
 
 
 @jax.jit
-def _energies(model: Any, beginnings: Beginnings, last: FloatArray, times: FloatArray, rule: _Rule) -> Energies:
-    def worked(begun: Beginnings, h: FloatArray) -> energy.Powers:
+def _energies(model: SwitchedModel, beginnings: Beginnings, last: FloatScalar, times: Times, rule: _Rule) -> Energies:
+    def worked(begun: Beginnings, h: FloatScalar) -> energy.Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 
-        def power(node):
+        def power(node: FloatScalar) -> energy.Powers:
             now = begun.t + node * h
-            y, inputs = state_in_step(model, begun, node * h), model.inputs(now, begun.segments)
-            none = jnp.zeros_like(now)
-            coefficient = model.friction.kinetic(jnp.abs(model.relative_velocity(inputs, none, y)))
-            slip = model.grip_of(y, begun.sign) * coefficient
-            grip = jnp.where(begun.sign == 0, model.holding(inputs, none, y), slip)
-            return energy.powers(model, inputs, y, energy.friction_force(model, y, grip))
+            y, forcing = state_in_step(model, begun, node * h), model.forcing(now, begun.segments)
+            coefficient = _coefficient(model, forcing, y, begun.sign, begun.sign == 0)
+            return energy.powers(model, forcing, y, energy.friction_force(model, y, coefficient))
 
         rates = jax.vmap(power)(jnp.asarray(rule.nodes, h.dtype))
         return jax.tree.map(lambda values: h * jnp.dot(jnp.asarray(rule.weights, h.dtype), values), rates)
@@ -146,7 +152,7 @@ def _energies(model: Any, beginnings: Beginnings, last: FloatArray, times: Float
     steps = jax.vmap(worked)(beginnings, ends - beginnings.t)
     before = jax.tree.map(lambda values: jnp.cumsum(values) - values, steps)
 
-    def at(time):
+    def at(time: FloatScalar) -> Energies:
         index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
         begun, sums = jax.tree.map(lambda values: values[index], (beginnings, before))
         h = time - begun.t

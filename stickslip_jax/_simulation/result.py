@@ -1,7 +1,6 @@
 """One simulated trajectory: `Simulation`."""
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ from .. import _checks, _html
 from .._dynamics.method import Exact, Regularized
 from .._dynamics.path import Path
 from .._events.sticks import Slips, Sticks, Totals, slips_between
+from .._excitation.excitation import BaseMotion
 from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
@@ -22,27 +22,35 @@ from .energy import Energies, energies_of, friction_force_of
 class Simulation(WithMethods):
     """One simulated trajectory on ``[0, t1]``.
 
-    - `sticks`: every stick (`Sticks`), `slips`: every slip (`Slips`).
-    - `totals`: their number (`sticks`), how many the horizon cut (`censored`), and their total time (`stick_time`, s).
-    - `stick_time`, `slip_time`: total, s. `stick_fraction`: total stick time over ``t1``.
-    - `final_state`: (position m, velocity m/s), for a `MotorCart` (angle rad, angular velocity rad/s, current A), at
-      `time_reached` (s), which is ``t1`` if the trajectory is FINISHED.
-    - `status`: a `Status` code; 0 is FINISHED. With any other code do not use the numbers.
-    - `near_grazing_count`: number of instants at which round-off decided whether there was an event: the relative
-      velocity had an extremum near zero, or the force that a stick needs one near the friction limit; the mass came to
-      rest where friction could just hold it; or a jump of the base or the horizon came just before or after an event.
-      Near means within about 1e-9 of the scale (float32: 1e-3). Where the motion is known in closed form: the number
-      of intervals of the base in which so much as 256 units in the last place (float32: 64) would have decided; a
-      slip tangent to the base velocity from which it was released is none. Not counted by `Regularized` (0).
-    - `evaluate(times)`: the state at any instants; `base_velocity(times)`: the base velocity there.
-    - `friction_force(times)`: the friction force; `energies(times)`: what is stored, supplied, dissipated.
-    - `step_starts`: the instants at which the steps of the simulation begin, s: time steps or, where the motion is
-      known in closed form, whole intervals of the base velocity.
-    - `system`, `base`, `t1`, `method`: the arguments; a `Regularized` method has its options filled in.
+    Attributes:
+        sticks: Every stick (`Sticks`).
+        slips: Every slip (`Slips`).
+        totals: The number of sticks (`sticks`), how many the horizon cut (`censored`), and their total time
+            (`stick_time`, s).
+        stick_time: Total time in sticks, s.
+        slip_time: Total time in slips, s.
+        stick_fraction: Total stick time over ``t1``.
+        final_state: Position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular velocity (rad/s) and
+            current (A), at `time_reached`.
+        time_reached: Where the simulation ended, s; ``t1`` if the trajectory is FINISHED.
+        status: A `Status` code; 0 is FINISHED. With any other code do not use the numbers.
+        near_grazing_count: Number of instants at which round-off decided whether there was an event: the relative
+            velocity had an extremum near zero, or the force that a stick needs one near the friction limit; the mass
+            came to rest where friction could just hold it; or a jump of the base or the horizon came just before or
+            after an event. Near means within about 1e-9 of the scale (float32: 1e-3). Where the motion is known in
+            closed form: the number of intervals of the base in which an error of up to 256 units in the last place
+            (float32: 64) would have decided; a slip tangent to the base velocity from which it was released is none.
+            Not counted by `Regularized` (0).
+        step_starts: The instants at which the steps of the simulation begin, s: time steps or, where the motion is
+            known in closed form, whole intervals of the base velocity.
+        system: The argument of `simulate`.
+        base: The excitation, as given to `simulate`.
+        t1: The duration, s.
+        method: The method; of a `Regularized` one all options are filled in.
     """
 
     system: System
-    base: Any
+    base: BaseMotion
     t1: Scalar
     method: Exact | Regularized
     sticks: Sticks
@@ -75,10 +83,16 @@ class Simulation(WithMethods):
         return self._path.times
 
     def evaluate(self, times: AnyArray | float) -> tuple[FloatArray, ...]:
-        """The state at `times` (s, any shape): position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular
-        velocity (rad/s) and current (A). As exact as the simulation.
+        """The state at `times` (s, any shape), as exact as the simulation.
 
-        NaN outside ``[0, time_reached]``. Under ``jax.jit`` write ``jax.jit(lambda t: one.evaluate(t))``.
+        Under ``jax.jit`` write ``jax.jit(lambda t: one.evaluate(t))``.
+
+        Args:
+            times: s, any shape.
+
+        Returns:
+            Position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular velocity (rad/s) and current (A);
+            NaN outside ``[0, time_reached]``.
         """
         times = self._checked(times)
         return _evaluate(self, times, len(self.final_state))
@@ -96,7 +110,14 @@ class Simulation(WithMethods):
         in the direction of ``eccentricity cos(angle)`` (Lima and Sampaio 2022, eq. 4). It jumps at events; there it is
         that of the stick or slip that follows.
 
-        NaN outside ``[0, time_reached]``. Raises ValueError for a `SwitchedSystem`, and for a batch.
+        Args:
+            times: s, any shape.
+
+        Returns:
+            The force, N; NaN outside ``[0, time_reached]``.
+
+        Raises:
+            ValueError: For a `SwitchedSystem`, and for a batch.
         """
         return friction_force_of(self, self._checked(times))
 
@@ -106,8 +127,15 @@ class Simulation(WithMethods):
         Integrals of the powers over each time step, by Gauss's rule with 8 points.
         Where the motion is known in closed form over whole intervals, it is followed again in time steps for this.
 
-        NaN outside ``[0, time_reached]``. Raises ValueError for a `SwitchedSystem`, a `Regularized` method, a
-        `MotorCart` with the printed equation, a batch, and under ``jit`` where `t1` is traced.
+        Args:
+            times: s, any shape.
+
+        Returns:
+            The energies, J; NaN outside ``[0, time_reached]``.
+
+        Raises:
+            ValueError: For a `SwitchedSystem`, a `Regularized` method, a `MotorCart` with the printed equation, a
+                batch, and under ``jit`` where `t1` is traced.
         """
         return energies_of(self, self._checked(times))
 

@@ -12,15 +12,14 @@ from .. import _checks
 from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.validation import check_method
 from .._ensemble.call import simulate_ensemble
-from .._ensemble.parts import Keep
+from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
-from .._excitation.random import InitialState
 from .._forks import require_threads_of_jax
 from .._statistics.quantities import SampledQuantity
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
-from .._types import Array
+from .._types import Array, InitialState
 from .._uncertainty.design import Design
 from .errors import SweepError
 from .plan import Plan, checked_samples, key_data_in, usual_batch

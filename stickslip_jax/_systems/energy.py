@@ -1,18 +1,19 @@
 """Friction forces and energies of the built-in systems: what is stored, supplied and dissipated."""
 
 from functools import singledispatch
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
 from .. import _checks
 from .._claims import keeps
-from .._types import FloatArray, Scalar, State
-from .mass_spring import OscillatorInputs, OscillatorModel
-from .motor_cart import CartInputs, CartModel, MotorCart
+from .._types import FloatScalar, Scalar, State
+from .mass_spring import OscillatorForcing, OscillatorModel
+from .motor_cart import CartModel, MotorCart
+from .switched_model import F, SwitchedModel
 from .system import System
 
-Terms = dict[str, FloatArray]
+Terms: TypeAlias = dict[str, FloatScalar]
 """Energies (J) or powers (W) by name."""
 
 
@@ -24,24 +25,24 @@ class Powers(NamedTuple):
 
 
 @singledispatch
-def friction_force(model: Any, y: State, grip: FloatArray) -> FloatArray:
-    """The friction force under the signed friction coefficient `grip`, N: on the mass, of a motor on the cart."""
-    raise NotImplementedError  # `require_known` has refused what is not registered below
+def friction_force(model: SwitchedModel, y: State, coefficient: FloatScalar) -> FloatScalar:
+    """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
+    raise NotImplementedError  # not reached: `require_known` refuses what is not registered below
 
 
 @singledispatch
-def stored_energies(model: Any, y: State) -> Terms:
+def stored_energies(model: SwitchedModel, y: State) -> Terms:
     """The energies stored in the state, J."""
-    raise NotImplementedError  # `require_known` has refused what is not registered below
+    raise NotImplementedError  # not reached: `require_known` refuses what is not registered below
 
 
 @singledispatch
-def powers(model: Any, inputs: Any, y: State, force: FloatArray) -> Powers:
+def powers(model: SwitchedModel[F], forcing: F, y: State, force: FloatScalar) -> Powers:
     """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
-    raise NotImplementedError  # `require_known` has refused what is not registered below
+    raise NotImplementedError  # not reached: `require_known` refuses what is not registered below
 
 
-def require_known(system: System, model: Any, name: str) -> None:
+def require_known(system: System, model: SwitchedModel, name: str) -> None:
     """Check that friction forces of `system` are known in newtons, not only as shares. Raises ValueError otherwise."""
     if not any(keeps(model, kind, "rates", "rates_under") for kind in (OscillatorModel, CartModel)):
         raise ValueError(
@@ -59,7 +60,7 @@ def require_energy(system: System) -> None:
         )
 
 
-def fastest_decay(model: Any) -> Scalar:
+def fastest_decay(model: SwitchedModel) -> Scalar:
     """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
     if not isinstance(model, OscillatorModel) or model.system.damping is None:
         return 0.0
@@ -67,8 +68,8 @@ def fastest_decay(model: Any) -> Scalar:
 
 
 @friction_force.register
-def _(model: OscillatorModel, y: State, grip: FloatArray) -> FloatArray:
-    return -grip * model.system.normal_force
+def _(model: OscillatorModel, y: State, coefficient: FloatScalar) -> FloatScalar:
+    return -coefficient * model.system.normal_force
 
 
 @stored_energies.register
@@ -78,20 +79,20 @@ def _(model: OscillatorModel, y: State) -> Terms:
 
 
 @powers.register
-def _(model: OscillatorModel, inputs: OscillatorInputs, y: State, force: FloatArray) -> Powers:
+def _(model: OscillatorModel, forcing: OscillatorForcing, y: State, force: FloatScalar) -> Powers:
     # The base moves with velocity v against the force -force that the mass exerts on it (Lima and Sampaio 2015, the
     # energy analysis of section 2): it supplies force v, of which force x' reaches the mass.
-    system, (_, p), none = model.system, y, jnp.zeros_like(inputs.t)
-    velocity, _ = model.base_motion(inputs, none)
+    system, (_, p), none = model.system, y, jnp.zeros_like(forcing.t)
+    velocity = model.base_motion(forcing, none).velocity
     damping = 0 if system.damping is None else system.damping
-    supplied = {"base": force * velocity, "load": model.load_at(inputs, none) * p}
+    supplied = {"base": force * velocity, "load": model.load_at(forcing, none) * p}
     return Powers(supplied, {"friction": force * (velocity - p), "damping": damping * p * p})
 
 
 @friction_force.register
-def _(model: CartModel, y: State, grip: FloatArray) -> FloatArray:
+def _(model: CartModel, y: State, coefficient: FloatScalar) -> FloatScalar:
     # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
-    return grip * model.system.largest_friction_torque / model.system.eccentricity * model.heading(y)
+    return coefficient * model.system.largest_friction_torque / model.system.eccentricity * model.heading(y)
 
 
 @stored_energies.register
@@ -103,9 +104,9 @@ def _(model: CartModel, y: State) -> Terms:
 
 
 @powers.register
-def _(model: CartModel, inputs: CartInputs, y: State, force: FloatArray) -> Powers:
+def _(model: CartModel, forcing: FloatScalar, y: State, force: FloatScalar) -> Powers:
     system, (angle, speed, current) = model.system, y
-    voltage = model.smooth.mean + model.smooth.amplitude * jnp.sin(inputs.phase)
-    rubbing = force * system.eccentricity * jnp.sin(angle) * speed
-    heat = {"friction": rubbing, "damping": system.motor_damping * speed * speed}
+    voltage = model.smooth.mean + model.smooth.amplitude * jnp.sin(forcing)
+    friction = force * system.eccentricity * jnp.sin(angle) * speed
+    heat = {"friction": friction, "damping": system.motor_damping * speed * speed}
     return Powers({"voltage": voltage * current}, heat | {"resistance": system.resistance * current * current})

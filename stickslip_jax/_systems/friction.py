@@ -3,12 +3,13 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from .. import _checks
 from .._fields import Checked, Quantity
@@ -24,16 +25,24 @@ class FrictionLaw(Checked):
     The friction force is at most ``static * normal_force`` in a stick, and ``kinetic(|v_rel|) * normal_force`` in a
     slip at relative speed ``|v_rel|`` (m/s). For a law of your own take `FrictionCurve`, or subclass this.
 
-    `constant`: whether `kinetic` does not depend on the speed; slips then have closed forms. Where a subclass of a law
-    has another `kinetic` or `static` than that law, `constant`, `holds_more` and `speed_scale` must be stated anew: by
-    default the coefficient depends on the speed, in a way that is not known.
+    Systems and engines ask a law by the direction of slip: `slip_coefficient`, `continued_coefficient`, `stick_limit`
+    and `in_direction`. For a law that differs between the two directions, `static` is the larger limit.
+
+    Attributes:
+        constant: Whether `kinetic` does not depend on the speed; slips then have closed forms. Where a subclass of a
+            law has another `kinetic` or `static` than that law, `constant`, `static_exceeds_kinetic` and `speed_scale`
+            must be stated anew: by default the coefficient depends on the speed, in a way that is not known.
     """
 
     constant: ClassVar[bool] = False
-    rests_on: ClassVar = {"constant": ("kinetic",), "speed_scale": ("kinetic",), "holds_more": ("static", "kinetic")}
+    rests_on: ClassVar = {
+        "constant": ("kinetic", "in_direction"),
+        "speed_scale": ("kinetic", "in_direction"),
+        "static_exceeds_kinetic": ("static", "kinetic", "in_direction"),
+    }
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         """Whether static friction may exceed kinetic friction at vanishing speed, ``static > kinetic(0)``."""
         return True
 
@@ -56,6 +65,45 @@ class FrictionLaw(Checked):
     def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         """Kinetic friction coefficient at the relative speed `speed` (m/s, zero or positive)."""
 
+    def in_direction(self, velocity: FloatArray) -> "FrictionLaw":
+        """The law for slips in one direction, and for sticks that would break into them.
+
+        Args:
+            velocity: The relative velocity, or any number of its sign.
+
+        Returns:
+            A law that is the same in both directions; here this one.
+        """
+        return self
+
+    @property
+    def depends_on_direction(self) -> bool:
+        """Whether it may differ between the two directions of slip."""
+        return type(self).in_direction is not FrictionLaw.in_direction
+
+    def slip_coefficient(self, velocity: FloatArray) -> Scalar | FloatArray:
+        """The kinetic friction coefficient at this relative velocity (m/s, of either sign)."""
+        return self.in_direction(velocity).kinetic(jnp.abs(velocity))
+
+    def continued_coefficient(self, speed: FloatArray, sign: FloatArray) -> Scalar | FloatArray:
+        """The kinetic friction coefficient of a slip, continued with the same slope to beyond its end.
+
+        The last Runge-Kutta step of a slip may have stages slightly beyond its end; a kink there would cost its order.
+
+        Args:
+            speed: `sign` times the relative velocity, m/s; negative beyond the end of the slip.
+            sign: The sign of the relative velocity in the slip.
+        """
+        law = self.in_direction(sign)
+        coefficient = law.kinetic(jnp.abs(speed))
+        if law.constant:
+            return coefficient
+        return jnp.where(speed < 0, 2 * law.kinetic(jnp.zeros_like(speed)) - coefficient, coefficient)
+
+    def stick_limit(self, velocity: FloatArray) -> Scalar:
+        """The largest friction coefficient of a stick that would break into a slip with the sign of `velocity`."""
+        return self.in_direction(velocity).static
+
     def check_relations(self) -> None:
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
         if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
@@ -67,11 +115,14 @@ class FrictionLaw(Checked):
 class Coulomb(FrictionLaw):
     """Coulomb dry friction: the force in a slip is ``mu * normal_force``, against the relative velocity.
 
-    - `mu`: the kinetic friction coefficient (dimensionless, zero or positive).
-    - `mu_static`: the static one, at least `mu`; by default equal to it.
-
-    Raises ValueError if a number is negative or not finite, or `mu_static` below `mu`.
     Source: Lima and Sampaio 2015, eq. 2.
+
+    Args:
+        mu: The kinetic friction coefficient (dimensionless, zero or positive).
+        mu_static: The static one, at least `mu`; by default equal to it.
+
+    Raises:
+        ValueError: If a number is negative or not finite, or `mu_static` below `mu`.
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient", at_least=0)]
@@ -83,7 +134,7 @@ class Coulomb(FrictionLaw):
         FrictionLaw.check_relations(self)
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return self.mu_static is not None
 
     @property
@@ -97,18 +148,17 @@ class Coulomb(FrictionLaw):
 class VelocityWeakening(FrictionLaw):
     """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
 
-    - `mu_static`: the static friction coefficient (dimensionless, zero or positive).
-    - `weakening`: s/m, zero or positive.
+    Args:
+        mu_static: The static friction coefficient (dimensionless, zero or positive).
+        weakening: How fast the coefficient falls with the speed, s/m, zero or positive.
 
-    Raises ValueError for numbers outside these bounds.
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
 
+    static_exceeds_kinetic = False  # pyright: ignore[reportAssignmentType] - known for all of them
     mu_static: Annotated[Number, Quantity(meaning=_STATIC, at_least=0)]
     weakening: Annotated[Number, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
-
-    @property
-    def holds_more(self) -> bool:
-        return False
 
     @property
     def static(self) -> Scalar:
@@ -127,13 +177,18 @@ class VelocityWeakening(FrictionLaw):
 class Stribeck(FrictionLaw):
     """Stribeck friction: ``mu + (mu_static - mu) exp(-(|v_rel| / stribeck_speed)^exponent) + viscous |v_rel|``.
 
-    - `mu`: the kinetic friction coefficient far above the Stribeck speed; `mu_static`: the static one, at least `mu`.
-      Both are dimensionless.
-    - `stribeck_speed` in m/s, positive. `exponent`: at least 1. `viscous` in s/m, zero or positive.
+    Args:
+        mu: The kinetic friction coefficient far above the Stribeck speed (dimensionless).
+        mu_static: The static one, at least `mu`.
+        stribeck_speed: The speed over which the coefficient falls, m/s, positive.
+        exponent: Of the speed in the exponential, at least 1.
+        viscous: What is added per speed, s/m, zero or positive.
 
-    Raises ValueError for numbers outside these bounds.
+    Raises:
+        ValueError: For numbers outside these bounds.
     """
 
+    static_exceeds_kinetic = False  # pyright: ignore[reportAssignmentType] - known for all of them
     mu: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
     mu_static: Annotated[Number, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
     stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
@@ -145,10 +200,6 @@ class Stribeck(FrictionLaw):
     def check_relations(self) -> None:
         _static_at_least(self.mu, self.mu_static)
         FrictionLaw.check_relations(self)
-
-    @property
-    def holds_more(self) -> bool:
-        return False
 
     @property
     def static(self) -> Scalar:
@@ -171,7 +222,7 @@ class Stribeck(FrictionLaw):
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
 
 
-def _traceable(curve: Any) -> Any:
+def _traceable(curve: PyTree) -> PyTree:
     """A plain function as a pytree without leaves, so that it can be part of a system that JAX transforms."""
     is_plain = callable(curve) and not isinstance(curve, type) and jax.tree.leaves(curve) == [curve]
     return jax.tree_util.Partial(curve) if is_plain else curve
@@ -180,14 +231,16 @@ def _traceable(curve: Any) -> Any:
 class FrictionCurve(FrictionLaw):
     """A friction law of your own: the kinetic friction coefficient is ``curve(|v_rel|)``.
 
-    - `curve`: a smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
-      with parameters of its own.
-    - `mu_static`: the static friction coefficient, at least ``curve(0)``; by default equal to it.
+    Args:
+        curve: A smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
+            with parameters.
+        mu_static: The static friction coefficient, at least ``curve(0)``; by default equal to it.
 
-    Raises ValueError for a curve that cannot be called, or coefficients that are negative or do not fit.
+    Raises:
+        ValueError: For a curve that cannot be called, or coefficients that are negative or do not fit.
     """
 
-    curve: Callable[[FloatArray], Any] = eqx.field(converter=_traceable)
+    curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=_traceable)
     holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
@@ -204,7 +257,7 @@ class FrictionCurve(FrictionLaw):
         FrictionLaw.check_relations(self)
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return self.mu_static is not None
 
     @property
@@ -224,7 +277,7 @@ class FrictionCurve(FrictionLaw):
 
 def times_of_slips(
     friction: FrictionLaw, mass: Number, normal_force: Number, damping: Number | None
-) -> tuple[Any, Any]:
+) -> tuple[Scalar, Scalar]:
     """Two times, s, that steps of a slip must be short against; infinity where there is none.
 
     The first: that in which the largest friction force changes the speed by the speed scale of the law. The second: the
@@ -236,12 +289,12 @@ def times_of_slips(
     return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0) else mass / drag
 
 
-def _is(number: Any, value: Any) -> bool:
+def _is(number: Scalar, value: float) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
 
 
 def _static_at_least(
-    kinetic: Any, static: Any, name: str = "Argument mu_static", of: str = "mu", slack: float = 0.0
+    kinetic: Number, static: Number | None, name: str = "Argument mu_static", of: str = "mu", slack: float = 0.0
 ) -> None:
     """Check that the `static` coefficient, if given, is at least the `kinetic` one, called `of`, but for `slack`."""
     if static is None or _checks.is_traced(kinetic) or _checks.is_traced(static):

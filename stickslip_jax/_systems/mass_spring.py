@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.tree_util import Partial
 
 from .. import _checks
 from .. import _diffrax as diffrax
@@ -22,12 +23,12 @@ from .._excitation.smooth import Signal
 from .._fields import Quantity
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
-from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
-from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
+from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
+from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
+from .built_in import is_built_in
 from .friction import FrictionLaw, times_of_slips
-from .own import is_own
-from .resonance import check_no_resonance, steady_response
-from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
+from .steady_response import check_no_resonance, steady_response
+from .switched_model import Base, Segments, SwitchedModel, base_motion
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
@@ -43,12 +44,16 @@ class MassSpring(System):
     ``x' = v``, which lasts as long as ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``
     (Lima and Sampaio 2017, "Construction of a statistical model", eq. 1, where damping and force are zero).
 
-    - `mass` in kg, `stiffness` in N/m, `normal_force` in N: positive numbers.
-    - `friction`: the friction law, such as `Coulomb(mu)`.
-    - `damping` in N s/m, zero or positive: of a viscous damper to the ground. None is zero.
-    - `force`: external force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
+    Args:
+        mass: kg, positive.
+        stiffness: N/m, positive.
+        normal_force: N, positive.
+        friction: The friction law, such as `Coulomb(mu)`.
+        damping: Of a viscous damper to the ground, N s/m, zero or positive. None is zero.
+        force: External force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
 
-    Raises ValueError if a number is out of its range or not finite, or `friction` or `force` is of another kind.
+    Raises:
+        ValueError: If a number is out of its range or not finite, or `friction` or `force` is of another kind.
     """
 
     mass: Annotated[Number, Quantity("kg", above=0)]
@@ -100,21 +105,22 @@ class MassSpring(System):
         return self.angular_frequency
 
     @property
-    def holds_more(self) -> bool:
-        return self.friction.holds_more
+    def static_exceeds_kinetic(self) -> bool:
+        return self.friction.static_exceeds_kinetic
 
     @property
     def recorded_loads(self) -> tuple[Recorded, ...]:
         return (self.force,) if isinstance(self.force, Recorded) else ()
 
     @property
-    def rides_base(self) -> bool:
+    def sticks_at_base_velocity(self) -> bool:
         return True
 
     @property
     def has_interval_form(self) -> bool:
         friction = self.friction
-        return friction.constant and not friction.holds_more and self.damping is None and self.force is None
+        is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
+        return is_simple and self.damping is None and self.force is None
 
     @property
     def has_closed_form(self) -> bool:
@@ -124,8 +130,8 @@ class MassSpring(System):
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
-        # A solver of one's own takes the steps it is given, unless the friction law is one's own too.
-        controlled = solver is None or not is_own(self)
+        # A solver that the user gives takes the given steps, unless the friction law is the user's too.
+        controlled = solver is None or not is_built_in(self)
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
@@ -165,18 +171,18 @@ class MassSpring(System):
     def slip_center(self) -> Scalar | None:
         if not self.friction.constant or self.force is not None:
             return None
-        return self.friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
+        return self.friction.slip_coefficient(jnp.zeros(())) * self.normal_force / self.stiffness
 
     @property
     def band_symbols(self) -> str:
-        mu = r"\mu" if self.friction.constant and not self.friction.holds_more else r"\mu_\mathrm{s}"
+        mu = r"\mu" if self.friction.constant and not self.friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
         return rf"|x| \leq {mu} n/k"
 
     def stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m."""
-        force: Any = 0.0
+        force: FloatArray | float = 0.0
         if self.force is not None:
             force = self.force.value(times) if isinstance(self.force, Recorded) else jax.vmap(self.force.value)(times)
         load = force - self.mass * (acceleration + ground)
@@ -186,165 +192,148 @@ class MassSpring(System):
         return center - self.stick_half_width, center + self.stick_half_width
 
 
-class OscillatorInputs(NamedTuple):
+class OscillatorForcing(NamedTuple):
     """The piecewise-linear parts of base velocity (m/s) and load (N) from time `t` on: values and slopes."""
 
-    t: FloatArray
-    base: FloatArray
-    base_slope: FloatArray
-    load: FloatArray
-    load_slope: FloatArray
+    t: FloatScalar
+    base: FloatScalar
+    base_slope: FloatScalar
+    load: FloatScalar
+    load_slope: FloatScalar
 
 
-class OscillatorModel(SwitchedModel):
+class OscillatorModel(SwitchedModel[OscillatorForcing]):
     """A `MassSpring` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts. State: x (m), x' (m/s)."""
 
     system: MassSpring
     smooth: Signal | None
     steps_may_be_long: ClassVar[bool] = True
 
-    def inputs(self, t: FloatArray, segments: Segments) -> OscillatorInputs:
+    def forcing(self, t: FloatScalar, segments: Segments) -> OscillatorForcing:
         base, base_slope = added(t, segments.base)
         ground, ground_slope = added(t, segments.ground)
         force, force_slope = added(t, segments.force)
         mass = self.system.mass
-        return OscillatorInputs(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
+        return OscillatorForcing(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
 
-    def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+    def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         m, k, c = self._constants()
-        rub = sign * self.system.friction.kinetic(jnp.zeros_like(h)) * self.system.normal_force
+        coefficient = sign * self.friction.continued_coefficient(jnp.zeros_like(h), sign)
+        friction = coefficient * self.system.normal_force
         beta = 0 if c is None else c / (2 * m)
         omega_squared = k / m
-        before, after = (self._response(inputs, tau, rub) for tau in (jnp.zeros_like(h), h))
+        before, after = (self._response(forcing, tau, friction) for tau in (jnp.zeros_like(h), h))
         u, w = y[0] - before[0], y[1] - before[1]
         free = free_motion(beta, omega_squared, h)
         x = after[0] + free.kept * u + free.carried * w
         p = after[1] + free.slowed * w - omega_squared * free.carried * u
         # A load that grows, from rest at its first value: the steady part lags by c / k, which may be far more.
         lag = free.carried if c is None else free.carried + c / k * free.settled
-        slope = inputs.load_slope / k
+        slope = forcing.load_slope / k
         return x + slope * (h - lag), p + slope * free.settled
 
-    def stick(self, inputs: OscillatorInputs, y: State, h: FloatArray) -> State:
-        travel = h * (inputs.base + 0.5 * h * inputs.base_slope)
+    def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> State:
+        travel = h * (forcing.base + 0.5 * h * forcing.base_slope)
         if self.smooth is not None:
-            travel = travel + self.smooth.integral(inputs.t, h)
-        return y[0] + travel, self.base_motion(inputs, h)[0]
+            travel = travel + self.smooth.integral(forcing.t, h)
+        return y[0] + travel, self.base_motion(forcing, h)[0]
 
-    def rates(self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
-        m, k, c = self._constants()
-        velocity, acceleration = self.base_motion(inputs, tau)
-        rub = sign * self._coefficient(sign * (y[1] - velocity)) * self.system.normal_force
-        slip = (self.load_at(inputs, tau) - _times(c, y[1]) - k * y[0] - rub) / m
-        return y[1], jnp.where(sign == 0, acceleration, slip)
-
-    def at_rest(self, inputs: OscillatorInputs, y: State) -> BoolArray:
-        r = y[1] - self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
-        noise = NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[0]))
-        return jnp.abs(r) <= noise
-
-    def slip_sign(self, inputs: OscillatorInputs, y: State) -> FloatArray:
-        return jnp.sign(y[1] - self.base_motion(inputs, jnp.zeros_like(y[0]))[0])
+    def rates(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+        velocity, acceleration = self.base_motion(forcing, tau)
+        coefficient = sign * self.friction.continued_coefficient(sign * (y[1] - velocity), sign)
+        speed, slip = self.rates_under(forcing, tau, y, coefficient)
+        return speed, jnp.where(sign == 0, acceleration, slip)
 
     def guard(
-        self, inputs: OscillatorInputs, tau: FloatArray, y: State, sign: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+        self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar
+    ) -> tuple[FloatScalar, FloatScalar]:
         m, k, c = self._constants()
-        velocity, acceleration = self.base_motion(inputs, tau)
-        holds = self._holds()
+        velocity, acceleration = self.base_motion(forcing, tau)
+        needed, holds = self._needed_and_limit(forcing, tau, y)
         per_held = jnp.where(holds > 0, 1 / jnp.where(holds > 0, holds, 1), 0)
-        share = self._needed(inputs, tau, y) * per_held
-        t = inputs.t + tau
+        share = needed * per_held
+        t = forcing.t + tau
         jerk = 0 if self.smooth is None else self.smooth.curvature(t)
-        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - self._force_rate(inputs, tau)) * per_held
-        slip_rate = self.rates(inputs, tau, y, sign)[1] - acceleration
+        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - self._force_rate(forcing, tau)) * per_held
+        slip_rate = self.rates(forcing, tau, y, sign)[1] - acceleration
         sticking = sign == 0
         held = jnp.where(holds > 0, 1 - share * share, -1)
         guard = jnp.where(sticking, held, sign * (y[1] - velocity))
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * slip_rate)
 
-    def guard_scale(self, inputs: OscillatorInputs, y: State, sign: FloatArray) -> FloatArray:
+    def guard_scale(self, forcing: OscillatorForcing, y: State, sign: FloatScalar) -> FloatScalar:
         m, k, _ = self._constants()
-        velocity = self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
+        velocity = self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
         omega = jnp.sqrt(k / m)
-        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + self._holds() / k)
+        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + self.system.stick_half_width)
         return jnp.where(sign == 0, 2.0, slip)
 
-    def on_base(self, inputs: OscillatorInputs, y: State) -> State:
-        return y[0], self.base_motion(inputs, jnp.zeros_like(y[0]))[0]
+    def on_base(self, forcing: OscillatorForcing, y: State) -> State:
+        return y[0], self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
 
-    def can_stick(self, inputs: OscillatorInputs, y: State) -> BoolArray:
-        holds = self._holds()
+    def can_stick(self, forcing: OscillatorForcing, y: State) -> BoolScalar:
+        needed, holds = self._needed_and_limit(forcing, jnp.zeros_like(y[0]), y)
         # Without friction nothing sticks, not even where no force is needed.
-        return (jnp.abs(self._needed(inputs, jnp.zeros_like(y[0]), y)) <= holds) & (holds > 0)
+        return (jnp.abs(needed) <= holds) & (holds > 0)
 
-    def release_sign(self, inputs: OscillatorInputs, y: State) -> FloatArray:
+    def release_sign(self, forcing: OscillatorForcing, y: State) -> FloatScalar:
         # The base pulls harder than friction can hold: the mass lags behind.
-        return jnp.where(self._needed(inputs, jnp.zeros_like(y[0]), y) > 0, -1, 1).astype(y[0].dtype)
+        return jnp.where(self._needed_and_limit(forcing, jnp.zeros_like(y[0]), y)[0] > 0, -1, 1).astype(y[0].dtype)
 
     @property
     def friction(self) -> FrictionLaw:
         return self.system.friction
 
-    def rates_under(self, inputs: OscillatorInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
+    def rates_under(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         m, k, c = self._constants()
-        drag = 0 if c is None else c * y[1]
-        force = self.load_at(inputs, tau) - drag - k * y[0] - grip * self.system.normal_force
-        return y[1], force / m
+        friction = coefficient * self.system.normal_force
+        return y[1], (self.load_at(forcing, tau) - _times(c, y[1]) - k * y[0] - friction) / m
 
-    def relative_velocity(self, inputs: OscillatorInputs, tau: FloatArray, y: State) -> FloatArray:
-        return y[1] - self.base_motion(inputs, tau)[0]
+    def relative_velocity(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatScalar:
+        return y[1] - self.base_motion(forcing, tau)[0]
 
-    def relative_acceleration(self, inputs: OscillatorInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
-        return rates[1] - self.base_motion(inputs, tau)[1]
+    def relative_acceleration(
+        self, forcing: OscillatorForcing, tau: FloatScalar, y: State, rates: State
+    ) -> FloatScalar:
+        return rates[1] - self.base_motion(forcing, tau)[1]
 
     def _constants(self):
         return self.system.mass, self.system.stiffness, self.system.damping
 
-    def _coefficient(self, speed: FloatArray) -> Any:
-        """The kinetic friction coefficient, continued with the same slope to beyond the end of the slip.
+    def base_motion(self, forcing: OscillatorForcing, tau: FloatScalar) -> Base:
+        """Velocity and acceleration of the base, `tau` (s) later."""
+        return base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
 
-        The last Runge-Kutta step of a slip may have stages slightly beyond its end; a kink there would cost its order.
-        """
-        friction = self.system.friction
-        coefficient = friction.kinetic(jnp.abs(speed))
-        if friction.constant:
-            return coefficient
-        return jnp.where(speed < 0, 2 * friction.kinetic(jnp.zeros_like(speed)) - coefficient, coefficient)
+    def load_at(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
+        load = forcing.load + tau * forcing.load_slope
+        return load + self.system.force.value(forcing.t + tau) if isinstance(self.system.force, Signal) else load
 
-    def _holds(self) -> FloatArray:
-        return jnp.asarray(self.system.friction.static * self.system.normal_force)
-
-    def base_motion(self, inputs: OscillatorInputs, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Velocity and acceleration of the base."""
-        velocity, acceleration = inputs.base + tau * inputs.base_slope, inputs.base_slope
-        if self.smooth is None:
-            return velocity, acceleration
-        t = inputs.t + tau
-        return velocity + self.smooth.value(t), acceleration + self.smooth.rate(t)
-
-    def load_at(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
-        load = inputs.load + tau * inputs.load_slope
-        return load + self.system.force.value(inputs.t + tau) if isinstance(self.system.force, Signal) else load
-
-    def _force_rate(self, inputs: OscillatorInputs, tau: FloatArray) -> FloatArray:
+    def _force_rate(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
         force = self.system.force
-        return inputs.load_slope + (force.rate(inputs.t + tau) if isinstance(force, Signal) else 0)
+        return forcing.load_slope + (force.rate(forcing.t + tau) if isinstance(force, Signal) else 0)
 
-    def _needed(self, inputs: OscillatorInputs, tau: FloatArray, y: State) -> FloatArray:
-        """The friction force that a stick needs, ``m v' + c v + k x - F``, N (Lima and Sampaio 2017, eq. 3)."""
+    def _needed_and_limit(
+        self, forcing: OscillatorForcing, tau: FloatScalar, y: State
+    ) -> tuple[FloatScalar, FloatScalar]:
+        """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), and the
+        largest one in that direction, N.
+        """
         m, k, c = self._constants()
-        velocity, acceleration = self.base_motion(inputs, tau)
-        return m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(inputs, tau)
+        velocity, acceleration = self.base_motion(forcing, tau)
+        needed = m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(forcing, tau)
+        # A mass that needs a positive force lags behind the base once it is released.
+        return needed, jnp.asarray(self.friction.stick_limit(-needed) * self.system.normal_force)
 
-    def _response(self, inputs: OscillatorInputs, tau: FloatArray, rub: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _response(
+        self, forcing: OscillatorForcing, tau: FloatScalar, friction: FloatScalar
+    ) -> tuple[FloatScalar, FloatScalar]:
         """A particular solution: position and velocity under the load as the step begins, friction, harmonic forces."""
         m, k, c = self._constants()
         c = 0 if c is None else c
-        x, p = (inputs.load - rub) / k, jnp.zeros_like(tau)
-        force: Any = self.system.force if isinstance(self.system.force, Signal) else None
-        if force is not None:  # a sum of harmonics: there were no closed form otherwise
-            position, velocity = steady_response(force.tones, m, k, c, inputs.t + tau)
+        x, p = (forcing.load - friction) / k, jnp.zeros_like(tau)
+        force: Any = self.system.force
+        if isinstance(force, Signal):  # a sum of harmonics: under others there is no closed form
+            position, velocity = steady_response(force.tones, m, k, c, forcing.t + tau)
             x, p = x + force.mean / k + position, p + velocity
         return x, p
 
@@ -356,37 +345,28 @@ class SolverOscillatorModel(OscillatorModel):
     controlled: bool = eqx.field(static=True)
     steps_may_be_long: ClassVar[bool] = False
 
-    def slip(self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
-        return self.slip_and_error(inputs, y, h, sign)[0]
+    def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
+        return self.slip_and_error(forcing, y, h, sign)[0]
 
     def slip_and_error(
-        self, inputs: OscillatorInputs, y: State, h: FloatArray, sign: FloatArray
-    ) -> tuple[State, FloatArray | None]:
-        y1, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
+        self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
+    ) -> tuple[State, FloatScalar | None]:
+        rates = Partial(type(self).rates, self, forcing, sign=sign)
+        y1, error = runge_kutta_step(rates, y, h, solver=self.solver)
         if not self.controlled:
             return y1, None
         m, k, c = self._constants()
         none = jnp.zeros_like(h)
-        rub = self._coefficient(sign * self.relative_velocity(inputs, none, y)) * self.system.normal_force
+        coefficient = self.friction.continued_coefficient(sign * self.relative_velocity(forcing, none, y), sign)
+        friction = coefficient * self.system.normal_force
         by_state = ((none, none + 1), (none + k / m, none + (0 if c is None else c / m)))
-        way = ways(h, y, (none, self.load_at(inputs, none) / m), by_state, (none, rub / m))
-        return y1, relative_error(error, y, y1, way)
+        gross = gross_changes(h, y, (none, self.load_at(forcing, none) / m), by_state, (none, friction / m))
+        return y1, relative_error(error, y, y1, gross)
 
 
-class _Slip(eqx.Module):
-    """The rates of a slip, a function of the time since the step began and of the state."""
-
-    model: OscillatorModel
-    inputs: OscillatorInputs
-    sign: FloatArray
-
-    def __call__(self, tau: FloatArray, state: State) -> State:
-        return self.model.rates(self.inputs, tau, state, self.sign)
-
-
-def _times(c: Any, value: Any) -> Any:
+def _times(c: Scalar | None, value: FloatScalar) -> FloatScalar | int:
     return 0 if c is None else c * value
 
 
-def _is_zero(value: Any) -> bool:
+def _is_zero(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0

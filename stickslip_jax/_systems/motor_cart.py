@@ -12,11 +12,12 @@ a linear invariant, which a Runge-Kutta method conserves exactly and an exponent
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 
 from .. import _checks
 from .. import _diffrax as diffrax
@@ -27,9 +28,20 @@ from .._excitation.voltage import SourceVoltage
 from .._fields import Choice, Quantity
 from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.runge_kutta import runge_kutta_step
-from .._types import AnyArray, Array, BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
+from .._types import (
+    AnyArray,
+    Array,
+    BoolScalar,
+    ExplicitSolver,
+    FloatArray,
+    FloatScalar,
+    Number,
+    Scalar,
+    Solver,
+    State,
+)
 from .friction import Coulomb, FrictionLaw
-from .switched_model import NOISE_ULPS, Segments, State, SwitchedModel
+from .switched_model import Segments, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
 
 _LONGEST_TURN = 0.13  # of the motor in a step, in units of its `angle_scale`
@@ -50,13 +62,21 @@ class MotorCart(System):
     The mass sticks while ``alpha' = 0`` and ``|motor_constant c| <= mu m gravity d |sin alpha|``; at ``sin alpha = 0``
     (dead centre) friction has no leverage and nothing sticks.
 
-    - `mu`: friction coefficient of cart and rail, zero or positive.
-    - `cart_mass` kg, `eccentricity` m, `gravity` m/s^2, `motor_inertia` kg m^2, `motor_constant` V s/rad (also N m/A),
-      `resistance` ohm, `inductance` H: positive. `motor_damping` N m s/rad: zero or positive.
-    - `equation`: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
-      ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
+    Args:
+        mu: Friction coefficient of cart and rail, zero or positive.
+        cart_mass: kg, positive.
+        eccentricity: Of the pin on the disk, m, positive.
+        gravity: m/s^2, positive.
+        motor_inertia: kg m^2, positive.
+        motor_damping: N m s/rad, zero or positive.
+        motor_constant: Of voltage (V s/rad) and torque (N m/A), positive.
+        resistance: ohm, positive.
+        inductance: H, positive.
+        equation: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
+            ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
 
-    Raises ValueError for numbers out of range and for another `equation`.
+    Raises:
+        ValueError: For numbers out of range and for another `equation`.
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
@@ -192,7 +212,7 @@ def _require_sine(voltage: Signal) -> None:
 
 
 def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyArray | float) -> FloatArray:
-    """Upper bound of the stick duration at motor angles `angle` (rad, any shape), s; infinity where sticks never end.
+    """Upper bound of the duration of sticks of a `MotorCart`.
 
     It is the longest time without a break during which friction can hold the torque of the steady current
     ``mean / resistance + A sin(...)``, that is, during which the sine lies between ``low`` and ``high``,
@@ -204,7 +224,17 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     ``inductance / resistance``; it can prolong a stick by about that much.
 
     A constant voltage (amplitude 0) gives 0 or infinity. At dead centre, and without friction, nothing sticks: 0.
-    Raises ValueError for arguments of another kind, and for angles that are not finite.
+
+    Args:
+        system: The motor with its cart.
+        voltage: The source voltage.
+        angle: Motor angles, rad, any shape.
+
+    Returns:
+        The bound at each angle, s; infinity where sticks never end.
+
+    Raises:
+        ValueError: For arguments of another kind, and for angles that are not finite.
 
     >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
     >>> print(f"{bound:.5f} s")
@@ -224,7 +254,7 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     spare = [limit - mean for limit in (-held, held)]
     low, high = (_asin_within(some * per_amplitude) for some in spare)
     over_lowest, over_highest = spare[0] <= -amplitude, spare[1] >= amplitude
-    # Over an extremum the current turns: it takes the way back, too.
+    # At an extremum the current turns back, and passes through the same values again.
     bound = (high - low) * jnp.where(over_lowest | over_highest, 2, 1) / voltage.angular_frequency
     bound = jnp.where(amplitude > 0, bound, 0)
     return jnp.where(held > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
@@ -236,42 +266,64 @@ def _asin_within(sine: FloatArray) -> FloatArray:
     return jnp.where(within, jnp.arcsin(jnp.where(within, sine, 0)), jnp.sign(sine) * (math.pi / 2))
 
 
-class CartInputs(NamedTuple):
-    """The phase of the voltage at the time the step begins, rad."""
-
-    phase: FloatArray
+Direction: TypeAlias = tuple[FloatScalar, FloatScalar]
+"""Sine and cosine of an angle."""
 
 
-class CartModel(SwitchedModel):
-    """A `MotorCart` under a `SourceVoltage`."""
+class CartModel(SwitchedModel[FloatScalar]):
+    """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
 
     system: MotorCart
     smooth: SourceVoltage
 
-    def inputs(self, t: FloatArray, segments: Segments) -> CartInputs:
-        return CartInputs(self.smooth.angular_frequency * t + self.smooth.phase)
+    def forcing(self, t: FloatScalar, segments: Segments) -> FloatScalar:
+        return self.smooth.angular_frequency * t + self.smooth.phase
 
-    def slip(self, inputs: CartInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
+    def slip(self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
-        field = _Slip(self, sincos(y[0]), sincos(inputs.phase), sign)
-        (angle, speed, current), _ = runge_kutta_step(field, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
+        rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
+        (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
         return y[0] + angle, speed, current
 
-    def stick(self, inputs: CartInputs, y: State, h: FloatArray) -> State:
+    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> State:
         rho = self.system.resistance / self.system.inductance
-        rest = (y[2] - self._steady(inputs, jnp.zeros_like(h))) * jnp.exp(-rho * h)
-        return y[0], jnp.zeros_like(h), rest + self._steady(inputs, h)
+        rest = (y[2] - self._steady(forcing, jnp.zeros_like(h))) * jnp.exp(-rho * h)
+        return y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)
 
-    def rates(self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
-        system = self.system
+    def rates(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+        direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
         sticking = sign == 0
-        speed = jnp.where(sticking, 0, y[1])
-        sine, _ = sincos(inputs.phase + self.smooth.angular_frequency * tau)
-        voltage = self.smooth.mean + self.smooth.amplitude * sine
-        current_rate = (voltage - system.resistance * y[2] - system.motor_constant * speed) * (1 / system.inductance)
-        return speed, jnp.where(sticking, 0, self._torque(sign)(sincos(y[0]), *y[1:])), current_rate
+        speed, friction = jnp.where(sticking, 0, y[1]), sign * self.system.largest_friction_torque * direction[0]
+        turn, across = self._balances(direction, phase, speed, y[2], friction)
+        return speed, jnp.where(sticking, 0, turn), across * (1 / self.system.inductance)
 
-    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+    def _slip_rates(
+        self, start: Direction, phase: Direction, sign: FloatScalar, tau: FloatScalar, state: State
+    ) -> State:
+        """The rates of a slip `tau` (s) after a step began at the angle `start`, from which the `state` counts it."""
+        angle, speed, current = state
+        direction, phase = _turned(start, angle), _turned(phase, self.smooth.angular_frequency * tau)
+        friction = sign * self.system.largest_friction_torque * direction[0]
+        turn, across = self._balances(direction, phase, speed, current, friction)
+        return speed, turn, across * (1 / self.system.inductance)
+
+    def _balances(
+        self, direction: Direction, phase: Direction, speed: FloatScalar, current: FloatScalar, friction: FloatScalar
+    ) -> tuple[FloatScalar, FloatScalar]:
+        """The equations of motion (eqs 1, 2): angular acceleration (rad/s^2), and voltage across the inductance (V).
+
+        `direction`, `phase`: sine and cosine of the motor angle and of the phase of the voltage. `friction`: N m.
+        """
+        system, (sine, cosine) = self.system, direction
+        inertia = system.cart_mass * system.eccentricity**2
+        carried = speed * speed if system.equation == "physical" else speed
+        driving = system.motor_constant * current - system.motor_damping * speed - friction
+        torque = driving - inertia * sine * cosine * carried
+        drop = system.resistance * current + system.motor_constant * speed
+        across = self.smooth.mean + self.smooth.amplitude * phase[0] - drop
+        return torque / (system.motor_inertia + inertia * sine * sine), across
+
+    def step_limit(self, age: FloatScalar, step: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
         # After a jump of the torque the current has a transient, which needs shorter steps: in a slip for the
         # integrator, in a stick so that no step holds both the extremum of the transient and others.
         transient = self.system.inductance / self.system.resistance
@@ -281,19 +333,20 @@ class CartModel(SwitchedModel):
         stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
         return jnp.where(sign == 0, stick, slip)
 
-    def at_rest(self, inputs: CartInputs, y: State) -> BoolArray:
-        noise = NOISE_ULPS * jnp.finfo(y[1].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[1]))
-        return jnp.abs(y[1]) <= noise
+    def at_rest(self, forcing: FloatScalar, y: State) -> BoolScalar:
+        return jnp.abs(y[1]) <= self.noise(forcing, y)
 
-    def slip_sign(self, inputs: CartInputs, y: State) -> FloatArray:
+    def slip_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         sine, cosine = sincos(y[0])
-        # Exactly at dead centre, what comes next: r' = cos(alpha) alpha'^2.
+        # Exactly at dead centre r is 0, and its sign follows from its rate, r' = cos(alpha) alpha'^2.
         at_dead_center = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
         return jnp.where(at_dead_center, jnp.sign(cosine), jnp.sign(sine * y[1]))
 
-    def guard(self, inputs: CartInputs, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def guard(
+        self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar
+    ) -> tuple[FloatScalar, FloatScalar]:
         sine, cosine = sincos(y[0])
-        _, turn, current_rate = self.rates(inputs, tau, y, sign)
+        _, turn, current_rate = self.rates(forcing, tau, y, sign)
         rate = turn * sine + y[1] * y[1] * cosine
         held = self.system.largest_friction_torque * jnp.abs(sine)
         per_held = jnp.where(held > 0, self.system.motor_constant / jnp.where(held > 0, held, 1), 0)
@@ -302,17 +355,17 @@ class CartModel(SwitchedModel):
         guard = jnp.where(sticking, 1 - share * share, sign * sine * y[1])
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
 
-    def guard_scale(self, inputs: CartInputs, y: State, sign: FloatArray) -> FloatArray:
+    def guard_scale(self, forcing: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
         return jnp.where(sign == 0, 2.0, self.system.ideal_speed(self.smooth) + jnp.abs(y[1]))
 
-    def on_base(self, inputs: CartInputs, y: State) -> State:
+    def on_base(self, forcing: FloatScalar, y: State) -> State:
         return y[0], jnp.zeros_like(y[1]), y[2]
 
-    def can_stick(self, inputs: CartInputs, y: State) -> BoolArray:
+    def can_stick(self, forcing: FloatScalar, y: State) -> BoolScalar:
         held = self.system.largest_friction_torque * jnp.abs(sincos(y[0])[0])
         return (jnp.abs(self.system.motor_constant * y[2]) <= held) & (held > 0)
 
-    def release_sign(self, inputs: CartInputs, y: State) -> FloatArray:
+    def release_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         # The motor starts in the direction of the torque of its current.
         return jnp.where(y[2] * sincos(y[0])[0] > 0, 1, -1).astype(y[0].dtype)
 
@@ -320,77 +373,37 @@ class CartModel(SwitchedModel):
     def friction(self) -> FrictionLaw:
         return Coulomb(1.0)  # a share of the largest friction torque
 
-    def rates_under(self, inputs: CartInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
-        system, voltage = self.system, self.smooth
-        angle, speed, current = y
-        sine, cosine = sincos(angle)
-        inertia = system.cart_mass * system.eccentricity**2
-        carried = speed * speed if system.equation == "physical" else speed
-        rub = grip * system.largest_friction_torque * jnp.abs(sine)
-        torque = (
-            system.motor_constant * current - system.motor_damping * speed - rub - inertia * sine * cosine * carried
-        )
-        phase, _ = sincos(inputs.phase + voltage.angular_frequency * tau)
-        drop = system.resistance * current + system.motor_constant * speed
-        rise = (voltage.mean + voltage.amplitude * phase - drop) / system.inductance
-        return speed, torque / (system.motor_inertia + inertia * sine * sine), rise
+    def rates_under(self, forcing: FloatScalar, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+        direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
+        friction = coefficient * self.system.largest_friction_torque * jnp.abs(direction[0])
+        turn, across = self._balances(direction, phase, y[1], y[2], friction)
+        return y[1], turn, across / self.system.inductance
 
-    def grip_of(self, y: State, sign: FloatArray) -> FloatArray:
+    def slip_direction(self, y: State, sign: FloatScalar) -> FloatScalar:
         # Slips go by the sign of the cart's velocity, `rates_under` and `relative_velocity` by that of the motor's.
         return sign * self.heading(y)
 
-    def heading(self, y: State) -> FloatArray:
+    def heading(self, y: State) -> FloatScalar:
         """+1 on the half with sin(alpha) > 0, where the cart moves against its axis as the angle grows; else -1."""
         return jnp.where(jnp.sin(y[0]) < 0, -1.0, 1.0).astype(y[0].dtype)
 
-    def relative_velocity(self, inputs: CartInputs, tau: FloatArray, y: State) -> FloatArray:
+    def relative_velocity(self, forcing: FloatScalar, tau: FloatScalar, y: State) -> FloatScalar:
         # Velocity of the pin that moves the cart, ``eccentricity alpha'``: zero in sticks only.
         return self.system.eccentricity * y[1]
 
-    def relative_acceleration(self, inputs: CartInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
+    def relative_acceleration(self, forcing: FloatScalar, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         return self.system.eccentricity * rates[1]
 
-    def _torque(self, sign: FloatArray):
-        """``alpha''`` as a function of sine and cosine of the angle, angular velocity and current."""
-        system = self.system
-        inertia = system.cart_mass * system.eccentricity**2
-        rub = sign * system.largest_friction_torque
-
-        def turn(direction: tuple[FloatArray, FloatArray], speed: FloatArray, current: FloatArray) -> FloatArray:
-            sine, cosine = direction
-            carried = speed * speed if system.equation == "physical" else speed
-            driving = system.motor_constant * current - system.motor_damping * speed - rub * sine
-            return (driving - inertia * sine * cosine * carried) / (system.motor_inertia + inertia * sine * sine)
-
-        return turn
-
-    def _steady(self, inputs: CartInputs, tau: FloatArray) -> FloatArray:
+    def _steady(self, forcing: FloatScalar, tau: FloatScalar) -> FloatScalar:
         """The steady current in a stick, when its transient has decayed, A."""
         system, voltage = self.system, self.smooth
         reactance = system.inductance * voltage.angular_frequency
         gain = voltage.amplitude / (system.resistance**2 + reactance**2)
-        sine, cosine = sincos(inputs.phase + voltage.angular_frequency * tau)
+        sine, cosine = sincos(forcing + voltage.angular_frequency * tau)
         return voltage.mean / system.resistance + gain * (system.resistance * sine - reactance * cosine)
 
 
-class _Slip(eqx.Module):
-    """The rates of a slip: a function of the time since the step began and of the state, its angle from there."""
-
-    model: CartModel
-    start: tuple[FloatArray, FloatArray]
-    phase: tuple[FloatArray, FloatArray]
-    sign: FloatArray
-
-    def __call__(self, tau: FloatArray, state: State) -> State:
-        angle, speed, current = state
-        system, voltage = self.model.system, self.model.smooth
-        sine, _ = _turned(self.phase, voltage.angular_frequency * tau)
-        drop = system.resistance * current + system.motor_constant * speed
-        current_rate = (voltage.mean + voltage.amplitude * sine - drop) * (1 / system.inductance)
-        return speed, self.model._torque(self.sign)(_turned(self.start, angle), speed, current), current_rate
-
-
-def _turned(direction: tuple[FloatArray, FloatArray], angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _turned(direction: Direction, angle: FloatScalar) -> Direction:
     """Sine and cosine after a rotation by a small angle."""
     sine, cosine = direction
     small_sine, small_cosine = sincos_of_small(angle)

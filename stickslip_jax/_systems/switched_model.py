@@ -1,20 +1,24 @@
 """A system under its excitation, as the engines integrate it: how it slips and sticks, and when each ends.
 
 Exact dynamics uses the slips, the sticks and the guards; regularised dynamics the rates under any friction force and
-the relative velocity.
+the relative velocity. All arrays are scalars, those of one trajectory: the engines make batches with ``jax.vmap``.
 """
 
 import abc
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from .._excitation.segments import Segment
-from .._types import BoolArray, FloatArray, State
+from .._excitation.smooth import Signal
+from .._types import BoolScalar, FloatScalar, State
 from .friction import FrictionLaw
 
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
+
+F = TypeVar("F")
+"""The forcing of a model: its excitation from the time a step begins until a segment ends."""
 
 
 class Segments(NamedTuple):
@@ -28,52 +32,71 @@ class Segments(NamedTuple):
 class Base(NamedTuple):
     """The base at one instant: velocity in m/s (or rad/s) and acceleration; zeros for a base at rest."""
 
-    velocity: FloatArray
-    acceleration: FloatArray
+    velocity: FloatScalar
+    acceleration: FloatScalar
 
 
-class SwitchedModel(eqx.Module):
-    """A system under its excitation. `inputs` is what `inputs(t, segments)` returned, `tau` (s) the time since that t.
+def base_motion(
+    smooth: Signal | None, t: FloatScalar, velocity: FloatScalar, slope: FloatScalar, tau: FloatScalar
+) -> Base:
+    """The base `tau` (s) later than `t`, of velocity ``velocity + slope tau + smooth(t + tau)``."""
+    velocity = velocity + tau * slope
+    if smooth is None:
+        return Base(velocity, slope)
+    return Base(velocity + smooth.value(t + tau), slope + smooth.rate(t + tau))
 
-    `steps_may_be_long`: whether `slip` and `stick` are as exact over a long time as over a short step.
+
+class SwitchedModel(eqx.Module, Generic[F]):
+    """A system under its excitation.
+
+    In its methods `forcing` is what ``forcing(t, segments)`` returned, and `tau` (s) the time since that t.
+
+    Attributes:
+        steps_may_be_long: Whether `slip` and `stick` are as exact over a long time as over a short step.
     """
 
     steps_may_be_long: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def inputs(self, t: FloatArray, segments: Segments) -> Any:
+    def forcing(self, t: FloatScalar, segments: Segments) -> F:
         """The excitation from time t (s) on, until a segment ends."""
 
     @abc.abstractmethod
-    def slip(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> State:
+    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         """The state after a slip of duration `h` (s) with relative velocity of this `sign`."""
 
-    def slip_and_error(self, inputs: Any, y: State, h: FloatArray, sign: FloatArray) -> tuple[State, FloatArray | None]:
+    def slip_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar
+    ) -> tuple[State, FloatScalar | None]:
         """The result of `slip`, and its relative error; None where the step is known to be short enough."""
-        return self.slip(inputs, y, h, sign), None
+        return self.slip(forcing, y, h, sign), None
 
     @abc.abstractmethod
-    def stick(self, inputs: Any, y: State, h: FloatArray) -> State:
+    def stick(self, forcing: F, y: State, h: FloatScalar) -> State:
         """The state after a stick of duration `h` (s)."""
 
-    def stick_and_error(self, inputs: Any, y: State, h: FloatArray) -> tuple[State, FloatArray | None]:
+    def stick_and_error(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
         """The result of `stick`, and its relative error or None."""
-        return self.stick(inputs, y, h), None
+        return self.stick(forcing, y, h), None
 
     @abc.abstractmethod
-    def rates(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> State:
+    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         """The time derivative of the state; `sign` is 0 in a stick."""
 
-    @abc.abstractmethod
-    def at_rest(self, inputs: Any, y: State) -> BoolArray:
+    def at_rest(self, forcing: F, y: State) -> BoolScalar:
         """Whether the relative velocity is zero, but for round-off, at `tau` 0."""
+        return jnp.abs(self.relative_velocity(forcing, jnp.zeros_like(y[0]), y)) <= self.noise(forcing, y)
 
-    @abc.abstractmethod
-    def slip_sign(self, inputs: Any, y: State) -> FloatArray:
+    def noise(self, forcing: F, y: State) -> FloatScalar:
+        """The round-off of the guard of a slip at `tau` 0."""
+        return NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(forcing, y, jnp.ones_like(y[0]))
+
+    def slip_sign(self, forcing: F, y: State) -> FloatScalar:
         """The sign of the relative velocity at and right after `tau` 0, for a state that is not `at_rest`."""
+        return jnp.sign(self.relative_velocity(forcing, jnp.zeros_like(y[0]), y))
 
     @abc.abstractmethod
-    def guard(self, inputs: Any, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
         """Guard of the mode, positive while the stick or slip lasts, and its time derivative.
 
         In a slip: ``sign`` times the relative velocity. In a stick (`sign` 0): ``1 - (f / f_max)^2``, where f is the
@@ -81,22 +104,22 @@ class SwitchedModel(eqx.Module):
         """
 
     @abc.abstractmethod
-    def guard_scale(self, inputs: Any, y: State, sign: FloatArray) -> FloatArray:
+    def guard_scale(self, forcing: F, y: State, sign: FloatScalar) -> FloatScalar:
         """The size of the terms that cancel in the guard: the scale of its round-off."""
 
     @abc.abstractmethod
-    def on_base(self, inputs: Any, y: State) -> State:
+    def on_base(self, forcing: F, y: State) -> State:
         """The state at `tau` 0 with the relative velocity made exactly zero."""
 
     @abc.abstractmethod
-    def can_stick(self, inputs: Any, y: State) -> BoolArray:
+    def can_stick(self, forcing: F, y: State) -> BoolScalar:
         """Whether friction can hold a stick at `tau` 0, the relative velocity being zero."""
 
     @abc.abstractmethod
-    def release_sign(self, inputs: Any, y: State) -> FloatArray:
+    def release_sign(self, forcing: F, y: State) -> FloatScalar:
         """The sign of the relative velocity after a release at `tau` 0."""
 
-    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+    def step_limit(self, age: FloatScalar, step: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
         """The longest step to take from `y`, `age` (s) after the last event at rest.
 
         Transients may need shorter steps at first, and a stick may allow longer ones.
@@ -109,26 +132,30 @@ class SwitchedModel(eqx.Module):
         """The friction law of the contact."""
 
     @abc.abstractmethod
-    def rates_under(self, inputs: Any, tau: FloatArray, y: State, grip: FloatArray) -> State:
-        """The time derivative of the state under the signed friction coefficient `grip`; affine in it."""
+    def rates_under(self, forcing: F, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+        """The time derivative of the state under this signed friction coefficient; affine in it."""
 
-    def grip_of(self, y: State, sign: FloatArray) -> FloatArray:
+    def slip_direction(self, y: State, sign: FloatScalar) -> FloatScalar:
         """The sign that the friction coefficient of `rates_under` has in a slip of this `sign`."""
         return sign
 
     @abc.abstractmethod
-    def relative_velocity(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
+    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatScalar:
         """The relative velocity, m/s."""
 
-    def holding(self, inputs: Any, tau: FloatArray, y: State) -> FloatArray:
-        """The signed friction coefficient that keeps the relative velocity constant; 0 where friction has no effect."""
-        free, gripped = (
-            self.relative_acceleration(inputs, tau, y, self.rates_under(inputs, tau, y, jnp.full_like(tau, grip)))
-            for grip in (0.0, 1.0)
-        )
-        gain = gripped - free
-        return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
-
     @abc.abstractmethod
-    def relative_acceleration(self, inputs: Any, tau: FloatArray, y: State, rates: State) -> FloatArray:
-        """Its time derivative, where the state changes with `rates`."""
+    def relative_acceleration(self, forcing: F, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
+        """The time derivative of the relative velocity, where the state changes with `rates`, m/s^2."""
+
+    def effect_of_friction(self, forcing: F, tau: FloatScalar, y: State) -> tuple[FloatScalar, FloatScalar]:
+        """The relative acceleration without friction, and what a friction coefficient of 1 adds to it, m/s^2."""
+        free, under_one = (
+            self.relative_acceleration(forcing, tau, y, self.rates_under(forcing, tau, y, jnp.full_like(tau, number)))
+            for number in (0.0, 1.0)
+        )
+        return free, under_one - free
+
+    def holding_coefficient(self, forcing: F, tau: FloatScalar, y: State) -> FloatScalar:
+        """The signed friction coefficient that keeps the relative velocity constant; 0 where friction has no effect."""
+        free, gain = self.effect_of_friction(forcing, tau, y)
+        return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)

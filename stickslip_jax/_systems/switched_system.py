@@ -8,24 +8,24 @@ lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma (``ga
 
 import abc
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.segments import added
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
-from .._numerics.runge_kutta import relative_error, runge_kutta_step, ways
-from .._types import BoolArray, ExplicitSolver, FloatArray, Number, Scalar, Solver
+from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
+from .._types import BoolScalar, ExplicitSolver, FloatScalar, Number, Scalar, Solver, State
 from .friction import Coulomb, FrictionLaw
-from .own_checks import check_fields, check_motion
-from .switched_model import NOISE_ULPS, Base, Segments, State, SwitchedModel
-from .system import OWN_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+from .switched_model import Base, Segments, SwitchedModel, base_motion
+from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+from .user_system_checks import check_fields, check_motion
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
@@ -54,8 +54,8 @@ class SwitchedSystem(System):
             def rates(self, t, y, base, friction):
                 x1, v1, x2, v2 = y
                 pull = self.stiffness * (x2 - x1)
-                rub = friction * self.mu * self.normal_force
-                return v1, (pull - self.stiffness * x1) / self.mass, v2, (-pull - rub) / self.mass
+                force = friction * self.mu * self.normal_force
+                return v1, (pull - self.stiffness * x1) / self.mass, v2, (-pull - force) / self.mass
 
             def relative_velocity(self, t, y, base):
                 return y[3] - base.velocity
@@ -89,24 +89,36 @@ class SwitchedSystem(System):
         """Name and unit of each number of the state: ``("angle in rad", "angular velocity in rad/s")``."""
 
     @abc.abstractmethod
-    def rates(self, t: FloatArray, y: State, base: Base, friction: FloatArray) -> tuple[Any, ...]:
-        """The time derivatives of the state `y` (a tuple of scalars) at time `t` (s), as many scalars, by JAX.
-
-        - `base`: velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
-        - `friction`: the friction force over the kinetic friction force: +1 while the relative velocity is positive, -1
-          while it is negative, and in a stick whatever holds it, at most `static_ratio` in size. Positive values must
-          act against a positive relative velocity, and rates must be affine in `friction`: ``a + b friction``, where a
-          and b depend on time, state and base.
+    def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> tuple[FloatScalar | float, ...]:
+        """The time derivative of the state, computed by JAX.
 
         Write a kinetic force that depends on the relative velocity r as ``friction * force(jnp.abs(r))``. Rates must be
         smooth functions otherwise.
+
+        Args:
+            t: Time, s.
+            y: The state, a tuple of scalars.
+            base: Velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
+            friction: The friction force over the kinetic friction force: +1 while the relative velocity is positive, -1
+                while it is negative, and in a stick whatever holds it, at most `static_ratio` in size. Positive values
+                must act against a positive relative velocity, and rates must be affine in `friction`:
+                ``a + b friction``, where a and b depend on time, state and base.
+
+        Returns:
+            As many scalars as the state has.
         """
 
     @abc.abstractmethod
-    def relative_velocity(self, t: FloatArray, y: State, base: Base) -> FloatArray:
-        """The relative velocity in the contact, m/s (or rad/s): a smooth scalar function of the state.
+    def relative_velocity(self, t: FloatScalar, y: State, base: Base) -> FloatScalar:
+        """The relative velocity in the contact: a smooth scalar function of the state.
 
-        It may depend on the base's velocity, not on its acceleration.
+        Args:
+            t: Time, s.
+            y: The state, a tuple of scalars.
+            base: The base, on whose velocity it may depend, but not on its acceleration.
+
+        Returns:
+            The relative velocity, m/s (or rad/s).
         """
 
     @property
@@ -136,7 +148,7 @@ class SwitchedSystem(System):
         return tuple(map(Coordinate.of, self.state_names))
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         return float(self.static_ratio) > 1
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "GeneralModel":
@@ -144,12 +156,12 @@ class SwitchedSystem(System):
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         return {
-            OWN_TIME: TimeScale(self.shortest_time, SOLVED),
+            SHORTEST_TIME: TimeScale(self.shortest_time, SOLVED),
             "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
         }
 
     @property
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
         speed, time = self.speed_scale, self.shortest_time
         return speed, None if speed is None or time is None else speed / time
 
@@ -168,116 +180,116 @@ class SwitchedSystem(System):
             )
 
 
-class GeneralInputs(NamedTuple):
+class GeneralForcing(NamedTuple):
     """The piecewise-linear part of the base velocity from time `t` on: value (m/s) and slope."""
 
-    t: FloatArray
-    base: FloatArray
-    base_slope: FloatArray
+    t: FloatScalar
+    base: FloatScalar
+    base_slope: FloatScalar
 
 
 class _Contact(NamedTuple):
     """The effect of friction at one instant.
 
-    `idle`, `push`: rates without friction, and what one unit of friction adds. `drift`: the rate of the relative
-    velocity without friction; `gain`: what one unit of friction adds to it. `grips`: whether friction has an effect on
-    it; `per_gain`: ``1 / gain``, 0 where it has none.
+    Attributes:
+        idle: Rates without friction.
+        by_friction: What one unit of friction adds to them.
+        drift: The rate of the relative velocity without friction.
+        has_effect: Whether friction has an effect on the relative velocity.
+        gain: What one unit of friction adds to its rate.
+        per_gain: ``1 / gain``, 0 where friction has no effect.
     """
 
     idle: State
-    push: State
-    drift: FloatArray
-    grips: BoolArray
-    gain: FloatArray
-    per_gain: FloatArray
+    by_friction: State
+    drift: FloatScalar
+    has_effect: BoolScalar
+    gain: FloatScalar
+    per_gain: FloatScalar
 
     @property
-    def share(self) -> FloatArray:
+    def share(self) -> FloatScalar:
         """The friction, as a share of the kinetic force, that keeps the relative velocity constant."""
         return -self.drift * self.per_gain
 
 
-class GeneralModel(SwitchedModel):
+class GeneralModel(SwitchedModel[GeneralForcing]):
     """A `SwitchedSystem` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts."""
 
     system: SwitchedSystem
     smooth: Signal | None
     solver: ExplicitSolver
 
-    def inputs(self, t: FloatArray, segments: Segments) -> GeneralInputs:
-        return GeneralInputs(t, *added(t, segments.base))
+    def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
+        return GeneralForcing(t, *added(t, segments.base))
 
-    def slip(self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray) -> State:
-        return self.slip_and_error(inputs, y, h, sign)[0]
+    def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
+        return self.slip_and_error(forcing, y, h, sign)[0]
 
     def slip_and_error(
-        self, inputs: GeneralInputs, y: State, h: FloatArray, sign: FloatArray
-    ) -> tuple[State, FloatArray]:
-        slid, error = runge_kutta_step(_Slip(self, inputs, sign), y, h, solver=self.solver)
-        return slid, relative_error(error, y, slid, self._way(inputs, y, h))
+        self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar
+    ) -> tuple[State, FloatScalar]:
+        rates = Partial(type(self).slip_rates, self, forcing, sign=sign)
+        slid, error = runge_kutta_step(rates, y, h, solver=self.solver)
+        return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
 
-    def stick(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
-        return self.stick_and_error(inputs, y, h)[0]
+    def stick(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
+        return self.stick_and_error(forcing, y, h)[0]
 
-    def stick_and_error(self, inputs: GeneralInputs, y: State, h: FloatArray) -> tuple[State, FloatArray]:
-        held, error = runge_kutta_step(_Stick(self, inputs), y, h, solver=self.solver)
-        return self._held(inputs, h, held), relative_error(error, y, held, self._way(inputs, y, h))
+    def stick_and_error(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
+        rates = Partial(type(self).stick_rates, self, forcing)
+        held, error = runge_kutta_step(rates, y, h, solver=self.solver)
+        return self._held(forcing, h, held), relative_error(error, y, held, self._gross_changes(forcing, y, h))
 
-    def rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
-        slid, held = self.slip_rates(inputs, tau, y, sign), self.stick_rates(inputs, tau, y)
+    def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+        slid, held = self.slip_rates(forcing, tau, y, sign), self.stick_rates(forcing, tau, y)
         return tuple(jnp.where(sign == 0, a, b) for a, b in zip(held, slid, strict=True))
 
-    def slip_rates(self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray) -> State:
+    def slip_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         """The rates of a slip of this sign, continued smoothly to beyond the end of the slip.
 
         The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
         absolute relative velocity has a kink there, which would cost the order: beyond, rates are extrapolated from the
         mirror image of the state.
         """
-        t, base, _ = self.base_at(inputs, tau)
+        t, base, _ = self.base_at(forcing, tau)
         sigma, gradient = self._gradient(t, y, base)
         steep = sum(part * part for part in gradient)
         beyond = (sign * sigma < 0) & (steep > 0)
-        way = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
-        edge, image = (tuple(v - k * way * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
-        here, there = self._rates(t, edge, base, sign), self._rates(t, image, base, sign)
+        shift = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
+        end, image = (tuple(v - k * shift * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
+        here, there = self._rates(t, end, base, sign), self._rates(t, image, base, sign)
         return tuple(jnp.where(beyond, 2 * a - b, b) for a, b in zip(here, there, strict=True))
 
-    def stick_rates(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> State:
+    def stick_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
         """The sliding field: the rates under the friction that keeps the relative velocity."""
-        contact = self._contact(*self.base_at(inputs, tau)[:2], y)
-        return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.push, strict=True))
-
-    def at_rest(self, inputs: GeneralInputs, y: State) -> BoolArray:
-        noise = NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(inputs, y, jnp.ones_like(y[0]))
-        return jnp.abs(self._sigma_now(inputs, y)) <= noise
-
-    def slip_sign(self, inputs: GeneralInputs, y: State) -> FloatArray:
-        return jnp.sign(self._sigma_now(inputs, y))
+        contact = self._contact(*self.base_at(forcing, tau)[:2], y)
+        return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.by_friction, strict=True))
 
     def guard(
-        self, inputs: GeneralInputs, tau: FloatArray, y: State, sign: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        t, base, jerk = self.base_at(inputs, tau)
+        self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar
+    ) -> tuple[FloatScalar, FloatScalar]:
+        t, base, jerk = self.base_at(forcing, tau)
         base_rates = Base(base.acceleration, jerk)
         one = jnp.ones_like(t)
 
-        slid = self.slip_rates(inputs, tau, y, sign)
+        slid = self.slip_rates(forcing, tau, y, sign)
         sigma, sigma_rate = jax.jvp(self._sigma, (t, y, base), (one, slid, base_rates))
 
         def share_of(t, y, base):
             contact = self._contact(t, base, y)
             ratio = jnp.asarray(self.system.static_ratio, t.dtype)
-            return contact.share / ratio, contact.grips
+            return contact.share / ratio, contact.has_effect
 
-        held = self.stick_rates(inputs, tau, y)
-        share, share_rate, grips = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
+        held = self.stick_rates(forcing, tau, y)
+        share, share_rate, has_effect = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
         sticking = sign == 0
-        stick, stick_rate = jnp.where(grips, 1 - share * share, -1), jnp.where(grips, -2 * share * share_rate, 0)
+        stick = jnp.where(has_effect, 1 - share * share, -1)
+        stick_rate = jnp.where(has_effect, -2 * share * share_rate, 0)
         return jnp.where(sticking, stick, sign * sigma), jnp.where(sticking, stick_rate, sign * sigma_rate)
 
-    def guard_scale(self, inputs: GeneralInputs, y: State, sign: FloatArray) -> FloatArray:
-        t, base, _ = self.base_at(inputs, jnp.zeros_like(y[0]))
+    def guard_scale(self, forcing: GeneralForcing, y: State, sign: FloatScalar) -> FloatScalar:
+        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
         sigma, gradient = self._gradient(t, y, base)
         by_base = jax.grad(lambda v: self._sigma(t, y, Base(v, base.acceleration)))(base.velocity)
         slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
@@ -289,108 +301,80 @@ class GeneralModel(SwitchedModel):
             slip = slip + self.system.shortest_time / (2 * np.pi) * (change + jnp.abs(contact.gain))
         return jnp.where(sign == 0, 2.0, slip)
 
-    def on_base(self, inputs: GeneralInputs, y: State) -> State:
-        return self._held(inputs, jnp.zeros_like(y[0]), y)
+    def on_base(self, forcing: GeneralForcing, y: State) -> State:
+        return self._held(forcing, jnp.zeros_like(y[0]), y)
 
-    def can_stick(self, inputs: GeneralInputs, y: State) -> BoolArray:
-        contact = self._contact(*self.base_at(inputs, jnp.zeros_like(y[0]))[:2], y)
-        return contact.grips & (jnp.abs(contact.share) <= self.system.static_ratio)
+    def can_stick(self, forcing: GeneralForcing, y: State) -> BoolScalar:
+        contact = self._contact(*self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
+        return contact.has_effect & (jnp.abs(contact.share) <= self.system.static_ratio)
 
-    def release_sign(self, inputs: GeneralInputs, y: State) -> FloatArray:
+    def release_sign(self, forcing: GeneralForcing, y: State) -> FloatScalar:
         # Without friction the relative velocity would change faster than friction can prevent.
-        contact = self._contact(*self.base_at(inputs, jnp.zeros_like(y[0]))[:2], y)
+        contact = self._contact(*self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
         return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
 
     @property
     def friction(self) -> FrictionLaw:
         """Coulomb's law, its coefficient a share of the kinetic force."""
-        holds_more = type(self.system).static_ratio is not SwitchedSystem.static_ratio
-        return Coulomb(1.0, self.system.static_ratio if holds_more else None)
+        static_exceeds_kinetic = type(self.system).static_ratio is not SwitchedSystem.static_ratio
+        return Coulomb(1.0, self.system.static_ratio if static_exceeds_kinetic else None)
 
-    def rates_under(self, inputs: GeneralInputs, tau: FloatArray, y: State, grip: FloatArray) -> State:
-        t, base, _ = self.base_at(inputs, tau)
-        return self._rates(t, y, base, grip)
+    def rates_under(self, forcing: GeneralForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+        t, base, _ = self.base_at(forcing, tau)
+        return self._rates(t, y, base, coefficient)
 
-    def relative_velocity(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> FloatArray:
-        t, base, _ = self.base_at(inputs, tau)
+    def relative_velocity(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatScalar:
+        t, base, _ = self.base_at(forcing, tau)
         return self._sigma(t, y, base)
 
-    def relative_acceleration(self, inputs: GeneralInputs, tau: FloatArray, y: State, rates: State) -> FloatArray:
-        t, base, jerk = self.base_at(inputs, tau)
+    def relative_acceleration(self, forcing: GeneralForcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
+        t, base, jerk = self.base_at(forcing, tau)
         return jax.jvp(self._sigma, (t, y, base), (jnp.ones_like(t), rates, Base(base.acceleration, jerk)))[1]
 
-    def base_at(self, inputs: GeneralInputs, tau: FloatArray) -> tuple[FloatArray, Base, FloatArray]:
+    def base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, Base, FloatScalar]:
         """The time, the base and the rate of its acceleration, `tau` later."""
-        t = inputs.t + tau
-        velocity, acceleration = inputs.base + tau * inputs.base_slope, inputs.base_slope
-        if self.smooth is None:
-            return t, Base(velocity, acceleration), jnp.zeros_like(t)
-        velocity, acceleration = velocity + self.smooth.value(t), acceleration + self.smooth.rate(t)
-        return t, Base(velocity, acceleration), jnp.asarray(self.smooth.curvature(t), t.dtype)
+        t = forcing.t + tau
+        jerk = jnp.zeros_like(t) if self.smooth is None else jnp.asarray(self.smooth.curvature(t), t.dtype)
+        return t, base_motion(self.smooth, *forcing, tau), jerk
 
-    def _rates(self, t: FloatArray, y: State, base: Base, friction: FloatArray) -> State:
+    def _rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> State:
         return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
 
-    def _way(self, inputs: GeneralInputs, y: State, h: FloatArray) -> State:
+    def _gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
         """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
-        model, inputs, y, h = without_derivatives((self, inputs, y, h))
-        t, base, _ = model.base_at(inputs, jnp.zeros_like(h))
+        model, forcing, y, h = without_derivatives((self, forcing, y, h))
+        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
         none = jnp.zeros_like(t)
         slopes = jax.jacfwd(partial(model._rates, t), argnums=(0, 2))(y, base, none)
-        return ways(h, y, model._rates(t, y, base, none), *zip(*slopes, strict=True))
+        return gross_changes(h, y, model._rates(t, y, base, none), *zip(*slopes, strict=True))
 
-    def _sigma(self, t: FloatArray, y: State, base: Base) -> FloatArray:
+    def _sigma(self, t: FloatScalar, y: State, base: Base) -> FloatScalar:
         return jnp.asarray(self.system.relative_velocity(t, y, base), t.dtype)
 
-    def _sigma_now(self, inputs: GeneralInputs, y: State) -> FloatArray:
-        t, base, _ = self.base_at(inputs, jnp.zeros_like(y[0]))
-        return self._sigma(t, y, base)
-
-    def _gradient(self, t: FloatArray, y: State, base: Base) -> tuple[FloatArray, State]:
+    def _gradient(self, t: FloatScalar, y: State, base: Base) -> tuple[FloatScalar, State]:
         """The relative velocity and its gradient with respect to the state."""
         return jax.value_and_grad(lambda y: self._sigma(t, y, base))(y)
 
-    def _contact(self, t: FloatArray, base: Base, y: State) -> _Contact:
+    def _contact(self, t: FloatScalar, base: Base, y: State) -> _Contact:
         # Rates are affine in friction: their derivative is what friction adds, without cancellation.
-        idle, push = jax.jvp(
+        idle, by_friction = jax.jvp(
             lambda friction: self._rates(t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
         )
         _, gradient = self._gradient(t, y, base)
         # The relative velocity depends on the base's velocity only, whose rate is its acceleration.
         moving = (jnp.ones_like(t), idle, Base(base.acceleration, jnp.zeros_like(t)))
         _, drift = jax.jvp(self._sigma, (t, y, base), moving)
-        terms = [part * rate for part, rate in zip(gradient, push, strict=True)]
+        terms = [part * rate for part, rate in zip(gradient, by_friction, strict=True)]
         gain, size = sum(terms, jnp.zeros_like(t)), sum(map(jnp.abs, terms), jnp.zeros_like(t))
-        grips = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
-        per_gain = jnp.where(grips, 1 / jnp.where(grips, gain, -1), 0)
-        return _Contact(idle, push, drift, grips, gain, per_gain)
+        has_effect = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
+        per_gain = jnp.where(has_effect, 1 / jnp.where(has_effect, gain, -1), 0)
+        return _Contact(idle, by_friction, drift, has_effect, gain, per_gain)
 
-    def _held(self, inputs: GeneralInputs, tau: FloatArray, y: State) -> State:
+    def _held(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
         """`y`, moved in the direction in which friction acts until the relative velocity is zero."""
-        t, base, _ = self.base_at(inputs, tau)
+        t, base, _ = self.base_at(forcing, tau)
         for _ in range(_NEWTON_STEPS):
             contact = self._contact(t, base, y)
-            way = self._sigma(t, y, base) * contact.per_gain
-            y = tuple(value - way * push for value, push in zip(y, contact.push, strict=True))
+            friction = self._sigma(t, y, base) * contact.per_gain
+            y = tuple(value - friction * effect for value, effect in zip(y, contact.by_friction, strict=True))
         return y
-
-
-class _Slip(eqx.Module):
-    """The rates of a slip, a function of the time since the step began and of the state."""
-
-    model: GeneralModel
-    inputs: GeneralInputs
-    sign: FloatArray
-
-    def __call__(self, tau: FloatArray, state: State) -> State:
-        return self.model.slip_rates(self.inputs, tau, state, self.sign)
-
-
-class _Stick(eqx.Module):
-    """The rates of a stick, a function of the time since the step began and of the state."""
-
-    model: GeneralModel
-    inputs: GeneralInputs
-
-    def __call__(self, tau: FloatArray, state: State) -> State:
-        return self.model.stick_rates(self.inputs, tau, state)

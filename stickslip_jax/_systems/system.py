@@ -2,7 +2,7 @@
 
 import abc
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
@@ -19,7 +19,14 @@ from .switched_model import SwitchedModel
 
 
 class Coordinate(NamedTuple):
-    """One number of a system's state: its name, unit, symbol in TeX, and period (None if it has none)."""
+    """One number of a system's state.
+
+    Args:
+        name: Such as "position".
+        unit: Such as "m"; "1" for none.
+        symbol: In TeX.
+        period: None if it has none.
+    """
 
     name: str
     unit: str
@@ -61,7 +68,7 @@ class StepCount(NamedTuple):
 PERIOD, SOLVED = StepCount(16.0, 10.0), StepCount(48.0, 12.0)
 
 
-OWN_TIME = "shortest time of the system"
+SHORTEST_TIME = "shortest time of the system"
 
 
 class TimeScale(NamedTuple):
@@ -84,8 +91,11 @@ class System(Checked):
 
     @abc.abstractmethod
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> SwitchedModel:
-        """The system under one realisation of the smooth excitation. Slips are in closed form where there is one and
-        `solver` is None.
+        """The system under one realisation of the smooth excitation.
+
+        Args:
+            smooth: The smooth part of the excitation, None if there is none.
+            solver: What integrates slips; None for the closed form where there is one.
         """
 
     @abc.abstractmethod
@@ -93,12 +103,12 @@ class System(Checked):
         """The time scales of the system and of its excitation, by name."""
 
     def usual_step(self, excitation: Excitation) -> Scalar:
-        """The length (s) that most steps do not exceed, because the motion is fast, however long a step is allowed."""
+        """An upper bound (s) of most steps where a fast motion needs shorter ones than are allowed; else infinity."""
         return math.inf
 
     @property
     @abc.abstractmethod
-    def contact_scales(self) -> tuple[Any, Any]:
+    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
         """A typical relative velocity (m/s), and the deceleration by the largest friction force alone (m/s^2).
 
         Each is None where it is not known.
@@ -115,15 +125,15 @@ class System(Checked):
         return first._replace(name=f"{first.name} when the stick starts")
 
     @property
-    def holds_more(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:
         """Whether static friction exceeds kinetic friction."""
         return False
 
     @property
     def stops_are_unstable(self) -> bool:
-        """Whether friction changes with the position of a stop, so that a near stop may grow into motion of any size.
+        """Whether friction depends on where the motion stops: two motions that nearly stop there may part quickly.
 
-        How near it was then follows a parameter too unevenly for signed distances of first order (docs/sensitivity.md).
+        First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
         """
         return False
 
@@ -133,7 +143,7 @@ class System(Checked):
         return ()
 
     @property
-    def rides_base(self) -> bool:
+    def sticks_at_base_velocity(self) -> bool:
         """Whether in a stick the second number of the state is the base velocity, and the rate of the first."""
         return False
 
@@ -166,9 +176,7 @@ class System(Checked):
             )
 
     def check_solver(self, solver: Solver | None) -> None:
-        """Check that `solver` can integrate slips, or that the closed form holds if it is None. Raises ValueError
-        otherwise.
-        """
+        """Check that `solver` can integrate slips, or if None that the closed form holds; else raise ValueError."""
 
     # What figures show.
 
@@ -179,9 +187,7 @@ class System(Checked):
 
     @property
     def slip_center(self) -> Scalar | None:
-        """Distance from 0 of the two points about which slips oscillate on a base without acceleration; None if there
-        are none.
-        """
+        """Distance from 0 of the two points about which slips oscillate on a base without acceleration, or None."""
         return None
 
     @property
@@ -197,10 +203,17 @@ class System(Checked):
     def stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
-        """Lower and upper limit between which friction can hold a stick at `times` (s); NaN where not known.
+        """Lower and upper limit between which friction can hold a stick; NaN where they are not known.
 
-        They limit the number of the state that `band_coordinate` names. `velocity` (m/s), `acceleration` (m/s^2): of
-        the base; `ground`: acceleration of the ground (m/s^2).
+        Args:
+            times: s.
+            state: The state at these times.
+            velocity: Of the base, m/s.
+            acceleration: Of the base, m/s^2.
+            ground: Acceleration of the ground, m/s^2.
+
+        Returns:
+            Two arrays like `times`: limits of the number of the state that `band_coordinate` names.
         """
         return jnp.full_like(times, jnp.nan), jnp.full_like(times, jnp.nan)
 
@@ -209,12 +222,15 @@ class System(Checked):
         return None
 
 
+S = TypeVar("S")
+
+
 def voltage_of(excitation: Excitation) -> Signal | RandomSignal | None:
     """The smooth part of `excitation` without its random phase."""
     return unphased(excitation.smooth)
 
 
-def unphased(signal: Any) -> Any:
+def unphased(signal: S) -> S | Signal:
     """`signal` without its random phase, if it is a `RandomPhase` and nothing else of it is random."""
     return signal.signal if keeps(signal, RandomPhase, "realized") else signal
 
@@ -224,7 +240,7 @@ def shortest_period(excitation: Excitation) -> Scalar | None:
     return float("inf") if excitation.smooth is None else excitation.smooth.shortest_period
 
 
-def checked_system(system: Any) -> System:
+def checked_system(system: object) -> System:
     """`system` itself. Raises ValueError for what is no system."""
     if not isinstance(system, System):
         raise ValueError(
@@ -234,7 +250,7 @@ def checked_system(system: Any) -> System:
     return system
 
 
-def require_system(system: Any) -> System:
+def require_system(system: object) -> System:
     """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
     checked_system(system).check_numbers()
     return system

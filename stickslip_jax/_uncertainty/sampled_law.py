@@ -1,12 +1,13 @@
-"""Laws of one's own: any object with a method ``sample(key, t1)``."""
+"""Laws that users write: any object with a method ``sample(key, t1)``."""
 
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from .. import _checks
 from .._types import Array, Scalar
@@ -30,7 +31,7 @@ class UserLaw(Protocol):
             return ss.Recorded(times, 0.1 * jnp.cumsum(steps))
     """
 
-    def sample(self, key: Any, t1: Any) -> Any:
+    def sample(self, key: Array, t1: float) -> object:
         """One realisation that covers ``[0, t1]`` (s): a `Recorded` (joined by straight lines), a `PiecewiseConstant`
         or `VelocitySteps` (steps), or another base motion that `simulate` takes.
 
@@ -45,13 +46,14 @@ class SampledLaw(eqx.Module):
     `law`: the object with the method ``sample(key, t1)``.
     """
 
-    law: Any = eqx.field(static=True)
+    law: UserLaw = eqx.field(static=True)
+    is_random = True
 
-    def sample(self, key: Array, t1: Scalar) -> Any:
+    def sample(self, key: Array, t1: Scalar) -> PyTree:
         """The realisation that the user's law draws by `key`, for ``[0, t1]`` (s)."""
         return self.law.sample(key, t1)
 
-    def realizations(self, keys: Callable[[], Array], t1: float, number: int) -> Any:
+    def realizations(self, keys: Callable[[], Array], t1: float, number: int) -> PyTree:
         """The realisations of all `keys` (`number` of them), their arrays stacked along a first axis.
 
         Raises ValueError for realisations of different classes or lengths.
@@ -71,6 +73,6 @@ class SampledLaw(eqx.Module):
         return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *found)
 
 
-def _as_arrays(realization: Any) -> Any:
+def _as_arrays(realization: PyTree) -> PyTree:
     """The realisation; its numbers are arrays, so that each sample can have its own."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, (int, float)) else leaf, realization)

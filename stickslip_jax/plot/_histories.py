@@ -56,11 +56,11 @@ def time_history(
     panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
     phases = phases_of(result, window)
     _draw_band(panels, result, phases)
-    if result.system.rides_base:
+    if result.system.sticks_at_base_velocity:
         _draw_base(panels[1], phases, "ground" if isinstance(result.base, GroundMotion) else "base")
     for number, coordinate in enumerate(coordinates):
         _draw_state(panels[number], phases, number, result.system.body_name)
-        panels[number].set_ylabel(_label(coordinate, result.system.rides_base and number == 1) + whose)
+        panels[number].set_ylabel(_label(coordinate, result.system.sticks_at_base_velocity and number == 1) + whose)
     if drive is not None and len(panels) > len(coordinates):
         times = np.concatenate([phase.times for phase in phases])
         panels[-1].plot(times, np.asarray(drive.value(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._excitation.laws import BangBangLaw
-from .._excitation.piecewise import VelocitySteps
+from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from .._simulation.result import Simulation
 from .._status import Status
 from ._band import stick_band
@@ -78,7 +77,7 @@ def check_window(window: Window | None, t1: float) -> Window:
 
 def has_steady_base(one: Simulation) -> bool:
     """Whether the mass rubs on a base whose velocity is constant between jumps."""
-    return one.system.rides_base and isinstance(one.base, (VelocitySteps, BangBangLaw))
+    return one.system.sticks_at_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
 
 
 def phases_of(one: Simulation, window: Window) -> list[Phase]:

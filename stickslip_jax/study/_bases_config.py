@@ -11,7 +11,8 @@ from pydantic import Field, model_validator
 
 from .._excitation.excitation import WithJumps
 from .._excitation.kanai_tajimi import KanaiTajimi
-from .._excitation.laws import BangBangLaw, Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._excitation.piecewise_constant_laws import Constant, PiecewiseConstant, PoissonSwitching, RandomSteps, SquareWave
 from .._excitation.random import RandomPhase
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._excitation.voltage import SourceVoltage
@@ -45,7 +46,7 @@ class PiecewiseConstantConfig(section_of(PiecewiseConstant, "law", base=Section)
         PiecewiseConstant(self.times, self.velocities)
         return self
 
-    def build(self) -> BangBangLaw:
+    def build(self) -> PiecewiseConstantLaw:
         """The law as the simulation takes it (starts JAX). Raises ValueError for times that are equal in float32."""
         return PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
 

@@ -27,7 +27,7 @@ FAULTS = {
 }
 
 
-class Coins(ss.BangBangLaw):
+class Coins(ss.PiecewiseConstantLaw):
     """Velocities of either sign by the toss of a coin, after gaps of any length; one in twelve gaps may be at fault."""
 
     rate: float

@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 import stickslip_jax as ss
-from stickslip_jax._excitation.excitation import excitation_of, place_in_excitation
+from stickslip_jax._excitation.excitation import excitation_of, path_in_excitation
 from stickslip_jax._excitation.segments import first_segment, following_segment
 from stickslip_jax._uncertainty.numbers import number_at
 
@@ -27,7 +27,7 @@ T1 = 20.0
 
 def example():
     """The class in the documentation of `SegmentLaw`, and the lines that use it."""
-    lines = inspect.getdoc(ss.SegmentLaw).splitlines()
+    lines = inspect.getdoc(ss.SegmentLaw).partition("Attributes:")[0].splitlines()
     code = textwrap.dedent("\n".join(line for line in lines if line.startswith("    ") or not line))
     made, used = code.split("law = ")
     names = {"ss": ss, "jnp": jnp, "jax": jax, "math": math, "Annotated": __import__("typing").Annotated}
@@ -235,7 +235,7 @@ PLACES = {
 @pytest.mark.parametrize("case", PLACES)
 def test_parameters_of_laws_are_found_in_their_excitation(case):
     law, path = PLACES[case]
-    assert number_at(excitation_of(law), place_in_excitation(law, path)) == number_at(law, path)
+    assert number_at(excitation_of(law), path_in_excitation(law, path)) == number_at(law, path)
 
 
 def test_sensitivity_by_finite_differences(many):

@@ -39,7 +39,7 @@ def test_what_is_described():
 def test_docstring_names_every_field_and_its_unit(kind):
     text = " ".join(inspect.getdoc(kind).split())
     for name, about in described(kind).items():
-        assert f"`{name}`" in text, name
+        assert f" {name}: " in text or f"`{name}`" in text, name
         if isinstance(about, ss.Quantity) and about.unit:
             assert about.unit in text, name
 

@@ -21,7 +21,7 @@ POISSON = ("speed", "rate", "mu")  # in one order everywhere: compiled once
 AGREE = 4.0
 
 
-class SquareWithPhase(ss.BangBangLaw):
+class SquareWithPhase(ss.PiecewiseConstantLaw):
     """A square wave that begins anywhere in its half period."""
 
     speed: float

@@ -31,7 +31,7 @@ TSIT = diffrax.Tsit5()
 SOLVERS = {"tanh": TSIT, "linear": None, "arctan": TSIT, "rational": None}
 
 
-def grip(shape, law, r, width):
+def coefficient(shape, law, r, width):
     """The friction coefficient as documented: ``kinetic phi``, or a rise to the static one at one width and a fall."""
     _, kinetic, static = LAWS[law]
     if static is None:
@@ -104,6 +104,6 @@ def field_of(item, shape, law, mu=None):
 
     def field(t, y, v):
         load = math.cos(0.7 * t + 0.2) * s.force.amplitude - damping * y[1] - s.stiffness * y[0]
-        return [y[1], (load - s.normal_force * grip(shape, law, y[1] - v, item.width) * scale) / s.mass]
+        return [y[1], (load - s.normal_force * coefficient(shape, law, y[1] - v, item.width) * scale) / s.mass]
 
     return field

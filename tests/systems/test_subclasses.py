@@ -40,7 +40,7 @@ class Halved(ss.Coulomb):
     constant = True
 
     @property
-    def holds_more(self):
+    def static_exceeds_kinetic(self):
         return False
 
     @property
@@ -62,11 +62,11 @@ def test_friction():
     """A closed form only where the methods are those that it is of."""
     for own in (Weakening(0.6), Mixed(0.6), Later(0.6)):
         assert not own.constant
-        assert own.holds_more
+        assert own.static_exceeds_kinetic
         assert own.speed_scale is None
         assert not ss.MassSpring(1.0, 4.0, 1.0, own).has_closed_form
     sticky = ss.MassSpring(1.0, 4.0, 1.0, Sticky(0.4))
-    assert (sticky.has_closed_form, sticky.has_interval_form, sticky.holds_more) == (True, False, True)
+    assert (sticky.has_closed_form, sticky.has_interval_form, sticky.static_exceeds_kinetic) == (True, False, True)
     halved = ss.MassSpring(1.0, 4.0, 1.0, Halved(0.8))
     assert halved.has_interval_form
     assert halved.stick_half_width == ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4)).stick_half_width
@@ -101,6 +101,36 @@ def test_static_friction_that_holds_less_than_a_slip():
         with pytest.raises(ValueError, match=message):
             make()
     assert float(Sticky(0.4).static) == pytest.approx(0.6)
+
+
+class Ratchet(ss.FrictionLaw):
+    """Another coefficient in each direction of slip."""
+
+    forward: float
+    backward: float
+
+    @property
+    def static(self):
+        return jnp.maximum(self.forward, self.backward)
+
+    def kinetic(self, speed):
+        return self.static
+
+    def in_direction(self, velocity):
+        return ss.Coulomb(jnp.where(velocity < 0, self.backward, self.forward))
+
+
+@pytest.mark.parametrize(("method", "error"), [(ss.Exact(), 1e-9), (ss.Regularized(1e-4, step=1e-3), 1e-2)])
+def test_friction_that_depends_on_the_direction(method, error):
+    """Free vibration: each half of a period takes ``2 mu n / k`` of the amplitude, until friction holds the spring."""
+    system = ss.MassSpring(1.0, 4.0, 1.0, Ratchet(forward=0.3, backward=1.0))
+    assert not system.has_interval_form
+    one = ss.simulate(system, ss.Constant(0.0), t1=12.0, y0=(2.0, 0.0), method=method)
+    turns = np.array([-1.5, 1.35, -0.85, 0.7, -0.2, 0.05])
+    positions = one.evaluate(np.pi / 2 * np.arange(1, 7))[0]
+    np.testing.assert_allclose(positions, turns, rtol=0, atol=error)
+    np.testing.assert_allclose(one.final_state, (0.05, 0.0), rtol=0, atol=error)
+    np.testing.assert_allclose(one.friction_force(np.array([1.0, 2.0, 11.0])), [1.0, -0.3, 0.2], rtol=0, atol=4 * error)
 
 
 def test_statements_made_anew_hold():

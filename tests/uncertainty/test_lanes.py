@@ -8,6 +8,7 @@ import stickslip_jax as ss
 from stickslip_jax._dynamics.engine_choice import engine_for
 from stickslip_jax._dynamics.lanes import Job, lanes_at_start
 from stickslip_jax._dynamics.method import Exact
+from stickslip_jax._dynamics.validation import Arguments
 from stickslip_jax._dynamics.varying import VaryingEngine, engines_of
 
 TIMES = np.linspace(0, 100, 1001)
@@ -20,7 +21,7 @@ def test_a_record_that_all_samples_share_is_not_carried_from_lane_to_lane():
     def build(*values):
         (mu, position), _ = values
         system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
-        return engine_for(system, RECORD, Exact(step=0.1), 10.0).lanes((position, 0.0), jnp.float64)
+        return engine_for(Arguments(system, RECORD, Exact(step=0.1), 10.0)).lanes((position, 0.0), jnp.float64)
 
     engines = engines_of(build, (jnp.array([0.5, 0.6]), jnp.array([0.0, 0.1])))
     job = Job(VaryingEngine(engines.template, engines.places), jnp.zeros(2, jnp.uint32), 0, 1, engines.own)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from ..._compiler import computed_once
 from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
-from ..._excitation.laws import BangBangLaw
+from ..._excitation.piecewise_constant import PiecewiseConstantLaw
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Scalar
 from ..lanes import Engine, SampleTotals
@@ -34,7 +34,7 @@ class IntervalEngine(Engine):
     """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0`."""
 
     system: MassSpring
-    law: BangBangLaw
+    law: PiecewiseConstantLaw
     t1: Scalar
     y0: tuple[Any, ...]
 

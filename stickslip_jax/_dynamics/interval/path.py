@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..._events.sticks import Sticks, start_totals
-from ..._excitation.piecewise import VelocitySteps
+from ..._excitation.interval_checks import marked
+from ..._excitation.piecewise_constant import VelocitySteps
 from ..._excitation.segments import Segment
-from ..._excitation.sound import marked
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar

@@ -31,46 +31,42 @@ class Field(NamedTuple):
     model: SwitchedModel
     switch: Switch
 
-    def rates(self, inputs: object, tau: FloatArray, y: State) -> State:
+    def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
         """The time derivative of the state."""
-        speed = self.model.relative_velocity(inputs, tau, y)
-        return self.model.rates_under(inputs, tau, y, self.switch.grip(self.model.friction, speed))
+        speed = self.model.relative_velocity(forcing, tau, y)
+        return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction, speed))
 
-    def need(self, inputs: object, tau: FloatArray, y: State) -> FloatArray:
+    def need(self, forcing: object, tau: FloatArray, y: State) -> FloatArray:
         """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
-        free, held = self._pulls(inputs, tau, y)
+        free, held = self._accelerations(forcing, tau, y)
         return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
 
-    def band(self, inputs: object, t: FloatArray, y: State) -> FloatArray:
+    def band(self, forcing: object, t: FloatArray, y: State) -> FloatArray:
         """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off."""
-        _, held = self._pulls(inputs, jnp.zeros_like(t), y)
-        scale = NOISE_ULPS * self.model.guard_scale(inputs, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
+        _, held = self._accelerations(forcing, jnp.zeros_like(t), y)
+        scale = NOISE_ULPS * self.model.guard_scale(forcing, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
         return self.switch.width + lax.stop_gradient(jnp.finfo(t.dtype).eps * scale)
 
-    def _pulls(self, inputs: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
+    def _accelerations(self, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
         """The relative acceleration without friction, and the largest one that friction causes, m/s^2."""
-        zero = jnp.zeros_like(tau)
-        free, per_grip = (
-            self.model.relative_acceleration(inputs, tau, y, self.model.rates_under(inputs, tau, y, grip))
-            for grip in (zero, zero + 1)
-        )
-        return free, jnp.abs(per_grip - free) * self.model.friction.static
+        free, gain = self.model.effect_of_friction(forcing, tau, y)
+        return free, jnp.abs(gain) * self.model.friction.stick_limit(free)
 
     def seen(
-        self, inputs: object, t: FloatArray, h: FloatArray, before: State, after: State
+        self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
     ) -> tuple[Step, State, State]:
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
-        rates, end_rates = self.rates(inputs, zero, before), self.rates(inputs, h, after)
+        rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
         first = (
-            self.model.relative_velocity(inputs, zero, before),
-            self.model.relative_acceleration(inputs, zero, before, rates),
+            self.model.relative_velocity(forcing, zero, before),
+            self.model.relative_acceleration(forcing, zero, before, rates),
         )
         last = (
-            self.model.relative_velocity(inputs, h, after),
-            self.model.relative_acceleration(inputs, h, after, end_rates),
+            self.model.relative_velocity(forcing, h, after),
+            self.model.relative_acceleration(forcing, h, after, end_rates),
         )
-        needs = self.need(inputs, zero, before), self.need(inputs, h, after)
+        needs = self.need(forcing, zero, before), self.need(forcing, h, after)
         return Step(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
 
 
@@ -114,8 +110,8 @@ def start_fixed(
     """The lane at the beginning of a trajectory."""
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
-    speed = field.model.relative_velocity(field.model.inputs(zero, segment_laws.segments(segment_states)), zero, y)
-    limit = jnp.full((), jnp.inf, dtype) if field.model.friction.holds_more else None
+    speed = field.model.relative_velocity(field.model.forcing(zero, segment_laws.segments(segment_states)), zero, y)
+    limit = jnp.full((), jnp.inf, dtype) if field.model.friction.static_exceeds_kinetic else None
     detector = start_detector(criterion, speed, y[0])
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
@@ -134,7 +130,7 @@ def advance_fixed(
 
     Where static friction exceeds kinetic friction, the step may be rejected: the lane stays, and tries a shorter one.
     """
-    inputs = field.model.inputs(lane.t, segment_laws.segments(lane.segment_states))
+    forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
     live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
     stop = t1
     for segment_state in lane.segment_states:
@@ -144,16 +140,16 @@ def advance_fixed(
     # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = longest * (1 + 1e-6) >= left
     h = jnp.where(to_stop, left, longest)
-    band = None if lane.limit is None else field.band(inputs, lane.t, lane.y)
-    y = implicit_step(field.model, field.switch, inputs, lane.y, h, band)
-    seen, rates, end_rates = field.seen(inputs, lane.t, h, lane.y, y)
+    band = None if lane.limit is None else field.band(forcing, lane.t, lane.y)
+    y = implicit_step(field.model, field.switch, forcing, lane.y, h, band)
+    seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
     # A base acceleration that is NaN would hide sticks, although the motion does not need it: `NOT_FINITE`.
     y = (jnp.where(jnp.isnan(seen.slope1), jnp.nan, y[0]), *y[1:])
 
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
     after = field.model.relative_velocity(
-        field.model.inputs(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
+        field.model.forcing(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
     )
     detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)

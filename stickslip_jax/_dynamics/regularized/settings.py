@@ -30,7 +30,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
     width = jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales
     # Static friction above kinetic friction holds a mass up to one width.
-    scales = {"threshold": width if system.holds_more else speed, "minimum_duration": deceleration}
+    scales = {"threshold": width if system.static_exceeds_kinetic else speed, "minimum_duration": deceleration}
     for name, known in scales.items():
         if getattr(method, name) is None and known is None:
             raise ValueError(
@@ -39,7 +39,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             )
     threshold = method.threshold
     if threshold is None:
-        threshold = width if system.holds_more else Switch(width, method.shape).creep(jnp.asarray(speed))
+        threshold = width if system.static_exceeds_kinetic else Switch(width, method.shape).creep(jnp.asarray(speed))
     duration = method.minimum_duration
     if duration is None:
         # Without friction nothing sticks, however slowly the mass passes through.
@@ -77,7 +77,7 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
     """
     horizon, shortest = largest(t1), smallest(step_for(system, excitation, method))
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
-    return _TRIES * steps + _FEW if system.holds_more else steps
+    return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
 
 
 def _state_scales(system: System, excitation: Excitation, dtype) -> Array:

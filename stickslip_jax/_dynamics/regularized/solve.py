@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from ... import _diffrax as diffrax
 from ..._events.sticks import StickRecord
 from ..._excitation.excitation import Excitation
-from ..._excitation.table import SegmentTable
+from ..._excitation.segment_table import SegmentTable
 from ..._status import Status
 from ..._systems.switched_model import Segments
 from ..._types import Array, BoolArray, FloatArray, IntArray
@@ -111,8 +111,8 @@ def solve_adaptive(
     zero = jnp.zeros((), dtype)
 
     def rates(t, y, _):
-        inputs = field.model.inputs(t, tables.at(t))
-        return jnp.stack(field.rates(inputs, zero, tuple(y)))
+        forcing = field.model.forcing(t, tables.at(t))
+        return jnp.stack(field.rates(forcing, zero, tuple(y)))
 
     control = step_control(how.rtol, how.atol, tables.times)
     end = jnp.minimum(t1, tables.end)
@@ -136,7 +136,7 @@ def start_detection(field: Field, tables: Tables, criterion: Criterion, y: Array
     """The stick detector at the beginning of a trajectory."""
     zero = jnp.zeros((), y.dtype)
     return start_detector(
-        criterion, field.model.relative_velocity(field.model.inputs(zero, tables.at(zero)), zero, tuple(y)), y[0]
+        criterion, field.model.relative_velocity(field.model.forcing(zero, tables.at(zero)), zero, tuple(y)), y[0]
     )
 
 
@@ -158,11 +158,11 @@ def detect_in_step(
     now, after = solution.t[following], tuple(solution.y[following])
     h = now - t
     segments, next_segments = tables.at(t + h / 2), tables.at(now)
-    seen, rates, end_rates = field.seen(field.model.inputs(t, segments), t, h, y, after)
+    seen, rates, end_rates = field.seen(field.model.forcing(t, segments), t, h, y, after)
     jumped = jnp.zeros((), bool)
     for table, old, new in zip(tables.base, segments.base, next_segments.base, strict=True):
         jumped = jumped | ((old.begin != new.begin) & table.jumps)
-    speed = field.model.relative_velocity(field.model.inputs(now, next_segments), jnp.zeros_like(now), after)
+    speed = field.model.relative_velocity(field.model.forcing(now, next_segments), jnp.zeros_like(now), after)
     moved, record = detect(
         criterion, detector, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
     )

@@ -28,25 +28,26 @@ class Switch(eqx.Module):
         """``phi(ratio)``, the smooth sign; `ratio`: relative velocity over width."""
         return _SMOOTH[self.shape](ratio)
 
-    def grip(self, friction: FrictionLaw, speed: FloatArray) -> FloatArray:
-        """The signed friction coefficient at relative velocity `speed` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.
+    def coefficient(self, friction: FrictionLaw, velocity: FloatArray) -> FloatArray:
+        """The signed friction coefficient at the relative `velocity` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.
 
         Where ``static`` exceeds ``kinetic``, friction holds up to one width: it rises from 0 to exactly ``static``
         there, the largest value, and falls off to ``kinetic`` within a few widths more. The long tails of the smooth
         shapes are left out: on them a mass would creep faster than at one width, and not stick.
         """
-        ratio, kinetic = speed / self.width, friction.kinetic(jnp.abs(speed))
-        if not friction.holds_more:
+        ratio, kinetic = velocity / self.width, friction.slip_coefficient(velocity)
+        if not friction.static_exceeds_kinetic:
             return kinetic * self(ratio)
+        static = friction.stick_limit(velocity)
         part, beyond = jnp.clip(ratio, -1, 1), jnp.maximum(jnp.abs(ratio) - 1, 0)
         # Concave on the rise, so that a step can find the balance of forces from below (`implicit_step.py`).
         if self.shape == "linear":
             # A corner: from a smooth summit a mass would part as slowly as ``width^(2/3)``.
-            held, left = friction.static * part, jnp.exp(-beyond)
+            held, left = static * part, jnp.exp(-beyond)
         else:
-            held, left = friction.static * part * (3 - part * part) / 2, jnp.exp(-beyond * beyond)
-        rubbing = kinetic * part
-        return jnp.where(jnp.abs(ratio) < 1, held, rubbing + (held - rubbing) * left)
+            held, left = static * part * (3 - part * part) / 2, jnp.exp(-beyond * beyond)
+        slides = kinetic * part
+        return jnp.where(jnp.abs(ratio) < 1, held, slides + (held - slides) * left)
 
     def creep(self, speed: Scalar) -> Scalar:
         """The approximate relative velocity (m/s) of a mass at its release from a stick.

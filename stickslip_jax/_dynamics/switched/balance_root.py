@@ -17,7 +17,7 @@ _LEAST_STEEP = 1e-6  # of the balance of forces, 1 without friction; not above i
 def balance_root(
     switch: Switch, friction: FrictionLaw, size: FloatArray, stiffness: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """The root `sigma` of ``sigma + stiffness grip(sigma) = size``, with its derivatives of every order."""
+    """The root `sigma` of ``sigma + stiffness mu(sigma) = size``, with its derivatives of every order."""
     return (sigma,)
 
 
@@ -27,10 +27,10 @@ def _balance_root_jvp(primals, tangents):
     (sigma,) = balance_root(*given, lax.stop_gradient(sigma))
 
     def residual(switch, friction, size, stiffness):
-        return sigma + stiffness * switch.grip(friction, sigma) - size
+        return sigma + stiffness * switch.coefficient(friction, sigma) - size
 
     _, change = eqx.filter_jvp(residual, tuple(given), tuple(tangents[:-1]))
     switch, friction, _, stiffness = given
-    _, slope = jax.jvp(lambda value: switch.grip(friction, value), (sigma,), (jnp.ones_like(sigma),))
+    _, slope = jax.jvp(lambda value: switch.coefficient(friction, value), (sigma,), (jnp.ones_like(sigma),))
     steep = 1 + stiffness * slope
     return (sigma,), (-change / jnp.where(steep > _LEAST_STEEP, steep, 1),)

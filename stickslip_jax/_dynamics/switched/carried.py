@@ -32,7 +32,7 @@ class HowItEnds(NamedTuple):
 @OwnDerivative
 def carried(
     model: SwitchedModel,
-    inputs: Any,
+    forcing: Any,
     y: State,
     left: FloatArray,
     sign: FloatArray,
@@ -50,24 +50,24 @@ def carried(
 
 @carried.def_jvp
 def _carried_jvp(primals, tangents):
-    model, inputs, y, left, sign, ends, tau, reached = primals
-    tau, *reached = carried(model, inputs, y, left, sign, ends, *lax.stop_gradient((tau, reached)))
+    model, forcing, y, left, sign, ends, tau, reached = primals
+    tau, *reached = carried(model, forcing, y, left, sign, ends, *lax.stop_gradient((tau, reached)))
     by = (tangents[0], tangents[1], tangents[2])
 
-    def flow(model, inputs, y):
+    def flow(model, forcing, y):
         sticking = sign == 0
         # The branch that is not chosen must be finite too: a slip over a stick's long step may overflow.
-        slid, held = model.slip(inputs, y, jnp.where(sticking, 0, tau), sign), model.stick(inputs, y, tau)
+        slid, held = model.slip(forcing, y, jnp.where(sticking, 0, tau), sign), model.stick(forcing, y, tau)
         moved = tuple(jnp.where(sticking, a, b) for a, b in zip(held, slid, strict=True))
         moved = tuple(jnp.where(ends.moves, a, b) for a, b in zip(moved, y, strict=True))
-        return moved, model.guard(inputs, tau, moved, sign)[0]
+        return moved, model.guard(forcing, tau, moved, sign)[0]
 
-    _, (d_reached, d_guard) = eqx.filter_jvp(flow, (model, inputs, y), by)
-    _, rate = model.guard(inputs, tau, tuple(reached), sign)
+    _, (d_reached, d_guard) = eqx.filter_jvp(flow, (model, forcing, y), by)
+    _, rate = model.guard(forcing, tau, tuple(reached), sign)
     d_left = jnp.zeros_like(tau) if tangents[3] is None else tangents[3]
     d_event = -_or_zero(d_guard, tau) / jnp.where(ends.at_event, rate, -1)
     d_tau = jnp.where(ends.at_event, d_event, jnp.where(ends.at_stop, d_left, 0))
-    rates = model.rates(inputs, tau, tuple(reached), sign)
+    rates = model.rates(forcing, tau, tuple(reached), sign)
     d_reached = tuple(_or_zero(d, v) + r * d_tau for d, v, r in zip(d_reached, reached, rates, strict=True))
     return (tau, *reached), (d_tau, *d_reached)
 

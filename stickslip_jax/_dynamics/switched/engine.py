@@ -102,10 +102,10 @@ def start_lane(
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
-    inputs = model.inputs(zero, segment_laws.segments(segment_states))
-    resting = model.at_rest(inputs, y)
-    y, sign = _resolve_mode(model, inputs, y, resting)
-    edge = jnp.where(resting, jnp.abs(_stick_guard(model, inputs, y)[0]), jnp.inf)
+    forcing = model.forcing(zero, segment_laws.segments(segment_states))
+    resting = model.at_rest(forcing, y)
+    y, sign = _resolve_mode(model, forcing, y, resting)
+    edge = jnp.where(resting, jnp.abs(_stick_guard(model, forcing, y)[0]), jnp.inf)
     return Lane(
         zero,
         y,
@@ -131,14 +131,14 @@ def advance(
 ) -> tuple[Lane, StickRecord]:
     """One loop step; returns the lane after it and the record of the stick that ended in it, if any."""
     dtype = lane.t.dtype
-    before, given = lane, (model, model.inputs(lane.t, segment_laws.segments(lane.segment_states)), lane.y)
+    before, given = lane, (model, model.forcing(lane.t, segment_laws.segments(lane.segment_states)), lane.y)
     stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
     left = time_left = stop - lane.t
     # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
-    (model, inputs, _), left, step, lane = without_derivatives((given, left, step, lane))
+    (model, forcing, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
     h = jnp.where(to_stop, left, lane.target)
-    y1, error, (s0, d0), (s1, d1), scale = _tried(model, inputs, lane, h)
+    y1, error, (s0, d0), (s1, d1), scale = _tried(model, forcing, lane, h)
     # Round-off of the guard itself, and of the time at which it is evaluated.
     clock = _CLOCK_ULPS * jnp.finfo(dtype).eps * (lane.t + h)
     noise = NOISE_ULPS * jnp.finfo(dtype).eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
@@ -165,7 +165,7 @@ def advance(
     # The event: a Newton step from the end of the step.
     stays, delta = again | at_once, jnp.where(landed & ~at_once, delta, 0)
     tau = jnp.where(stays, 0, h + delta)
-    moving = zip(y1, model.rates(inputs, h, y1, lane.sign), strict=True)
+    moving = zip(y1, model.rates(forcing, h, y1, lane.sign), strict=True)
     y = _where(stays, lane.y, tuple(value + delta * rate for value, rate in moving))
     model, lane, ends = given[0], before, HowItEnds(~stays, landed & ~at_once, taken & to_stop)
     tau, *y = carried(*given, time_left, lane.sign, ends, tau, y)
@@ -197,15 +197,15 @@ class _Tried(NamedTuple):
     scale: FloatArray
 
 
-def _tried(model: SwitchedModel, inputs: Any, lane: Lane, h: FloatArray) -> _Tried:
+def _tried(model: SwitchedModel, forcing: Any, lane: Lane, h: FloatArray) -> _Tried:
     sticking = lane.sign == 0
     # A slip over a stick's long step may overflow.
-    slid, error = model.slip_and_error(inputs, lane.y, jnp.where(sticking, 0, h), lane.sign)
-    held, error_held = model.stick_and_error(inputs, lane.y, h)
+    slid, error = model.slip_and_error(forcing, lane.y, jnp.where(sticking, 0, h), lane.sign)
+    held, error_held = model.stick_and_error(forcing, lane.y, h)
     y1, error = _where(sticking, held, slid), _chosen(sticking, error_held, error)
-    before = model.guard(inputs, jnp.zeros_like(h), lane.y, lane.sign)
-    after = model.guard(inputs, h, y1, lane.sign)
-    return _Tried(y1, error, before, after, model.guard_scale(inputs, y1, lane.sign))
+    before = model.guard(forcing, jnp.zeros_like(h), lane.y, lane.sign)
+    after = model.guard(forcing, h, y1, lane.sign)
+    return _Tried(y1, error, before, after, model.guard_scale(forcing, y1, lane.sign))
 
 
 def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
@@ -257,20 +257,20 @@ def _switch(model, segment_laws, lane, landed, brief, at_stop, t1) -> tuple[Lane
     ended = at_stop & (lane.t < t1)
     was_stick = lane.sign == 0
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
-    inputs = model.inputs(lane.t, segment_laws.segments(segment_states))
+    forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
 
-    on_base = model.on_base(inputs, lane.y)
-    holds = model.can_stick(inputs, on_base)
-    resting = model.at_rest(inputs, lane.y)
-    guard, guard_rate = _stick_guard(model, inputs, on_base)
+    on_base = model.on_base(forcing, lane.y)
+    holds = model.can_stick(forcing, on_base)
+    resting = model.at_rest(forcing, lane.y)
+    guard, guard_rate = _stick_guard(model, forcing, on_base)
     # A mass that is not at rest at the event slips on, and friction reverses; so it does if a slip ends as it begins.
-    turned = jnp.where(was_stick | (resting & ~brief), model.release_sign(inputs, on_base), -lane.sign)
+    turned = jnp.where(was_stick | (resting & ~brief), model.release_sign(forcing, on_base), -lane.sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     slipping = (lane.sign != 0) & ~jumped
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
     goes_on = was_stick & ~jumped
     at_limit = goes_on & _is_not_below(guard, guard_rate, lane.t)
-    resolved_y, resolved_sign = _resolve_mode(model, inputs, lane.y, resting | goes_on, at_limit)
+    resolved_y, resolved_sign = _resolve_mode(model, forcing, lane.y, resting | goes_on, at_limit)
     resolve = ended & ~slipping
     sign = jnp.where(resolve, resolved_sign, sign)
     y = _where(resolve, resolved_y, _where(landed & (sign == 0), on_base, lane.y))
@@ -326,10 +326,10 @@ def following_segments(
     return tuple(following), jumped
 
 
-def _stick_guard(model, inputs, on_base) -> tuple[FloatArray, FloatArray]:
+def _stick_guard(model, forcing, on_base) -> tuple[FloatArray, FloatArray]:
     """The guard of a stick, and its time derivative, now."""
     none = jnp.zeros_like(on_base[0])
-    return model.guard(inputs, none, on_base, none)
+    return model.guard(forcing, none, on_base, none)
 
 
 def _is_not_below(guard: FloatArray, guard_rate: FloatArray, t: FloatArray) -> BoolArray:
@@ -342,15 +342,15 @@ def _on_edge(edge: FloatArray) -> BoolArray:
     return edge < 2 * _NEAR_GRAZING[edge.dtype.itemsize]
 
 
-def _resolve_mode(model, inputs, y, resting, at_limit=False):
+def _resolve_mode(model, forcing, y, resting, at_limit=False):
     """The state and the sign of the mode of a mass in the state `y`, given whether it is `resting` on the base.
 
     `at_limit`: whether it sticks on although the force is at the limit, but for round-off.
     """
-    on_base = model.on_base(inputs, y)
-    held = model.can_stick(inputs, on_base) | at_limit
-    held_or_released = jnp.where(held, 0, model.release_sign(inputs, on_base))
-    return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(inputs, y))
+    on_base = model.on_base(forcing, y)
+    held = model.can_stick(forcing, on_base) | at_limit
+    held_or_released = jnp.where(held, 0, model.release_sign(forcing, on_base))
+    return _where(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(forcing, y))
 
 
 def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:

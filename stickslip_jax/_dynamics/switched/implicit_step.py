@@ -2,9 +2,9 @@
 
 The method is the singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander
 1977; L-stable). In each stage everything but the friction is linearised at a predicted state. One equation for the
-relative velocity remains, ``sigma + K grip(sigma) = sigma*`` (`_balance`). A step may be far longer than the time in
-which friction changes the relative velocity by one width: it then ends in the stick, as it should, where a step with
-linearised friction would overshoot it to and fro.
+relative velocity remains, ``sigma + K mu(sigma) = sigma*`` with the signed friction coefficient mu (`_balance`). A step
+may be far longer than the time in which friction changes the relative velocity by one width: it then ends in the stick,
+as it should, where a step with linearised friction would overshoot it to and fro.
 """
 
 import math
@@ -25,26 +25,26 @@ _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
 def implicit_step(
-    model: SwitchedModel, switch: Switch, inputs: object, y: State, h: FloatArray, band: FloatArray | None = None
+    model: SwitchedModel, switch: Switch, forcing: object, y: State, h: FloatArray, band: FloatArray | None = None
 ) -> State:
     """The state after one step of length `h` (s) from the state `y`.
 
     `band`: where static friction exceeds kinetic friction, the relative speed above which the mass slides (m/s).
     """
-    speed = model.relative_velocity(inputs, jnp.zeros_like(h), y)
+    speed = model.relative_velocity(forcing, jnp.zeros_like(h), y)
     slides = None if band is None else jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
-    start = model.rates_under(inputs, jnp.zeros_like(h), y, switch.grip(model.friction, speed))
+    start = model.rates_under(forcing, jnp.zeros_like(h), y, switch.coefficient(model.friction, speed))
     expected = _moved(y, _GAMMA * h, start)
-    _, first, slides = _stage(model, switch, inputs, _GAMMA * h, y, expected, _GAMMA * h, slides)
+    _, first, slides = _stage(model, switch, forcing, _GAMMA * h, y, expected, _GAMMA * h, slides)
     base, expected = _moved(y, (1 - _GAMMA) * h, first), _moved(y, h, first)
-    end, _, _ = _stage(model, switch, inputs, h, base, expected, _GAMMA * h, slides)
+    end, _, _ = _stage(model, switch, forcing, h, base, expected, _GAMMA * h, slides)
     return end
 
 
 def _stage(
     model: SwitchedModel,
     switch: Switch,
-    inputs: object,
+    forcing: object,
     tau: FloatArray,
     base: State,
     expected: State,
@@ -57,55 +57,56 @@ def _stage(
     """
 
     def free(state):
-        return model.rates_under(inputs, tau, state, jnp.zeros_like(tau))
+        return model.rates_under(forcing, tau, state, jnp.zeros_like(tau))
 
     rates = free(expected)
-    push = tuple(
-        a - b for a, b in zip(model.rates_under(inputs, tau, expected, jnp.ones_like(tau)), rates, strict=True)
+    by_friction = tuple(
+        a - b for a, b in zip(model.rates_under(forcing, tau, expected, jnp.ones_like(tau)), rates, strict=True)
     )
     jacobian = jax.jacfwd(free)(expected)
     size = len(base)
     matrix = [[(i == j) - weight * jacobian[i][j] for j in range(size)] for i in range(size)]
     missing = tuple(b - e + weight * r for b, e, r in zip(base, expected, rates, strict=True))
-    without, by_grip = _solve(matrix, [list(missing), [weight * value for value in push]])
+    without, per_unit = _solve(matrix, [list(missing), [weight * value for value in by_friction]])
 
-    speed, per_grip = jax.jvp(
-        lambda state: model.relative_velocity(inputs, tau, state), (_moved(expected, 1.0, without),), (by_grip,)
+    speed, gain = jax.jvp(
+        lambda state: model.relative_velocity(forcing, tau, state), (_moved(expected, 1.0, without),), (per_unit,)
     )
     if slides is None:
-        grip = _balance(switch, model.friction, speed, -per_grip)
+        coefficient = _balance(switch, model.friction, speed, -gain)
     else:
-        grip, slides = balance_with_static(switch, model.friction, speed, -per_grip, slides)
-    change = tuple(a + grip * b for a, b in zip(without, by_grip, strict=True))
+        coefficient, slides = balance_with_static(switch, model.friction, speed, -gain, slides)
+    change = tuple(a + coefficient * b for a, b in zip(without, per_unit, strict=True))
     _, turned = jax.jvp(free, (expected,), (change,))
-    end_rates = tuple(r + t + grip * p for r, t, p in zip(rates, turned, push, strict=True))
+    end_rates = tuple(r + t + coefficient * f for r, t, f in zip(rates, turned, by_friction, strict=True))
     return _moved(expected, 1.0, change), end_rates, slides
 
 
 def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:
-    """The signed friction coefficient ``grip(sigma)`` at the root of ``sigma + stiffness grip(sigma) = speed``.
+    """The signed friction coefficient ``mu(sigma)`` at the root of ``sigma + stiffness mu(sigma) = speed``.
 
-    Newton's method from below, on the magnitude: `grip` is concave up to its largest value, so that no iterate
+    Newton's method from below, on the magnitude: mu is concave up to its largest value, so that no iterate
     overshoots. With ``mu_static > mu``: `static_balance.py`. The derivatives are those of the implicit function
     (`balance_root`).
     """
-    given, sign = (switch, friction, jnp.abs(speed), stiffness), jnp.where(speed < 0, -1.0, 1.0)
+    sign = jnp.where(speed < 0, -1.0, 1.0)
+    given = switch, friction.in_direction(sign), jnp.abs(speed), stiffness
     switch, friction, size, stiffness = without_derivatives(given)
 
-    def grip(sigma):
-        return jax.jvp(lambda value: switch.grip(friction, value), (sigma,), (jnp.ones_like(sigma),))
+    def coefficient(sigma):
+        return jax.jvp(lambda value: switch.coefficient(friction, value), (sigma,), (jnp.ones_like(sigma),))
 
-    _, steepest = grip(jnp.full_like(size, 1e-9) * switch.width)
+    _, steepest = coefficient(jnp.full_like(size, 1e-9) * switch.width)
     sigma = jnp.maximum(size - stiffness * friction.static, size / (1 + stiffness * steepest))
     for _ in range(_NEWTON[switch.shape]):
-        value, slope = grip(sigma)
+        value, slope = coefficient(sigma)
         sigma = jnp.maximum(sigma - (sigma + stiffness * value - size) / jnp.maximum(1 + stiffness * slope, 1), 0)
-    value, slope = grip(sigma)
+    value, slope = coefficient(sigma)
     residual = sigma + stiffness * value - size
     last = slope * residual / jnp.maximum(1 + stiffness * slope, 1)  # one more Newton step
     (sigma,) = balance_root(*given, sigma)
     switch, friction, *_ = given
-    return sign * (switch.grip(friction, sigma) - last)
+    return sign * (switch.coefficient(friction, sigma) - last)
 
 
 def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:

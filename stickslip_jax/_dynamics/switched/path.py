@@ -18,7 +18,7 @@ from ..._types import FloatArray, Scalar
 from ..method import Exact
 from ..path import Path, Run
 from ..time_scales import max_steps_advice
-from ..validation import checked_step
+from ..validation import Arguments
 from .run import Beginnings, run_trajectory, state_at, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
@@ -51,7 +51,7 @@ class StepPath(Path):
 
 def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
     """Simulate one trajectory in time steps with located events, again with twice the steps while they are too few."""
-    excitation, step = checked_step(system, base, method, t1)
+    excitation, step = Arguments(system, base, method, t1).checked_step()
     try:
         steps = steps_for(system, excitation, t1, step) if method.max_steps is None else method.max_steps
     except NotKnown:

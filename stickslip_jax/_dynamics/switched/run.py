@@ -96,8 +96,8 @@ def state_at(system: Any, excitation: Excitation, solver: Any, beginnings: Begin
 def state_in_step(model: Any, begun: Beginnings, h: FloatArray) -> State:
     """The state at `h` (s) after the beginning of one step."""
     _, y, sign, segments = begun
-    inputs = model.inputs(begun.t, segments)
-    stuck, slid = model.stick(inputs, y, h), model.slip(inputs, y, jnp.where(sign == 0, 0, h), sign)
+    forcing = model.forcing(begun.t, segments)
+    stuck, slid = model.stick(forcing, y, h), model.slip(forcing, y, jnp.where(sign == 0, 0, h), sign)
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
 
 

@@ -26,16 +26,17 @@ _Missing = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray, Floa
 def balance_with_static(
     switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray, slides: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The signed friction coefficient at a root of ``sigma + stiffness grip(sigma) = speed``, and whether it slides.
+    """The signed friction coefficient at a root of ``sigma + stiffness mu(sigma) = speed``, and whether it slides.
 
     `slides`, and what is returned: the sign of the relative velocity of a mass that slides, 0 for one that sticks.
     """
-    given, sign = (switch, friction, jnp.abs(speed), stiffness), jnp.where(speed < 0, -1.0, 1.0)
+    sign = jnp.where(speed < 0, -1.0, 1.0)
+    given = switch, friction.in_direction(sign), jnp.abs(speed), stiffness
     switch, friction, size, stiffness = without_derivatives(given)
     most = switch.width + stiffness * friction.static  # what a stick can take up
 
     def missing(sigma):
-        value, slope = jax.jvp(lambda at: switch.grip(friction, at), (sigma,), (jnp.ones_like(sigma),))
+        value, slope = jax.jvp(lambda at: switch.coefficient(friction, at), (sigma,), (jnp.ones_like(sigma),))
         return value, slope, sigma + stiffness * value - size, 1 + stiffness * slope
 
     least = _BALANCED * stiffness * friction.static
@@ -47,7 +48,7 @@ def balance_with_static(
     last = slope * rest / jnp.where(gain > 0, gain, 1)  # one more Newton step
     (sigma,) = balance_root(*given, sigma)
     switch, friction, *_ = given
-    return sign * (switch.grip(friction, sigma) - last), jnp.where(chosen, sign, 0)
+    return sign * (switch.coefficient(friction, sigma) - last), jnp.where(chosen, sign, 0)
 
 
 def _sticking(missing: _Missing, switch: Switch, size: FloatArray) -> FloatArray:

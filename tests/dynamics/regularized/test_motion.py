@@ -21,9 +21,9 @@ from support.regularized import (
     as_floats,
     by_scipy,
     case,
+    coefficient,
     field_of,
     follow,
-    grip,
     program,
     sticks,
 )
@@ -33,7 +33,7 @@ from stickslip_jax._dynamics.regularized.switch import Switch
 from stickslip_jax._dynamics.switched.implicit_step import _balance
 from stickslip_jax._dynamics.switched.static_balance import balance_with_static
 
-# Each shape and each law once; `test_grip` looks at all of them together.
+# Each shape and each law once; `test_coefficient` looks at all of them together.
 PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]
 
 
@@ -58,13 +58,13 @@ def test_against_scipy(shape, law):
 
 @pytest.mark.parametrize("shape", PHI)
 @pytest.mark.parametrize("law", LAWS)
-def test_grip(shape, law):
+def test_coefficient(shape, law):
     """Odd, by the definition, largest what a stick holds, and Coulomb's coefficient far away."""
     width, switch = 0.03, Switch(0.03, shape)
     r = np.concatenate([np.linspace(0, 10, 4001) * width, np.geomspace(1e-9, 1e4, 200) * width])
-    found = np.asarray(switch.grip(LAWS[law][0], jnp.asarray(r)))
-    np.testing.assert_allclose(found, grip(shape, law, r, width), rtol=1e-13, atol=1e-15)
-    np.testing.assert_array_equal(np.asarray(switch.grip(LAWS[law][0], jnp.asarray(-r))), -found)
+    found = np.asarray(switch.coefficient(LAWS[law][0], jnp.asarray(r)))
+    np.testing.assert_allclose(found, coefficient(shape, law, r, width), rtol=1e-13, atol=1e-15)
+    np.testing.assert_array_equal(np.asarray(switch.coefficient(LAWS[law][0], jnp.asarray(-r))), -found)
     if law == "static":
         assert np.max(found) == pytest.approx(0.7, abs=1e-12)
         assert found[-1] == pytest.approx(0.5, abs=1e-4)
@@ -86,7 +86,7 @@ def test_the_friction_of_an_implicit_stage(shape, slides):
     found, goes_on = (np.asarray(leaf) for leaf in jax.jit(jax.vmap(friction))(jnp.asarray(width), jnp.asarray(speed)))
 
     def missing(at):
-        return at + stiffness * grip(shape, law, at, width) - speed
+        return at + stiffness * coefficient(shape, law, at, width) - speed
 
     low, high, sliding = np.full_like(speed, 1e-40), speed, np.zeros_like(speed, bool)
     if slides is not None:
@@ -103,7 +103,7 @@ def test_the_friction_of_an_implicit_stage(shape, slides):
         middle = np.sqrt(low) * np.sqrt(high)
         above = missing(middle) > 0
         low, high = np.where(above, low, middle), np.where(above, middle, high)
-    expected = grip(shape, law, high, width)
+    expected = coefficient(shape, law, high, width)
     np.testing.assert_allclose(found, expected, rtol=1e-10 if slides is None else 1e-5)
 
 

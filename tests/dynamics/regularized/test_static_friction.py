@@ -69,13 +69,13 @@ def test_instants_converge_in_fixed_steps(shape):
 
 
 def field(shape, width, mu, mu_static):
-    def grip(r):
+    def coefficient(r):
         s, beyond = np.clip(r / width, -1, 1), max(abs(r / width) - 1, 0)
         held = mu_static * (s if shape == "linear" else s * (3 - s * s) / 2)
         left = np.exp(-beyond) if shape == "linear" else np.exp(-(beyond**2))
         return held if beyond == 0 else left * held + (1 - left) * mu * np.sign(r)
 
-    return lambda t, y: [y[1], (-STIFFNESS * y[0] - NORMAL * grip(y[1] - SPEED)) / MASS]
+    return lambda t, y: [y[1], (-STIFFNESS * y[0] - NORMAL * coefficient(y[1] - SPEED)) / MASS]
 
 
 def by_radau(shape, width, mu=MU, mu_static=MU_STATIC):

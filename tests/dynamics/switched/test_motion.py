@@ -11,7 +11,8 @@ from reference.event_driven import simulate_mass_spring
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.engine_choice import engine_for
-from stickslip_jax._systems.own import is_own
+from stickslip_jax._dynamics.validation import Arguments
+from stickslip_jax._systems.built_in import is_built_in
 
 T1 = 30.0
 STEPS = ss.Exact(step=0.3, max_steps=512)
@@ -274,17 +275,17 @@ def test_only_the_packages_own_functions_are_compiled_for_wide_vectors():
 
     def engine(friction, base):
         system = ss.MassSpring(1.0, 1.0, 1.0, friction)
-        return engine_for(system, base, ss.Exact(step=0.1), T1).lanes((0.0, 0.0), np.dtype(float))
+        return engine_for(Arguments(system, base, ss.Exact(step=0.1), T1)).lanes((0.0, 0.0), np.dtype(float))
 
     law, base = ss.Coulomb(0.4), ss.Harmonic(1.0, 0.7)
     for friction in (law, ss.VelocityWeakening(0.5, 1.0), ss.Stribeck(0.3, 0.5, 0.1)):
-        assert is_own(engine(friction, base))
+        assert is_built_in(engine(friction, base))
     for friction, motion in ((ss.FrictionCurve(lambda speed: 0.5 + 0 * speed), base), (law, Swing())):
-        assert not is_own(engine(friction, motion))
+        assert not is_built_in(engine(friction, motion))
     for spectrum in (lambda w: jnp.exp(-w), ss.VelocitySpectrum(lambda w: w**2 * jnp.exp(-w))):
-        assert not is_own(engine(law, ss.GaussianProcess(spectrum, cutoff=3.0, harmonics=4)))
+        assert not is_built_in(engine(law, ss.GaussianProcess(spectrum, cutoff=3.0, harmonics=4)))
     layer = ss.KanaiTajimiSpectrum(ground_frequency=1.0)
-    assert is_own(engine(law, ss.GaussianProcess(layer, cutoff=3.0, harmonics=4)))
+    assert is_built_in(engine(law, ss.GaussianProcess(layer, cutoff=3.0, harmonics=4)))
 
 
 @pytest.mark.slow

@@ -4,15 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from .._excitation.smooth import added_up, angle
+from .._excitation.smooth import Tones, added_up, angle
 from .._numerics.elementary import sincos
 from .._numerics.known import bounds_of, values_of
-from .._types import FloatArray, Scalar
+from .._types import FloatScalar, Number, Scalar, State
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
 
 
-def steady_response(tones: Any, mass: Any, stiffness: Any, damping: Any, t: FloatArray) -> tuple[Any, Any]:
+def steady_response(tones: Tones, mass: Scalar, stiffness: Scalar, damping: Scalar, t: FloatScalar) -> State:
     """Position (m) and velocity (m/s) of the steady vibration under harmonic forces of amplitude, frequency, phase."""
 
     def answer(amplitude, w, phase):
@@ -41,6 +41,6 @@ def check_no_resonance(force: Any, omega: Scalar) -> None:
         )
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Number) -> str:
     low, high = bounds_of(value)
     return f"{low:.9g}" if low == high else f"{low:.9g} to {high:.9g}"

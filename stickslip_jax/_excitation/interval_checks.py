@@ -1,17 +1,19 @@
 """Intervals that a user's law gives: impossible ones are marked, equal neighbours joined.
 
-An interval that cannot be (a negative duration, a number that is not finite) gets the duration NaN, from which the
+An impossible interval (a negative duration, a number that is not finite) gets the duration NaN, from which the
 engines make ``Status.BASE_INVALID``.
 """
 
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._types import Array, FloatArray
+from .._types import Array, Float, FloatArray
+
+Each: TypeAlias = Float[Array, " intervals"]
 
 
 def marked(duration: FloatArray, *numbers: FloatArray) -> FloatArray:
@@ -22,7 +24,7 @@ def marked(duration: FloatArray, *numbers: FloatArray) -> FloatArray:
     return jnp.where((duration == 0) | ((duration > 0) & finite), duration, jnp.nan)
 
 
-def joined(durations: Array, velocities: Array) -> tuple[Array, Array]:
+def joined(durations: Each, velocities: Each) -> tuple[Each, Each]:
     """Durations and velocities of intervals (intervals,): neighbours of equal velocity are one, impossible ones are
     `marked`, and after the first of duration 0 there are none.
     """
@@ -36,9 +38,9 @@ def joined(durations: Array, velocities: Array) -> tuple[Array, Array]:
     return jax.ops.segment_sum(durations, joint, number, indices_are_sorted=True), velocities[first]
 
 
-def check_drawn(law: Any, method: str, unit: str, durations: Array, *numbers: Array) -> None:
-    """Check segments (segments,) that the `method` of a user's `law` gave. Raises ValueError that names the first that
-    cannot be; traced ones pass, and show in the status of a simulation.
+def check_drawn(law: object, method: str, unit: str, durations: Each, *numbers: Each) -> None:
+    """Check segments (segments,) that the `method` of a user's `law` gave. Raises ValueError that names the first
+    impossible one; traced ones pass, and show in the status of a simulation.
     """
     if any(_checks.is_traced(array) for array in (durations, *numbers)):
         return

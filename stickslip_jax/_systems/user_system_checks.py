@@ -1,7 +1,7 @@
 """Checks of a user's system, as far as it can be checked before it is simulated."""
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +12,14 @@ from .._types import Number
 from .switched_model import Base
 from .system import System
 
+if TYPE_CHECKING:
+    from .switched_system import SwitchedSystem
+
 _SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
 _AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 
-def check_fields(system: Any) -> None:
+def check_fields(system: "SwitchedSystem") -> None:
     """Check the fields and properties of `system`. Raises ValueError for what does not fit."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(system):
         if not isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array)):
@@ -48,7 +51,7 @@ def check_fields(system: Any) -> None:
             _checks.positive(name, getattr(system, name))
 
 
-def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
+def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
     """Check the methods of `system` in the state `y0` at time 0, with the base at rest. Raises ValueError for what they
     must not return.
     """
@@ -72,7 +75,7 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     _check_affine(kind, np.array([[float(rate) for rate in row] for row in rates]), np.array(gradient, float))
 
 
-def _check_rates(kind: str, rates: Any, size: int) -> None:
+def _check_rates(kind: str, rates: object, size: int) -> None:
     given = len(rates) if isinstance(rates, (tuple, list)) else None
     if given != size:
         shown = _checks.show(rates) if given is None else f"{given}"
@@ -110,5 +113,5 @@ def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
         )
 
 
-def _is_scalar(value: Any) -> bool:
+def _is_scalar(value: object) -> bool:
     return isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)) and np.ndim(value) == 0

@@ -14,8 +14,11 @@ from .segments import Segment, SegmentLaw, first_segment, following_segment, is_
 class SegmentTable(eqx.Module):
     """Segments in order of time, arrays (segments,); unused ones begin at infinity.
 
-    `end`: where the last one ends, s. `is_invalid`: whether one that cannot be follows there. `jumps`: whether the
-    value jumps between segments.
+    Attributes:
+        segments: In order of time.
+        end: Where the last one ends, s.
+        is_invalid: Whether an impossible one follows there.
+        jumps: Whether the value jumps between segments.
     """
 
     segments: Segment
