@@ -33,7 +33,7 @@ _CHEAP = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gat
           "lt", "max", "min", "mul", "ne", "or", "round", "select_n", "shift_left", "shift_right_arithmetic",
           "shift_right_logical", "sign", "square", "sub", "xor")  # fmt: skip
 _COSTLY = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
-         "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
+           "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_CHEAP, 1), (_COSTLY, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
 
