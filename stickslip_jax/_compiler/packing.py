@@ -27,7 +27,7 @@ class Layout(NamedTuple):
 def packed(tree: Any) -> tuple[jax.Array, ...]:
     """The arrays of a pytree, those of the same type and shape stacked."""
     if PLAIN:
-        return tuple(jax.tree.leaves(tree))
+        return tuple(map(jnp.asarray, jax.tree.leaves(tree)))
     together: dict[tuple[jnp.dtype, tuple[int, ...]], list[jax.Array]] = {}
     for leaf in jax.tree.leaves(tree):
         together.setdefault((leaf.dtype, leaf.shape), []).append(leaf)

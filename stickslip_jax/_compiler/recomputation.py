@@ -25,15 +25,16 @@ _Result = TypeVar("_Result")
 _Atom: TypeAlias = core.Var | core.Literal
 _Leaf: TypeAlias = Any  # a number or an array, traced or not
 _Known: TypeAlias = tuple[list[_Leaf], list[_Leaf]]  # the results of an operation, and its operands
+
 # The cost of an operation, in additions. Operations that are not listed are opaque.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
          "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
-_PLAIN = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
+_CHEAP = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
           "lt", "max", "min", "mul", "ne", "or", "round", "select_n", "shift_left", "shift_right_arithmetic",
           "shift_right_logical", "sign", "square", "sub", "xor")  # fmt: skip
-_DEAR = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
-         "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
-_COSTS = {name: cost for names, cost in ((_FREE, 0), (_PLAIN, 1), (_DEAR, 10)) for name in names}
+_COSTLY = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
+           "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
+_COSTS = {name: cost for names, cost in ((_FREE, 0), (_CHEAP, 1), (_COSTLY, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
 
 _WORTH = 4  # cheaper values are computed again
