@@ -17,7 +17,7 @@ from ._uncertainty.families import (
     Weibull as Weibull,
 )
 from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
-from ._dynamics.method import Exact as Exact, Regularized as Regularized
+from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
 from ._ensemble.collecting import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep

@@ -14,8 +14,9 @@ import jax
 
 from .._compiler import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
 from .._systems.built_in import is_built_in
-from . import lanes
-from .regularized import lanes as regularized_lanes
+from .common import lanes
+from .common.engine import Engine
+from .regularized.engine import solve_batch
 
 
 class CompiledLanes(NamedTuple):
@@ -26,7 +27,7 @@ class CompiledLanes(NamedTuple):
     record: Callable[..., tuple[tuple[jax.Array, ...], lanes.Records, lanes.Blocks]]
 
 
-def compiled_for(engine: lanes.Engine, *, with_records: bool = False) -> CompiledLanes:
+def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes:
     """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
     arrays, which are too large for native loops.
     """
@@ -34,7 +35,7 @@ def compiled_for(engine: lanes.Engine, *, with_records: bool = False) -> Compile
 
 
 # filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
-solve_chunk = eqx.filter_jit(regularized_lanes.solve_batch)
+solve_chunk = eqx.filter_jit(solve_batch)
 
 
 def _compiled(is_built_in: bool) -> CompiledLanes:

@@ -13,20 +13,20 @@ from .._numerics.known import largest
 from .._systems.system import System
 from .._types import AnyArray, Number, Scalar
 from .._uncertainty.inputs import Inputs
-from .interval.lanes import IntervalEngine
+from .common.engine import Engine
+from .common.method import Exact, Regularized
+from .common.path import Run
+from .common.validation import Arguments
+from .common.varying import Engines, engines_of, widest
+from .interval.engine import IntervalEngine
 from .interval.path import follow_intervals
-from .lanes import Engine
-from .method import Exact, Regularized
-from .path import Run
-from .regularized.lanes import AdaptiveBatch, FixedEngine
+from .regularized.engine import AdaptiveBatch, FixedEngine
 from .regularized.path import follow_regularized
 from .regularized.settings import fixed_steps, resolved
 from .regularized.solve import table_sizes
-from .switched.lanes import SwitchedEngine
+from .switched.engine import SwitchedEngine
 from .switched.path import follow_steps
 from .switched.run import steps_for
-from .validation import Arguments
-from .varying import Engines, engines_of, widest
 
 _MOST_COUNTED = 2**31 - 1
 _AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes

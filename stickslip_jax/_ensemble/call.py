@@ -14,10 +14,11 @@ import numpy as np
 
 from .. import _checks
 from .._compiler import Layout, packed
+from .._dynamics.common.engine import Engine, SampleTotals
+from .._dynamics.common.lanes import BLOCK
+from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.compiled import compiled_for, solve_chunk
-from .._dynamics.lanes import BLOCK, Engine, SampleTotals
-from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.regularized.lanes import AdaptiveBatch
+from .._dynamics.regularized.engine import AdaptiveBatch
 from .._dynamics.regularized.settings import as_arrays
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._dynamics.lanes import SampleTotals
-from .._dynamics.method import Exact, Regularized
+from .._dynamics.common.engine import SampleTotals
+from .._dynamics.common.method import Exact, Regularized
 from .._events.sticks import FlatSticks
 from .._excitation.excitation import law_of
 from .._numerics.moments import Moments

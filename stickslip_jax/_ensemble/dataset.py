@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._dynamics.lanes import SampleTotals
-from .._dynamics.method import Exact, Regularized
+from .._dynamics.common.engine import SampleTotals
+from .._dynamics.common.method import Exact, Regularized
 from .._events.sticks import FURTHER, FlatSticks
 from .._statistics.conventions import labeled_dataset, variable
 from .._statistics.totals import TOTALS

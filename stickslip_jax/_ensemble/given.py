@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._dynamics.lanes import SampleTotals
+from .._dynamics.common.engine import SampleTotals
 from .._events.sticks import NUMBERS, FlatSticks
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering

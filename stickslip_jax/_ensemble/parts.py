@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._dynamics.lanes import SampleTotals
+from .._dynamics.common.engine import SampleTotals
 from .._events.stick_stream import StickCollector, StickStream
 from .._events.sticks import NUMBERS, FlatSticks, with_columns
 from .._numerics.moments import Moments

@@ -7,12 +7,13 @@ import jax
 import numpy as np
 
 from .. import _checks
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.lanes import Job
+from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.validation import check_method, state_of, working_dtype
+from .._dynamics.common.varying import VaryingEngine, with_leaves
 from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
-from .._dynamics.lanes import Engine, Job
-from .._dynamics.method import Exact, Regularized
-from .._dynamics.regularized.lanes import AdaptiveBatch, FixedEngine
-from .._dynamics.validation import check_method, state_of, working_dtype
-from .._dynamics.varying import VaryingEngine, with_leaves
+from .._dynamics.regularized.engine import AdaptiveBatch, FixedEngine
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
-from .._dynamics.lanes import SampleTotals
+from .._dynamics.common.engine import SampleTotals
 from .._events.sticks import FURTHER, NUMBERS, FlatSticks
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering

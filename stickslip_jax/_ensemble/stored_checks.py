@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._dynamics.method import Exact, Regularized
+from .._dynamics.common.method import Exact, Regularized
 from .._events.sticks import NUMBERS, FlatSticks
 from .._numerics.moments import Moments
 from .._statistics.accumulator import StickAccumulator

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from .._dynamics.interval.arcs import carry_across, excess_of, touch
-from .._dynamics.interval.engine import Motion, Scales, cross_interval
+from .._dynamics.interval.crossing import Motion, Scales, cross_interval
 from .._events.sticks import StickRecord, Totals
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.elementary import angle_of

@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 
 from .. import _checks
-from .._dynamics.method import EXACT, Exact, Regularized
+from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._compiler import WIDE_VECTORS, CompiledNatively
-from .._dynamics.lanes import Engine, Job, summarize
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.lanes import Job, summarize
 from .._numerics.moments import Moments
 from .._status import Status
 from .._types import AnyArray, Array, IntArray

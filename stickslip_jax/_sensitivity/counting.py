@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._dynamics.interval.engine import Scales
-from .._dynamics.interval.lanes import IntervalEngine
-from .._dynamics.lanes import Engine
+from .._dynamics.common.engine import Engine
+from .._dynamics.interval.crossing import Scales
+from .._dynamics.interval.engine import IntervalEngine
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances
 from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel, zero_with_derivative

@@ -12,8 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.lanes import Job
 from .._dynamics.compiled import compiled_for
-from .._dynamics.lanes import Engine, Job
 from .._ensemble.call import simulate_batch
 from .._ensemble.parts import RETAINED
 from .._ensemble.setup import EnsembleSetup

@@ -11,7 +11,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from .._dynamics.lanes import Job, summarize
+from .._dynamics.common.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
 from .._statistics.totals import StatisticOfTotals
 from .._status import Status

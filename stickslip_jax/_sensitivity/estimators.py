@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from .._dynamics.lanes import Engine
+from .._dynamics.common.engine import Engine
 from .._status import Status
 from .._systems.built_in import is_built_in
 from .._types import AnyArray

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._dynamics.interval.engine import Scales, scales_of, start_motion
-from .._dynamics.interval.lanes import IntervalEngine
-from .._dynamics.lanes import Engine
+from .._dynamics.common.engine import Engine
+from .._dynamics.interval.crossing import Scales, scales_of, start_motion
+from .._dynamics.interval.engine import IntervalEngine
 from .._numerics.random_bits import random_words
 from .._types import Array
 from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers

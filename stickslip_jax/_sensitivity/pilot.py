@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 
 from .. import _checks
-from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import check_method, state_of
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.common.validation import check_method, state_of
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._excitation.excitation import BaseMotion, is_random, key_data_for, law_of

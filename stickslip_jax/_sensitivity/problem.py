@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.lanes import BLOCK, Job
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.common.validation import Arguments
 from .._dynamics.engine_choice import ByIntervals, engine_for
-from .._dynamics.lanes import BLOCK, Engine, Job
-from .._dynamics.method import EXACT, Exact, Regularized
 from .._dynamics.switched.run import steps_for
-from .._dynamics.validation import Arguments
 from .._excitation.excitation import BaseMotion, path_in_excitation
 from .._excitation.merged import merged, path_in_merged
 from .._excitation.piecewise_constant import PiecewiseConstantLaw

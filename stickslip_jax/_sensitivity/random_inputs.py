@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.varying import VaryingEngine
 from .._dynamics.engine_choice import engines_of_all, sample_engines
-from .._dynamics.lanes import Engine
-from .._dynamics.method import Exact, Regularized
-from .._dynamics.varying import VaryingEngine
 from .._types import AnyArray
 from .._uncertainty.inputs import Inputs
 from .._uncertainty.numbers import Path

@@ -6,11 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._dynamics.interval.engine import Scales, scales_of, start_motion, status_of
-from .._dynamics.interval.lanes import IntervalEngine, is_over
-from .._dynamics.lanes import Engine
-from .._dynamics.switched.engine import Lane, SegmentLaws, advance
-from .._dynamics.switched.lanes import Shared, SwitchedEngine
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.segments import SegmentLaws
+from .._dynamics.interval.crossing import Scales, scales_of, start_motion, status_of
+from .._dynamics.interval.engine import IntervalEngine, is_over
+from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
+from .._dynamics.switched.lane import Lane
+from .._dynamics.switched.stepping import advance
 from .._events.sticks import StickRecord, start_totals
 from .._excitation.random import RandomSignal
 from .._excitation.smooth import Signal
@@ -113,10 +115,12 @@ class StepRecording(Engine):
         until = jnp.min(jnp.stack(ends)) if is_deterministic else jnp.zeros((), dtype)
         return StepSample(smooth, until), StepMotion(lane, -jnp.ones((), dtype))
 
-    def shared(self, dtype) -> Shared:
+    def shared(self, dtype) -> SwitchedShared:
         return self.engine.shared(dtype)
 
-    def step(self, shared: Shared, sample: StepSample, motion: StepMotion, drawn: None) -> tuple[StepMotion, Trace]:
+    def step(
+        self, shared: SwitchedShared, sample: StepSample, motion: StepMotion, drawn: None
+    ) -> tuple[StepMotion, Trace]:
         lane, crossed = motion
         model = self.engine.system.switched_model(sample.smooth, self.engine.solver)
         moved, stick = advance(model, *shared, lane)

@@ -16,7 +16,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from .._dynamics.lanes import Engine, Job, follow_block, lanes_at_start
+from .._dynamics.common.engine import Engine
+from .._dynamics.common.lanes import Job, follow_block, lanes_at_start
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray
 from .boundaries import BoundaryDistances, vanishes_from_start
 from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel

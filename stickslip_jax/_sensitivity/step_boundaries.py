@@ -1,6 +1,6 @@
 """Signed distances (`boundaries.py`) for any system, one step of the switched engine at a time.
 
-While a mode lasts its guard is positive (`_dynamics/switched/engine.py`). Where the guard falls and rises again, its
+While a mode lasts its guard is positive (`_dynamics/switched/stepping.py`). Where the guard falls and rises again, its
 minimum tells how far the arc is from an event; where it falls through zero, the flow continued beyond the event has
 that minimum too, with the other sign. So the minimum is smooth through 0 and known on both sides.
 
@@ -16,7 +16,8 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._compiler import sharing
-from .._dynamics.switched.engine import Lane, SegmentLaws, following_segments
+from .._dynamics.common.segments import SegmentLaws, following_segments
+from .._dynamics.switched.lane import Lane
 from .._excitation.segments import SegmentState
 from .._numerics.primal import without_derivatives
 from .._numerics.roots import steepest_fall

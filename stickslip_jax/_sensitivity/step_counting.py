@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._dynamics.lanes import Engine
-from .._dynamics.switched.lanes import Shared, SwitchedEngine
+from .._dynamics.common.engine import Engine
+from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
 from .._events.sticks import StickRecord
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray
 from .boundaries import vanishes_from_start
@@ -47,10 +47,10 @@ class StepCounting(Engine):
         sample, motion = self._recording.begin(key_data, dtype)
         return sample, _Motion(motion, BoundarySums.start(len(self.bandwidths), dtype))
 
-    def shared(self, dtype) -> Shared:
+    def shared(self, dtype) -> SwitchedShared:
         return self.engine.shared(dtype)
 
-    def step(self, shared: Shared, sample: StepSample, motion: _Motion, drawn: None) -> tuple[_Motion, Trace]:
+    def step(self, shared: SwitchedShared, sample: StepSample, motion: _Motion, drawn: None) -> tuple[_Motion, Trace]:
         moved, trace = self._recording.step(shared, sample, motion.recorded, drawn)
         return _Motion(moved, motion.sums), trace
 

@@ -3,9 +3,9 @@
 import equinox as eqx
 import jax
 
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.common.validation import Arguments, working_dtype
 from .._dynamics.engine_choice import engine_for
-from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import Arguments, working_dtype
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
 from .._systems.system import System

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import _checks
-from .._dynamics.method import Exact, Regularized
-from .._dynamics.path import Path
+from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.path import Path
 from .._dynamics.regularized.switch import Switch
 from .._dynamics.switched.path import StepPath, follow_steps
 from .._dynamics.switched.run import Beginnings, state_in_step

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .. import _checks, _html
-from .._dynamics.method import Exact, Regularized
-from .._dynamics.path import Path
+from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.path import Path
 from .._events.sticks import Slips, Sticks, Totals, slips_between
 from .._excitation.excitation import BaseMotion
 from .._methods import WithMethods

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._dynamics.validation import check_method
+from .._dynamics.common.validation import check_method
 from .._ensemble.encoding import Decoder
 from .._ensemble.unknown import Unknown
 from .errors import SweepError

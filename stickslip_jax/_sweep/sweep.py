@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._dynamics.method import EXACT, Exact, Regularized
-from .._dynamics.validation import check_method
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.common.validation import check_method
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from .. import _diffrax as diffrax
-from .._dynamics.method import Exact, Regularized
+from .._dynamics.common.method import Exact, Regularized
 from .._statistics.accumulator import MOST_ORDERS
 from .._uncertainty.families import Uniform
 from ._bases_config import BaseConfig, SourceVoltageConfig

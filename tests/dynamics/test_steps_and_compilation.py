@@ -8,7 +8,7 @@ from jax.extend.core import jaxprs_in_params
 
 import stickslip_jax as ss
 from stickslip_jax._compiler import sharing
-from stickslip_jax._dynamics.stopping_scan import CHECK_EVERY, padded_length, stopping_scan
+from stickslip_jax._dynamics.common.stopping_scan import CHECK_EVERY, padded_length, stopping_scan
 from stickslip_jax._numerics.elementary import sincos
 from stickslip_jax._numerics.known import NotKnown, bounds_of
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics import lanes
-from stickslip_jax._dynamics.interval.lanes import IntervalEngine
+from stickslip_jax._dynamics.common import lanes
+from stickslip_jax._dynamics.interval.engine import IntervalEngine
 from stickslip_jax._events.sticks import NUMBERS, slips_between
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._statistics.totals import TOTALS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.lanes import Job
+from stickslip_jax._dynamics.common.lanes import Job
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._numerics.roots import steepest_fall
 from stickslip_jax._sensitivity import sequences, windows

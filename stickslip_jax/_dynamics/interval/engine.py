@@ -1,122 +1,80 @@
-"""Exact motion on a base of piecewise-constant velocity: a closed form for each interval, in a scan over intervals.
+"""Lanes of the interval engine: a step is a whole base interval, drawn when it is simulated."""
 
-One trajectory per call; the caller makes batches with ``jax.vmap``. Time is in seconds, so that switching instants are
-exact sums of durations; inside an interval the closed forms use the angle ``omega t``.
-"""
+from typing import Any, NamedTuple
 
-from functools import partial
-from typing import NamedTuple
-
-import jax
 import jax.numpy as jnp
-from jax import lax
 
-from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
-from ..._status import Status
+from ..._compiler import computed_once
+from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
+from ..._excitation.piecewise_constant import PiecewiseConstantLaw
 from ..._systems.mass_spring import MassSpring
-from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar
-from .arcs import carry_across, sticks_from_start
+from ..._types import Array, BoolArray, Scalar
+from ..common.engine import Engine, SampleTotals
+from .crossing import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
+from .ties import starts_at_edge
 
 
-class Motion(NamedTuple):
-    """The state of the mass: time `t` in s, position `x` in m, velocity divided by omega `p` in m.
+class _Sample(NamedTuple):
+    """Constants of a sample: its key data, whether it begins with a stick, and whether at an edge of the band."""
 
-    `slid_from`: position where the current slip began, or during a stick where the slip before it began, m.
-    """
-
-    t: FloatArray
-    x: FloatArray
-    p: FloatArray
-    slid_from: FloatArray
+    key_data: tuple[Array, Array]
+    at_start: BoolArray
+    at_edge: BoolArray
 
 
-class Scales(NamedTuple):
-    """Parameters of the closed forms, ``omega = sqrt(k/m)`` and the stick half-width ``mu n / k``; horizon `t1`, s."""
+class _Lane(NamedTuple):
+    """The motion of one lane; `memory`: the state of the random law, which the next interval depends on."""
 
-    omega: FloatArray
-    inverse_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
-    half_width: FloatArray
-    t1: FloatArray
-
-
-def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
-    """The system's scales as arrays of `dtype`."""
-    omega = jnp.sqrt(jnp.asarray(system.stiffness, dtype) / jnp.asarray(system.mass, dtype))
-    return Scales(omega, 1 / omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
+    memory: Any
+    motion: Motion
+    totals: Totals
 
 
-def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
-    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's stays equal to the last bit."""
-    dtype = scales.omega.dtype
-    x = jnp.asarray(y0[0], dtype)
-    return Motion(jnp.zeros((), dtype), x, jnp.asarray(y0[1], dtype) * scales.inverse_omega, x)
+class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
+    """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0`."""
+
+    system: MassSpring
+    law: PiecewiseConstantLaw
+    t1: Scalar
+    y0: tuple[Any, ...]
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[_Sample, _Lane]:
+        scales = self.shared(dtype)
+        x, velocity = self.y0
+        motion = start_motion(scales, (x, velocity))
+        memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
+        _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
+        at_start = sticks_at_start(scales, motion, base)
+        return _Sample(key_data, at_start, starts_at_edge(scales, motion, base)), _Lane(
+            memory, motion, start_totals(dtype)
+        )
+
+    def shared(self, dtype) -> Scales:
+        return scales_of(self.system, self.t1, dtype)
+
+    def draw(self, sample: _Sample, number: Array, dtype) -> Any:
+        return self.law.draw(sample.key_data, number, dtype)
+
+    def step(self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any) -> tuple[_Lane, StickRecord]:
+        duration, velocity, memory = self.law.next_interval(motion.memory, drawn, shared.t1.dtype)
+        duration = jnp.where(duration >= shared.t1, shared.t1, duration)  # no infinity enters the arithmetic
+        moved, totals, stick = cross_interval(shared, motion.motion, motion.totals, duration, velocity)
+        return _Lane(memory, moved, totals), stick
+
+    def ended(self, motion: _Lane, before: _Lane) -> BoolArray:
+        return is_over(motion.motion, before.motion, self.t1)
+
+    def results(self, sample: _Sample, motion: _Lane) -> SampleTotals:
+        return SampleTotals(
+            sticks=motion.totals.sticks,
+            slips=count_slips(motion.totals, sample.at_start),
+            stick_time=motion.totals.stick_time,
+            status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
+            # Only the start is looked at: to look at every interval (`is_tie`) would cost a third of the time.
+            near_grazing_count=sample.at_edge.astype(jnp.int32),
+        )
 
 
-def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
-    """Whether the trajectory begins with a stick, and so without a slip before it, at the first base `velocity`."""
-    return sticks_from_start(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width)
-
-
-def cross_interval(
-    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, Totals, StickRecord]:
-    """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, and its record."""
-    omega, inverse_omega, a, t1 = scales
-    uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: the time becomes NaN (`NOT_FINITE`)
-    span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.p, velocity * inverse_omega, a, omega * span)
-    t_end = jnp.where(uncut, motion.t + duration, t1)
-    stuck, released = passage.stuck, passage.released
-    # A stick ends where the spring reaches the friction limit, or with the interval.
-    left_at = jnp.where(released, jnp.where(velocity < 0, -a, a), passage.x)
-    following = Motion(t_end, passage.x, passage.p, jnp.where(stuck, left_at, motion.slid_from))
-    record = StickRecord(
-        start=motion.t + passage.entered * inverse_omega,
-        end=jnp.where(released, motion.t + passage.left * inverse_omega, t_end),
-        position=passage.position,
-        slip_displacement=passage.position - motion.slid_from,
-        ending=ending_of(stuck, released, ~uncut),
-    )
-    totals = Totals(
-        sticks=totals.sticks + stuck,
-        censored=totals.censored + (stuck & ~released & ~uncut),
-        # Not end - start, whose round-off grows with the time since t = 0.
-        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * inverse_omega,
-    )
-    return following, totals, record
-
-
-def cross_live_interval(
-    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, Totals, StickRecord]:
-    """`cross_interval`, which after the horizon leaves everything as it is, to the last bit."""
-    live = ~(motion.t >= scales.t1)
-    following, totals, record = cross_interval(scales, motion, totals, duration, velocity)
-    return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record
-
-
-def run_intervals(
-    scales: Scales, motion: Motion, durations: Array, velocities: Array
-) -> tuple[Motion, Totals, StickRecord, Motion]:
-    """Simulate all intervals of one realisation.
-
-    Returns the final state, the totals, a `StickRecord` for each interval, and the state at the beginning of each.
-    """
-
-    @partial(jax.checkpoint, prevent_cse=False)  # computing an interval again takes less time than storing its values
-    def step(carry, interval):
-        *following, record = cross_live_interval(scales, *carry, *interval)
-        return tuple(following), (record, carry[0])
-
-    start = (motion, start_totals(motion.x.dtype))
-    (motion, totals), (records, beginnings) = lax.scan(step, start, (durations, velocities))
-    return motion, totals, records, beginnings
-
-
-def status_of(motion: Motion, t1: FloatArray) -> IntArray:
-    """The `Status` of a trajectory that ended in the state `motion`."""
-    finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
-    code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
-    # Only a duration that is NaN makes the time NaN: that of an interval that cannot be.
-    failed = jnp.where(jnp.isnan(motion.t) & jnp.isfinite(t1), Status.BASE_INVALID, Status.NOT_FINITE)
-    return jnp.where(finite, code, failed).astype(jnp.int8)
+def is_over(motion: Motion, before: Motion, t1: Scalar) -> BoolArray:
+    """Whether a sample reached the horizon, had no further interval since `before`, or has a NaN time."""
+    return ~(motion.t < jnp.asarray(t1, motion.t.dtype)) | (motion.t <= before.t)

@@ -24,7 +24,7 @@ from jax.custom_derivatives import SymbolicZero
 from ..._compiler import computed_once, native_loop, native_loops_work
 from ..._events.sticks import NUMBERS, StickRecord, Totals, closed_up, start_totals
 from ..._types import Array, IntArray
-from .engine import Motion, Scales, cross_live_interval, run_intervals, start_motion
+from .crossing import Motion, Scales, cross_live_interval, run_intervals, start_motion
 from .ties import is_tie
 
 _LANES = 256  # of a block

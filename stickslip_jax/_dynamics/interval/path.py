@@ -14,8 +14,8 @@ from ..._excitation.segments import Segment
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar
-from ..path import Path, Run
-from .engine import Motion, cross_interval, scales_of, status_of
+from ..common.path import Path, Run
+from .crossing import Motion, cross_interval, scales_of, status_of
 from .given import Given, beginnings, final_motion, ordered_sticks
 
 

@@ -17,7 +17,7 @@ from jax import lax
 
 from ..._types import BoolArray, FloatArray
 from .arcs import first_arc, mirrored, touch, twice_the_angle
-from .engine import Motion, Scales
+from .crossing import Motion, Scales
 
 # How close is near, in units in the last place of the lengths involved: three times the error of the state after 10^4
 # intervals, which grows with the square root of their number (`_TOUCH_ULPS` of `arcs.py`). By chance,

@@ -1,165 +1,167 @@
-"""Regularised motion of one trajectory in steps of fixed length; the caller makes batches with ``jax.vmap``.
+"""Many trajectories of regularised dynamics: lanes of fixed steps, and whole batches of adaptive ones."""
 
-A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump. Adaptive
-steps: `solve.py`.
-"""
-
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
-from ..._compiler import sharing
-from ..._events.sticks import StickRecord, no_stick
-from ..._excitation.segments import SegmentState
-from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
-from ..._types import FloatArray, IntArray
-from ..switched.engine import SegmentLaws, following_segments, is_spent
-from ..switched.implicit_step import implicit_step
-from .landing import shortened
-from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
+from ..._events.sticks import StickRecord, count_slips, no_stick
+from ..._excitation.excitation import Excitation
+from ..._excitation.segments import first_segment
+from ..._excitation.smooth import Signal
+from ..._numerics.random_bits import random_words
+from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray, Scalar
+from ..common.ending import has_ended, status_of_lane
+from ..common.engine import Engine, SampleTotals
+from ..common.method import Regularized
+from ..common.segments import SegmentLaws
+from ..common.stopping_scan import stopping_scan
+from ..common.varying import with_leaves
+from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
+from .stepping import Field, FixedLane, advance_fixed, start_fixed
+from .stick_detector import Criterion, StickDetector
 from .switch import Switch
 
-_TIME_ULPS = 4  # the round-off of the time, in units in the last place
-_GROWTH = 8  # of a step that was shortened
+
+class FixedShared(NamedTuple):
+    """Quantities that all steps share: the segment laws, the criterion of a stick, the horizon and the step (s)."""
+
+    segment_laws: SegmentLaws
+    criterion: Criterion
+    t1: Array
+    step: Array
+    most_steps: Array
 
 
-class Field(NamedTuple):
-    """A system under its excitation, with friction regularised by `switch`."""
+class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, SampleTotals]):
+    """Any system under any excitation, up to `t1`, from `y0`, in fixed steps.
 
-    model: SwitchedModel
-    switch: Switch
-
-    def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
-        """The time derivative of the state."""
-        speed = self.model.relative_velocity(forcing, tau, y)
-        return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction, speed))
-
-    def need(self, forcing: object, tau: FloatArray, y: State) -> FloatArray:
-        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
-        free, held = self._accelerations(forcing, tau, y)
-        return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
-
-    def band(self, forcing: object, t: FloatArray, y: State) -> FloatArray:
-        """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off."""
-        _, held = self._accelerations(forcing, jnp.zeros_like(t), y)
-        scale = NOISE_ULPS * self.model.guard_scale(forcing, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
-        return self.switch.width + lax.stop_gradient(jnp.finfo(t.dtype).eps * scale)
-
-    def _accelerations(self, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
-        """The relative acceleration without friction, and the largest one that friction causes, m/s^2."""
-        free, gain = self.model.effect_of_friction(forcing, tau, y)
-        return free, jnp.abs(gain) * self.model.friction.stick_limit(free)
-
-    def seen(
-        self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[Step, State, State]:
-        """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
-        zero = jnp.zeros_like(h)
-        rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        first = (
-            self.model.relative_velocity(forcing, zero, before),
-            self.model.relative_acceleration(forcing, zero, before, rates),
-        )
-        last = (
-            self.model.relative_velocity(forcing, h, after),
-            self.model.relative_acceleration(forcing, h, after, end_rates),
-        )
-        needs = self.need(forcing, zero, before), self.need(forcing, h, after)
-        return Step(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
-
-
-class FixedLane(NamedTuple):
-    """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too.
-
-    `limit`: of the next step, s, where static friction exceeds kinetic friction; else None.
+    `method`: with every option filled in (`resolved`). A sample that needs more than `most_steps` is given up. The
+    constant of a sample is the smooth part of its excitation.
     """
 
-    t: FloatArray
-    y: State
-    steps: IntArray
-    detector: StickDetector
-    segment_states: tuple[SegmentState, ...]
-    limit: FloatArray | None
+    system: Any
+    excitation: Excitation
+    method: Regularized
+    t1: Scalar
+    y0: tuple[Any, ...]
+    most_steps: AnyInteger
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
+        smooth = _realized(self.excitation, key_data, dtype)
+        y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
+        own, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
+        segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
+        field = field_of(self.system, smooth, self.method)
+        return smooth, start_fixed(field, segment_laws, criterion_of(self.method), segment_states, y0, dtype)
+
+    def shared(self, dtype) -> FixedShared:
+        laws, most = SegmentLaws.of(self.system, self.excitation), jnp.asarray(self.most_steps, jnp.int32)
+        t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.method.step, dtype)
+        return FixedShared(laws, criterion_of(self.method), t1, step, most)
+
+    def step(
+        self, shared: FixedShared, sample: Signal | None, motion: FixedLane, drawn: None
+    ) -> tuple[FixedLane, StickRecord]:
+        lane, stick, _ = advance_fixed(field_of(self.system, sample, self.method), *shared, motion)
+        return lane, stick
+
+    def ended(self, motion: FixedLane, before: FixedLane) -> BoolArray:
+        return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
+
+    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
+        return _results(motion.detector, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
 
 
-class Passage(NamedTuple):
-    """Record of a step for the `CubicPath`: its beginning, the state there, and the rates at both ends."""
+class AdaptiveBatch(NamedTuple):
+    """Samples of any system under any excitation that diffrax solves together, each in its own steps.
 
-    t: FloatArray
-    y: State
-    rates: State
-    end_rates: State
-
-
-def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
-    """The records of an idle step, for a trajectory with states like `y`."""
-    none = tuple(jnp.zeros_like(value) for value in y)
-    return no_stick(y[0].dtype), Passage(none[0], none, none, none)
-
-
-def start_fixed(
-    field: Field,
-    segment_laws: SegmentLaws,
-    criterion: Criterion,
-    segment_states: tuple[SegmentState, ...],
-    y0: tuple,
-    dtype,
-) -> FixedLane:
-    """The lane at the beginning of a trajectory."""
-    zero = jnp.zeros((), dtype)
-    y = tuple(jnp.asarray(value, dtype) for value in y0)
-    speed = field.model.relative_velocity(field.model.forcing(zero, segment_laws.segments(segment_states)), zero, y)
-    limit = jnp.full((), jnp.inf, dtype) if field.model.friction.static_exceeds_kinetic else None
-    detector = start_detector(criterion, speed, y[0])
-    return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
-
-
-@sharing
-def advance_fixed(
-    field: Field,
-    segment_laws: SegmentLaws,
-    criterion: Criterion,
-    t1: FloatArray,
-    step: FloatArray,
-    most_steps: IntArray,
-    lane: FixedLane,
-) -> tuple[FixedLane, StickRecord, Passage]:
-    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`.
-
-    Where static friction exceeds kinetic friction, the step may be rejected: the lane stays, and tries a shorter one.
+    `method`: with every option filled in. `sizes`: number of segments to draw for each part of the excitation
+    (`table_sizes`). The slowest sample determines the time of the batch.
     """
-    forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
-    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
-    stop = t1
-    for segment_state in lane.segment_states:
-        stop = jnp.minimum(stop, segment_state.segment.end)
-    left = jnp.where(live, stop - lane.t, 0)
-    longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
-    # A little more than one step, so that no last step of a few units in the last place remains.
-    to_stop = longest * (1 + 1e-6) >= left
-    h = jnp.where(to_stop, left, longest)
-    band = None if lane.limit is None else field.band(forcing, lane.t, lane.y)
-    y = implicit_step(field.model, field.switch, forcing, lane.y, h, band)
-    seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
-    # A base acceleration that is NaN would hide sticks, although the motion does not need it: `NOT_FINITE`.
-    y = (jnp.where(jnp.isnan(seen.slope1), jnp.nan, y[0]), *y[1:])
 
-    t = jnp.where(to_stop, stop, lane.t + h)
-    segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
-    after = field.model.relative_velocity(
-        field.model.forcing(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
+    system: Any
+    excitation: Excitation
+    method: Regularized
+    t1: Scalar
+    y0: tuple[Any, ...]
+    sizes: tuple[AnyInteger, ...]
+
+
+def solve_batch(
+    batch: AdaptiveBatch,
+    own: tuple[AnyArray, ...],
+    key_data: Array,
+    realization: AnyArray,
+    used: AnyInteger,
+    *,
+    samples: int,
+    places: tuple[int, ...],
+    sizes: tuple[int, ...],
+    keep: bool,
+    dtype: Any,
+) -> tuple[SampleTotals, StickRecord | None]:
+    """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
+
+    `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
+    the others end at once. `own`, `places`: the leaves of the batch that
+    differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
+    """
+    t1 = jnp.asarray(batch.t1, dtype)
+
+    def one(place, number, own):
+        words = random_words(key_data, number)
+        here = with_leaves(batch, places, own)
+        method = here.method
+        assert method.max_steps is not None
+        most = method.max_steps
+        smooth = _realized(here.excitation, words, dtype)
+        tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
+        field, criterion = field_of(here.system, smooth, method), criterion_of(method)
+        y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
+        solution = solve_adaptive(field, tables, until, y0, Solver.of(method), most)
+
+        def one_step(detector, index):
+            detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)
+            return detector, record if keep else None
+
+        start = start_detection(field, tables, criterion, solution.y[0])
+        detector, records = stopping_scan(
+            one_step,
+            start,
+            most,
+            lambda _, index: index >= solution.steps,
+            lambda _: no_stick(dtype) if keep else None,
+        )
+        return detector, status_of(solution, detector), records
+
+    detectors, statuses, records = jax.vmap(one)(
+        jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), own
     )
-    detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
-    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
-    accepted = live
-    if band is not None:
-        again, length = shortened(seen, band)
-        accepted = live & ~again
-        stays = lane._replace(steps=lane.steps + 1, limit=length)
-        moved = moved._replace(limit=jnp.minimum(_GROWTH * lax.stop_gradient(longest), step))
-        moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
-    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
-    record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
-    return moved, record, Passage(lane.t, lane.y, rates, end_rates)
+    return _results(detectors, statuses), records
+
+
+def field_of(system: Any, smooth: Signal | None, method: Regularized) -> Field:
+    """The regularised field of `system` under a realised smooth excitation."""
+    return Field(system.switched_model(smooth, None), Switch(method.width, method.shape))
+
+
+def criterion_of(method: Regularized) -> Criterion:
+    """The criterion of a stick in `method`, which has every option filled in."""
+    assert method.threshold is not None
+    assert method.minimum_duration is not None
+    return Criterion(method.threshold, method.minimum_duration)
+
+
+def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
+    return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
+
+
+def _results(detector: StickDetector, status: IntArray) -> SampleTotals:
+    return SampleTotals(
+        sticks=detector.totals.sticks,
+        slips=count_slips(detector.totals, detector.at_start),
+        stick_time=detector.totals.stick_time,
+        status=status,
+        near_grazing_count=jnp.zeros_like(detector.totals.sticks),
+    )

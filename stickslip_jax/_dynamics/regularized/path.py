@@ -16,15 +16,16 @@ from ..._numerics.known import NotKnown
 from ..._numerics.slopes import with_slopes
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, IntArray, Scalar
-from ..method import Regularized
-from ..path import Path, Run
-from ..stopping_scan import padded_length, stopping_scan
-from ..switched.engine import SegmentLaws, has_ended, status_of_lane
-from ..time_scales import max_steps_advice, step_for
-from .engine import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
-from .lanes import criterion_of, field_of
+from ..common.ending import has_ended, status_of_lane
+from ..common.method import Regularized
+from ..common.path import Path, Run
+from ..common.segments import SegmentLaws
+from ..common.stopping_scan import padded_length, stopping_scan
+from ..common.time_scales import max_steps_advice, step_for
+from .engine import criterion_of, field_of
 from .settings import as_arrays, fixed_steps, resolved
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
+from .stepping import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
 from .stick_detector import StickDetector, hermite
 
 _MOST_SLOPES = 8  # by more numbers, going back over the steps takes less time

@@ -13,8 +13,8 @@ from ..._excitation.excitation import Excitation
 from ..._numerics.known import largest, smallest
 from ..._systems.system import System
 from ..._types import Array, Scalar
-from ..method import Regularized
-from ..time_scales import step_for
+from ..common.method import Regularized
+from ..common.time_scales import step_for
 from .solve import table_sizes
 from .switch import Switch
 

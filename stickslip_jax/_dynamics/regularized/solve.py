@@ -13,10 +13,10 @@ from ..._excitation.segment_table import SegmentTable
 from ..._status import Status
 from ..._systems.switched_model import Segments
 from ..._types import Array, BoolArray, FloatArray, IntArray
-from ..method import Regularized
-from ..switched.engine import SegmentLaws
+from ..common.method import Regularized
+from ..common.segments import SegmentLaws
 from .controller import step_control
-from .engine import Field, Passage
+from .stepping import Field, Passage
 from .stick_detector import Criterion, StickDetector, detect, start_detector
 
 

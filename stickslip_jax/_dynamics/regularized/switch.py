@@ -1,32 +1,33 @@
 """Smooth switches that replace the sign of the relative velocity in regularised dynamics."""
 
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from ..._numerics.elementary import angle_of
 from ..._systems.friction import FrictionLaw
-from ..._types import FloatArray, Scalar
+from ..._types import Array, FloatArray, Scalar
 
-_SMOOTH = {
+SMOOTH: dict[str, Callable[[FloatArray], Array]] = {
     "tanh": jnp.tanh,
     "linear": lambda s: jnp.clip(s, -1, 1),
     "arctan": lambda s: (2 / math.pi) * jnp.where(s < 0, -1, 1) * angle_of(jnp.abs(s), jnp.ones_like(s)),
     "rational": lambda s: s / jnp.sqrt(1 + s * s),
 }
-SHAPES = tuple(_SMOOTH)
+"""The switch of each name in `SHAPES`."""
 
 
 class Switch(eqx.Module):
-    """Smooth switch ``phi(v_rel / width)`` in place of ``sgn(v_rel)``; `width` in m/s, `shape` one of `SHAPES`."""
+    """Smooth switch ``phi(v_rel / width)`` in place of ``sgn(v_rel)``; `width` in m/s, `shape` one of `SMOOTH`."""
 
     width: Scalar
     shape: str = eqx.field(static=True)
 
     def __call__(self, ratio: FloatArray) -> FloatArray:
         """``phi(ratio)``, the smooth sign; `ratio`: relative velocity over width."""
-        return _SMOOTH[self.shape](ratio)
+        return SMOOTH[self.shape](ratio)
 
     def coefficient(self, friction: FrictionLaw, velocity: FloatArray) -> FloatArray:
         """The signed friction coefficient at the relative `velocity` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.

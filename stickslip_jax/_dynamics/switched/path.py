@@ -15,10 +15,10 @@ from ..._numerics.slopes import with_slopes
 from ..._status import Status
 from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Scalar
-from ..method import Exact
-from ..path import Path, Run
-from ..time_scales import max_steps_advice
-from ..validation import Arguments
+from ..common.method import Exact
+from ..common.path import Path, Run
+from ..common.time_scales import max_steps_advice
+from ..common.validation import Arguments
 from .run import Beginnings, run_trajectory, state_at, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB

@@ -13,8 +13,11 @@ from ..._excitation.segments import first_segment
 from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State
 from ..._types import Array, FloatArray, Scalar
-from ..stopping_scan import padded_length, stopping_scan
-from .engine import Lane, SegmentLaws, advance, has_ended, start_lane, status_of_lane
+from ..common.ending import has_ended, status_of_lane
+from ..common.segments import SegmentLaws
+from ..common.stopping_scan import padded_length, stopping_scan
+from .lane import Lane
+from .stepping import advance, start_lane
 
 MOST_STEPS = 2**30  # steps are counted in 32 bits
 _SPARE = 4  # times as many steps where it is not known before the call how fast the motion is

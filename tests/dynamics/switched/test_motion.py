@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from reference.event_driven import simulate_mass_spring
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.common.validation import Arguments
 from stickslip_jax._dynamics.engine_choice import engine_for
-from stickslip_jax._dynamics.validation import Arguments
 from stickslip_jax._systems.built_in import is_built_in
 
 T1 = 30.0

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from ..._numerics.primal import without_derivatives
 from ..._systems.friction import FrictionLaw
 from ..._types import BoolArray, FloatArray, Scalar
-from ..regularized.switch import Switch
 from .balance_root import balance_root
+from .switch import Switch
 
 _RISE, _FALL = 7, 10  # iterations
 _BALANCED = 1e-6  # of the largest friction: as good as equal

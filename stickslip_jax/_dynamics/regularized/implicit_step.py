@@ -16,9 +16,9 @@ from ..._numerics.primal import without_derivatives
 from ..._systems.friction import FrictionLaw
 from ..._systems.switched_model import State, SwitchedModel
 from ..._types import FloatArray
-from ..regularized.switch import Switch
 from .balance_root import balance_root
 from .static_balance import balance_with_static
+from .switch import Switch
 
 _GAMMA = 1 - 1 / math.sqrt(2)
 _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}

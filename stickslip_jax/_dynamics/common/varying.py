@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks
-from .._types import AnyArray, Array, BoolArray
-from .lanes import Engine
+from ... import _checks
+from ..._types import AnyArray, Array, BoolArray
+from .engine import Engine
 
 
 class _Common(eqx.Module):

@@ -7,18 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks
-from .._excitation.excitation import (
-    BaseMotion,
-    Excitation,
-    excitation_of,
-    motion_of,
-)
-from .._numerics.known import primal_of
-from .._systems.system import System, require_system
-from .._types import AnyArray, InitialState, Number, Scalar
-from .._uncertainty.inputs import varying
-from .._uncertainty.numbers import shown
+from ... import _checks
+from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of
+from ..._numerics.known import primal_of
+from ..._systems.system import System, require_system
+from ..._types import AnyArray, InitialState, Number, Scalar
+from ..._uncertainty.inputs import varying
+from ..._uncertainty.numbers import shown
 from .method import Exact, Regularized
 from .time_scales import step_for
 

@@ -6,34 +6,21 @@ keeps totals; `record` returns every stick, a few blocks at a time. An `Engine` 
 step and ends; everything about many lanes is here.
 """
 
-import abc
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._compiler import Layout, packed, unpacked
-from .._events.sticks import NUMBERS
-from .._numerics.random_bits import stored_words
-from .._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
+from ..._compiler import Layout, packed, unpacked
+from ..._events.sticks import NUMBERS
+from ..._numerics.random_bits import stored_words
+from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
+from .engine import Engine, SampleTotals
 
 BLOCK = 24  # intervals or steps in a block; after the end of a sample a lane idles for half a block on average
-
-
-class SampleTotals(NamedTuple):
-    """What is recorded of each sample: numbers of sticks and slips, total stick time (s), `Status` code, and number of
-    near-grazing instants (see `Simulation`); one entry for each sample.
-    """
-
-    sticks: AnyArray
-    slips: AnyArray
-    stick_time: AnyArray
-    status: AnyArray
-    near_grazing_count: AnyArray
 
 
 class Lanes(NamedTuple):
@@ -78,49 +65,6 @@ class Blocks(NamedTuple):
     row: AnyArray
     ended: AnyArray
     results: SampleTotals
-
-
-class Engine(eqx.Module):
-    """How one lane is simulated step by step; a step is a time step, or a whole interval of the base."""
-
-    looks_back: ClassVar[bool] = False
-    """Whether `after_block` reads the records of the block."""
-
-    @abc.abstractmethod
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, Any]:
-        """The constants of the sample that `key_data` choose, and its motion at t = 0."""
-
-    def columns(self, own: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
-        """The own leaves of all samples, from what `Job.own` holds of them."""
-        return own
-
-    def begin_own(self, key_data: tuple[Array, Array], own: tuple[Array, ...], dtype) -> tuple[Any, Any]:
-        """As `begin`, for the sample with these `own` leaves; none where samples differ in their key data only."""
-        return self.begin(key_data, dtype)
-
-    @abc.abstractmethod
-    def shared(self, dtype) -> Any:
-        """Quantities that all steps of all samples share, computed once per block."""
-
-    def draw(self, sample: Any, number: Array, dtype) -> Any:
-        """The random (or looked-up) numbers of step `number`; drawn for a whole block at once."""
-        return None
-
-    @abc.abstractmethod
-    def step(self, shared: Any, sample: Any, motion: Any, drawn: Any) -> tuple[Any, Any]:
-        """Take one step: returns the motion after it and its record, a `StickRecord` or an object that holds one."""
-
-    def after_block(self, samples: Any, motions: Any, records: Any) -> Any:
-        """The motions of ALL lanes, corrected after a block with these records, (BLOCK, lanes)."""
-        return motions
-
-    @abc.abstractmethod
-    def ended(self, motion: Any, before: Any) -> BoolArray:
-        """Whether the sample has ended, for whatever reason; `before`: its motion a block ago."""
-
-    @abc.abstractmethod
-    def results(self, sample: Any, motion: Any) -> Any:
-        """The results of one sample: `SampleTotals`, or what else the engine computes."""
 
 
 class Job(NamedTuple):

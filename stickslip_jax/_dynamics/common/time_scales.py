@@ -6,11 +6,11 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from .. import _checks
-from .._excitation.excitation import Excitation
-from .._numerics.known import NotKnown, largest, primal_of, smallest
-from .._systems.system import SHORTEST_TIME, StepCount, System
-from .._types import Scalar
+from ... import _checks
+from ..._excitation.excitation import Excitation
+from ..._numerics.known import NotKnown, largest, primal_of, smallest
+from ..._systems.system import SHORTEST_TIME, StepCount, System
+from ..._types import Scalar
 from .method import Regularized
 from .stopping_scan import padded_length
 

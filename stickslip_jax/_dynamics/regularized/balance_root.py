@@ -8,7 +8,7 @@ from jax import lax
 from ..._numerics.own_derivative import OwnDerivative
 from ..._systems.friction import FrictionLaw
 from ..._types import FloatArray
-from ..regularized.switch import Switch
+from .switch import Switch
 
 _LEAST_STEEP = 1e-6  # of the balance of forces, 1 without friction; not above it at the edge of a jump
 

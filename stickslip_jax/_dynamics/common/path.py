@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._events.sticks import Sticks, Totals
-from .._excitation.segments import added
-from .._excitation.smooth import Signal
-from .._excitation.voltage import SourceVoltage
-from .._systems.switched_model import Segments, State
-from .._types import FloatArray
+from ..._events.sticks import Sticks, Totals
+from ..._excitation.segments import added
+from ..._excitation.smooth import Signal
+from ..._excitation.voltage import SourceVoltage
+from ..._systems.switched_model import Segments, State
+from ..._types import FloatArray
 
 
 class Path(eqx.Module):

@@ -6,10 +6,12 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from .. import _checks
-from .. import _diffrax as diffrax
-from .._types import AnyArray, Scalar
-from .regularized.switch import SHAPES
+from ... import _checks
+from ... import _diffrax as diffrax
+from ..._types import AnyArray, Scalar
+
+SHAPES = ("tanh", "linear", "arctan", "rational")
+"""The smooth switches of `Regularized`."""
 
 
 def _as_max_steps(number: Any) -> int | None:

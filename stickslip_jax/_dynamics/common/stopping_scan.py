@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import BoolArray, IntArray
+from ..._types import BoolArray, IntArray
 
 CHECK_EVERY = 32
 """Steps between two checks whether all lanes of a batch have ended."""

@@ -1,0 +1,122 @@
+"""Exact motion on a base of piecewise-constant velocity: a closed form for each interval, in a scan over intervals.
+
+One trajectory per call; the caller makes batches with ``jax.vmap``. Time is in seconds, so that switching instants are
+exact sums of durations; inside an interval the closed forms use the angle ``omega t``.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
+from ..._status import Status
+from ..._systems.mass_spring import MassSpring
+from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar
+from .arcs import carry_across, sticks_from_start
+
+
+class Motion(NamedTuple):
+    """The state of the mass: time `t` in s, position `x` in m, velocity divided by omega `p` in m.
+
+    `slid_from`: position where the current slip began, or during a stick where the slip before it began, m.
+    """
+
+    t: FloatArray
+    x: FloatArray
+    p: FloatArray
+    slid_from: FloatArray
+
+
+class Scales(NamedTuple):
+    """Parameters of the closed forms, ``omega = sqrt(k/m)`` and the stick half-width ``mu n / k``; horizon `t1`, s."""
+
+    omega: FloatArray
+    inverse_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
+    half_width: FloatArray
+    t1: FloatArray
+
+
+def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
+    """The system's scales as arrays of `dtype`."""
+    omega = jnp.sqrt(jnp.asarray(system.stiffness, dtype) / jnp.asarray(system.mass, dtype))
+    return Scales(omega, 1 / omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
+
+
+def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
+    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's stays equal to the last bit."""
+    dtype = scales.omega.dtype
+    x = jnp.asarray(y0[0], dtype)
+    return Motion(jnp.zeros((), dtype), x, jnp.asarray(y0[1], dtype) * scales.inverse_omega, x)
+
+
+def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
+    """Whether the trajectory begins with a stick, and so without a slip before it, at the first base `velocity`."""
+    return sticks_from_start(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width)
+
+
+def cross_interval(
+    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[Motion, Totals, StickRecord]:
+    """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, and its record."""
+    omega, inverse_omega, a, t1 = scales
+    uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: the time becomes NaN (`NOT_FINITE`)
+    span = jnp.where(uncut, duration, t1 - motion.t)
+    passage = carry_across(motion.x, motion.p, velocity * inverse_omega, a, omega * span)
+    t_end = jnp.where(uncut, motion.t + duration, t1)
+    stuck, released = passage.stuck, passage.released
+    # A stick ends where the spring reaches the friction limit, or with the interval.
+    left_at = jnp.where(released, jnp.where(velocity < 0, -a, a), passage.x)
+    following = Motion(t_end, passage.x, passage.p, jnp.where(stuck, left_at, motion.slid_from))
+    record = StickRecord(
+        start=motion.t + passage.entered * inverse_omega,
+        end=jnp.where(released, motion.t + passage.left * inverse_omega, t_end),
+        position=passage.position,
+        slip_displacement=passage.position - motion.slid_from,
+        ending=ending_of(stuck, released, ~uncut),
+    )
+    totals = Totals(
+        sticks=totals.sticks + stuck,
+        censored=totals.censored + (stuck & ~released & ~uncut),
+        # Not end - start, whose round-off grows with the time since t = 0.
+        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * inverse_omega,
+    )
+    return following, totals, record
+
+
+def cross_live_interval(
+    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[Motion, Totals, StickRecord]:
+    """`cross_interval`, which after the horizon leaves everything as it is, to the last bit."""
+    live = ~(motion.t >= scales.t1)
+    following, totals, record = cross_interval(scales, motion, totals, duration, velocity)
+    return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record
+
+
+def run_intervals(
+    scales: Scales, motion: Motion, durations: Array, velocities: Array
+) -> tuple[Motion, Totals, StickRecord, Motion]:
+    """Simulate all intervals of one realisation.
+
+    Returns the final state, the totals, a `StickRecord` for each interval, and the state at the beginning of each.
+    """
+
+    @partial(jax.checkpoint, prevent_cse=False)  # computing an interval again takes less time than storing its values
+    def step(carry, interval):
+        *following, record = cross_live_interval(scales, *carry, *interval)
+        return tuple(following), (record, carry[0])
+
+    start = (motion, start_totals(motion.x.dtype))
+    (motion, totals), (records, beginnings) = lax.scan(step, start, (durations, velocities))
+    return motion, totals, records, beginnings
+
+
+def status_of(motion: Motion, t1: FloatArray) -> IntArray:
+    """The `Status` of a trajectory that ended in the state `motion`."""
+    finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
+    code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
+    # Only a duration that is NaN makes the time NaN: that of an interval that cannot be.
+    failed = jnp.where(jnp.isnan(motion.t) & jnp.isfinite(t1), Status.BASE_INVALID, Status.NOT_FINITE)
+    return jnp.where(finite, code, failed).astype(jnp.int8)

@@ -1,0 +1,38 @@
+"""The state of a trajectory between two steps of the switched engine, and what counts as round-off in it."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from ..._events.sticks import Totals
+from ..._excitation.segments import SegmentState
+from ..._systems.switched_model import State
+from ..._types import BoolArray, FloatArray, IntArray
+
+CLOCK_ULPS = 4  # the round-off of times, in units in the last place
+NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # fraction of the guard's scale
+
+
+class Lane(NamedTuple):
+    """Loop state of one trajectory. `sign`: that of the relative velocity, 0 in a stick."""
+
+    t: FloatArray
+    y: State
+    sign: FloatArray
+    target: FloatArray  # length of the next step to try
+    accurate_step: FloatArray  # the longest step that the errors of the steps so far allow
+    event: FloatArray  # time of the last event at rest
+    tries: IntArray
+    steps: IntArray  # loop steps so far
+    stick_start: FloatArray
+    stick_position: FloatArray
+    slid_from: FloatArray  # position where the current slip began, or during a stick where the slip before it began
+    totals: Totals
+    at_start: BoolArray
+    near_grazing_count: IntArray
+    segment_states: tuple[SegmentState, ...]
+
+
+def chosen_state(chosen: BoolArray, new: State, old: State) -> State:
+    """One of two states."""
+    return tuple(jnp.where(chosen, a, b) for a, b in zip(new, old, strict=True))

@@ -1,0 +1,265 @@
+"""Exact switched motion of any system: time steps in which every event is located to machine precision.
+
+A system is given as a `SwitchedModel`: its motion in a slip of either direction and in a stick, and the guard, a
+function that is positive while the current mode (stick, slip forward, slip backward) lasts. Each loop step tries one
+time step:
+
+- if the guard stays positive, the time step is accepted;
+- if the guard falls through zero inside, the step is tried again with the estimated event as its end, until it ends
+  within `_LANDED` of the event; a last Newton step then lands on the event (its derivatives: `carried.py`);
+- if the guard has a minimum near zero, the step is tried again up to this minimum, to see whether it falls below;
+- a time step never crosses the end of a segment of the base motion or of the load: there the mode is found anew;
+- a time step whose error estimate is too large is tried again, shorter.
+
+Two falls in one step with two more extrema of the guard between them can be missed, because the cubic through the ends
+of a step cannot have these; so steps must be short compared to the shortest time scale (`time_scales.py` checks this).
+Instants at which a change below `NEAR_GRAZING` would create or remove an event are counted (`_close_calls`).
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..._compiler import sharing
+from ..._events.sticks import StickRecord, start_totals
+from ..._excitation.segments import SegmentState
+from ..._numerics.primal import without_derivatives
+from ..._numerics.roots import look_ahead
+from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
+from ..._types import BoolArray, FloatArray
+from ..common.ending import is_spent
+from ..common.segments import SegmentLaws
+from .carried import HowItEnds, carried
+from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane, chosen_state
+from .mode import Stop, is_tie, margin_at_start, resolved_mode, switched
+
+_LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
+_ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
+_LEAST_ERROR = 1e-20
+_AT_ONCE = 1e-9  # fraction of a step: an earlier fall means that the mode was over when the step began
+_GRAZING = 64  # times the guard's round-off: a slip whose guard changes by less than this in a step begins at rest
+_EARLY, _SHORTER = 0.02, 0.25  # fractions of a step
+_MANY_TRIES = 12  # after so many tries that missed the event, the step is halved instead, down to round-off
+
+
+def start_lane(
+    model: SwitchedModel,
+    segment_laws: SegmentLaws,
+    segment_states: tuple[SegmentState, ...],
+    y0: tuple[Any, ...],
+    step: FloatArray,
+) -> Lane:
+    """The lane at the beginning of a trajectory, with its mode (stick or slip) found."""
+    dtype = step.dtype
+    zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+    y = tuple(jnp.asarray(value, dtype) for value in y0)
+    forcing = model.forcing(zero, segment_laws.segments(segment_states))
+    resting = model.at_rest(forcing, y)
+    y, sign = resolved_mode(model, forcing, y, resting)
+    margin = margin_at_start(model, forcing, y, resting)
+    return Lane(
+        zero,
+        y,
+        sign,
+        lax.stop_gradient(model.step_limit(zero, step, y, sign)),
+        jnp.full((), jnp.inf, dtype),
+        zero,
+        none,
+        none,
+        zero,
+        y[0],
+        y[0],
+        start_totals(dtype),
+        sign == 0,
+        is_tie(margin).astype(jnp.int32),
+        segment_states,
+    )
+
+
+@sharing
+def advance(
+    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, lane: Lane
+) -> tuple[Lane, StickRecord]:
+    """One loop step; returns the lane after it and the record of the stick that ended in it, if any."""
+    before, given = lane, (model, model.forcing(lane.t, segment_laws.segments(lane.segment_states)), lane.y)
+    stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
+    left = time_left = stop - lane.t
+    # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
+    (model, forcing, _), left, step, lane = without_derivatives((given, left, step, lane))
+    to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
+    trial = _tried(model, forcing, lane, jnp.where(to_stop, left, lane.target))
+    verdict = _judged(trial, lane, left, step)
+    at_event, at_stop = verdict.landed & ~verdict.at_once, verdict.taken & to_stop
+    tie, tie_if_abrupt = _close_calls(trial, verdict, lane, step, at_event, at_stop)
+
+    # The step ends where it began, on the event (one Newton step from its end), or at its end.
+    stays, delta = verdict.again | verdict.at_once, jnp.where(at_event, verdict.to_event, 0)
+    tau = jnp.where(stays, 0, trial.h + delta)
+    moving = zip(trial.reached, model.rates(forcing, trial.h, trial.reached, lane.sign), strict=True)
+    y = chosen_state(stays, lane.y, tuple(value + delta * rate for value, rate in moving))
+    model, lane = given[0], before
+    tau, *y = carried(*given, time_left, lane.sign, HowItEnds(~stays, at_event, at_stop), tau, y)
+    # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
+    t = jnp.where(at_stop, stop, lane.t + tau)
+
+    live = ~(lane.t >= t1) & ~is_spent(lane) & ~jnp.isnan(lane.y[0])
+    moved = lane._replace(
+        t=t,
+        y=_known(tuple(y), trial.s1 + trial.noise, verdict.again),
+        tries=jnp.where(verdict.again, lane.tries + 1, 0),
+        steps=lane.steps + 1,
+    )
+    # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
+    brief = verdict.at_once | (t - lane.event <= _LANDED[t.dtype.itemsize] * step + trial.clock)
+    ends = Stop(verdict.landed, brief, live & at_stop)
+    following, record, margin, abrupt = switched(model, segment_laws, moved, ends, t1)
+    vanished = brief & (lane.sign != 0) & (following.sign == 0)
+    near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
+    following = following._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
+    following = _with_target(following, model, trial, verdict, lane, step)
+    following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, lane)
+    return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+
+
+class _Trial(NamedTuple):
+    """A step of length `h` (s) as it was tried: the state it `reached`, and how the guard behaved in it."""
+
+    h: FloatArray
+    reached: State
+    error: FloatArray | None  # relative, by the solver's estimate
+    s0: FloatArray  # the guard and its rate, before the step
+    d0: FloatArray
+    s1: FloatArray  # and after it
+    d1: FloatArray
+    scale: FloatArray  # of the guard
+    clock: FloatArray  # round-off of the time, s
+    noise: FloatArray  # round-off of the guard
+
+
+def _tried(model: SwitchedModel, forcing: Any, lane: Lane, h: FloatArray) -> _Trial:
+    sticking = lane.sign == 0
+    # Both modes are computed, one is chosen. A slip over a stick's long step may overflow: it gets no length.
+    slid, error = model.slip_and_error(forcing, lane.y, jnp.where(sticking, 0, h), lane.sign)
+    held, error_held = model.stick_and_error(forcing, lane.y, h)
+    y1, error = chosen_state(sticking, held, slid), _chosen(sticking, error_held, error)
+    s0, d0 = model.guard(forcing, jnp.zeros_like(h), lane.y, lane.sign)
+    s1, d1 = model.guard(forcing, h, y1, lane.sign)
+    scale = model.guard_scale(forcing, y1, lane.sign)
+    # Round-off of the guard itself, and of the time at which it is evaluated.
+    eps = jnp.finfo(h.dtype).eps
+    clock = CLOCK_ULPS * eps * (lane.t + h)
+    noise = NOISE_ULPS * eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
+    return _Trial(h, y1, error, s0, d0, s1, d1, scale, clock, noise)
+
+
+class _Verdict(NamedTuple):
+    """What becomes of a step that was tried: it is `taken`, or ends in an event (`landed`), or is tried `again`.
+
+    - `at_once`: the event was at its beginning. `to_event`: from its end to the event, s; negative if it lies before.
+    - `inaccurate`: again, for its error. `hidden`: again, because a whole slip may hide in it.
+    - `where`: a guess of the event, as a fraction of the step. `lowest`: the guard's minimum inside (infinity: none).
+    """
+
+    taken: BoolArray
+    landed: BoolArray
+    again: BoolArray
+    at_once: BoolArray
+    inaccurate: BoolArray
+    hidden: BoolArray
+    to_event: FloatArray
+    where: FloatArray
+    lowest: FloatArray
+
+
+def _judged(trial: _Trial, lane: Lane, left: FloatArray, step: FloatArray) -> _Verdict:
+    h, _, error, s0, d0, s1, d1, _, clock, noise = trial
+    itemsize = h.dtype.itemsize
+    look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
+    # One Newton step from the end. It is exact enough if the end is as near to the event as this.
+    to_event = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
+    is_near = jnp.abs(to_event) <= _LANDED[itemsize] * step + clock
+    # Tries that come no nearer, while the guard is zero but for round-off: the event is where the step ends.
+    stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
+    # A released mass leaves its stick with no relative velocity and nearly no relative acceleration: a step that ends
+    # after it has stuck again cannot show whether it slipped at all. Shorter steps show it.
+    slow = jnp.abs(d0) * h <= _GRAZING * noise
+    hidden = look.falls & (lane.sign != 0) & (s0 <= noise) & slow & (look.where < _EARLY)
+    # A guard that is zero and falls at once: the mode was over when the step began.
+    early = (look.where < _AT_ONCE) & ~hidden
+    at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
+    # An event at the very end of a segment is decided there, where all is known.
+    landed = at_once | ((is_near | (stalled & (d1 < 0))) & ~look.early & (h + to_event < left - clock))
+    # A guard that falls below zero inside, or turns so near to it that its minimum must be looked at.
+    again = ~landed & (look.falls | look.turns) & ~stalled
+    # The error counts only if the step is not tried again anyway: it may be large because the step passes the event.
+    inaccurate = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[itemsize])
+    landed, again = landed & ~inaccurate, again | inaccurate
+    return _Verdict(~landed & ~again, landed, again, at_once, inaccurate, hidden, to_event, look.where, look.lowest)
+
+
+def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
+    """The state `y`, NaN (`NOT_FINITE`) after a step whose `guard` is NaN: it would never fall, whatever happens."""
+    return jnp.where(jnp.isnan(guard) & ~again, jnp.nan, y[0]), *y[1:]
+
+
+def _close_calls(
+    trial: _Trial, verdict: _Verdict, lane: Lane, step: FloatArray, at_event: BoolArray, at_stop: BoolArray
+) -> tuple[BoolArray, BoolArray]:
+    """Whether round-off decided if there was an event, and whether it did if the mode ended abruptly at the stop."""
+    few = NEAR_GRAZING[step.dtype.itemsize]
+    age = lane.t + trial.h - lane.event  # since the last event at rest, at the end of the step
+    # The guard is so flat that it is close to its minimum: if the minimum were a little higher or lower, there would be
+    # no event, or one. (In a slip that has just begun at rest the guard is still small, and this says nothing.)
+    flat = jnp.abs(trial.d1) * step < math.sqrt(2 * few) * trial.scale
+    flat = flat & ((lane.sign == 0) | (age > step))
+    inside = verdict.lowest < few * trial.scale
+    inside = inside & (verdict.lowest > -trial.noise) & (trial.s0 > trial.noise)
+    tie = (verdict.taken & (inside | (flat & (trial.s1 < few * trial.scale)))) | (at_event & flat)
+    # An event that was imminent, or had only just happened.
+    due = (trial.d1 < 0) & (trial.s1 < -few * step * trial.d1)
+    return tie, at_stop & (due | (age < few * step))
+
+
+def _with_target(
+    following: Lane, model: SwitchedModel, trial: _Trial, verdict: _Verdict, lane: Lane, step: FloatArray
+) -> Lane:
+    """The `following` lane with the length of the next step to try; `lane`: as it was before this one."""
+    by_error = lane.accurate_step
+    if trial.error is not None:
+        by_error = _accurate_step(by_error, trial.h, trial.error, verdict.taken, verdict.inaccurate)
+    longest = model.step_limit(following.t - following.event, step, following.y, following.sign)
+    longest = jnp.minimum(longest, by_error)
+    # Up to the event that is expected; by halves where the expectations failed, down to round-off.
+    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(verdict.hidden, _SHORTER, verdict.where))
+    target = jnp.where(verdict.again & ~verdict.inaccurate, guess * trial.h, longest)
+    return following._replace(target=lax.stop_gradient(target), accurate_step=lax.stop_gradient(by_error))
+
+
+def _accurate_step(
+    longest: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, inaccurate: BoolArray
+) -> FloatArray:
+    """The longest step allowed from here on, by the error of the step tried (order of the solvers: 8 or less)."""
+    allowed = _ERROR[h.dtype.itemsize] / jnp.maximum(error, _LEAST_ERROR)
+    change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
+    # Only a step as long as allowed says that a longer one would do: others ended at events.
+    longer = jnp.where(taken & (h >= 0.999 * longest), longest * change, longest)
+    return jnp.where(inaccurate, h * jnp.minimum(change, 0.8), longer)
+
+
+def _first(times: Iterable[FloatArray]) -> FloatArray | float:
+    earliest = jnp.inf
+    for time in times:
+        earliest = jnp.minimum(earliest, time)
+    return earliest
+
+
+def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+    """One of two error estimates; None stands for 0, and both None give None."""
+    if one is None and other is None:
+        return None
+    return jnp.where(first, 0 if one is None else one, 0 if other is None else other)
