@@ -1,6 +1,6 @@
 """Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities."""
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -31,8 +31,6 @@ from .switched.run import steps_for
 _MOST_COUNTED = 2**31 - 1
 _AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes
 
-InitialNumbers: TypeAlias = tuple[Number, ...]
-
 
 class ByIntervals(NamedTuple):
     """Closed forms over whole intervals of a piecewise-constant base velocity.
@@ -42,12 +40,12 @@ class ByIntervals(NamedTuple):
 
     arguments: Arguments[Exact]
 
-    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_intervals(system, base, t1, y0, dtype)
 
-    def lanes(self, y0: InitialNumbers, dtype: np.dtype) -> IntervalEngine:
+    def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> IntervalEngine:
         """The engine that simulates samples of the law."""
         system, base, _, t1 = self.arguments
         (law,) = excitation_of(base).base
@@ -59,12 +57,12 @@ class BySteps(NamedTuple):
 
     arguments: Arguments[Exact]
 
-    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Exact, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_steps(system, base, method, t1, y0, dtype)
 
-    def lanes(self, y0: InitialNumbers, dtype: np.dtype) -> SwitchedEngine:
+    def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
         system, _, method, t1 = self.arguments
         excitation, step = self.arguments.checked_step("law")
@@ -79,11 +77,11 @@ class Smoothed(NamedTuple):
 
     arguments: Arguments[Regularized]
 
-    def follow(self, y0: InitialNumbers, dtype: np.dtype) -> tuple[Regularized, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         return follow_regularized(*self.arguments, y0, dtype)
 
-    def lanes(self, y0: InitialNumbers, dtype: np.dtype) -> FixedEngine | AdaptiveBatch:
+    def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> FixedEngine | AdaptiveBatch:
         """The engine that simulates samples of the law."""
         system, base, method, t1 = self.arguments
         excitation = excitation_of(base, "law")
@@ -118,7 +116,7 @@ def engine_for(arguments: Arguments[Exact | Regularized]) -> ByIntervals | BySte
 
 
 def lanes_for(
-    system: System, law: BaseMotion, method: Exact | Regularized, t1: float, y0: InitialNumbers, dtype: np.dtype
+    system: System, law: BaseMotion, method: Exact | Regularized, t1: float, y0: tuple[Number, ...], dtype: np.dtype
 ) -> Engine | AdaptiveBatch:
     """The engine that simulates samples of `law`, with its arguments checked."""
     if isinstance(law, PiecewiseConstantLaw):

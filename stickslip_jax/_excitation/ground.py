@@ -1,6 +1,5 @@
 """Ground motions: accelerations of the ground under a system described in coordinates relative to it."""
 
-import math
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -56,20 +55,12 @@ class GroundAcceleration(GroundMotion):
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
+    duration, covered_time = Recorded.duration, Recorded.covered_time
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)
-
-    @property
-    def duration(self):
-        """Duration of the record, s: the last of `times`."""
-        return self.times[-1]
-
-    @property
-    def covered_time(self) -> float:
-        return math.inf if _checks.is_traced(self.times) else float(self.times[-1])
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""

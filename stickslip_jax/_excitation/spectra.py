@@ -14,10 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 
 from .. import _checks
 from .._fields import Checked, Quantity, described, varies
-from .._types import AnyArray, Array, Float, Number, Scalar
+from .._types import AnyArray, Float, Number, Scalar
 
 PerPoint: TypeAlias = Float[AnyArray, " points"]
 
@@ -174,7 +175,7 @@ class TabulatedSpectrum(PowerSpectrum):
         return numpy.clip(every, 0, cutoff)
 
 
-class _OwnSpectrum(PowerSpectrum):
+class _UserSpectrum(PowerSpectrum):
     """A function of angular frequency as a spectrum."""
 
     function: Callable[[Scalar], Scalar]
@@ -182,16 +183,7 @@ class _OwnSpectrum(PowerSpectrum):
 
     def density(self, angular_frequency: Frequencies) -> Frequencies:
         values = jnp.asarray(angular_frequency, float)
-        return jax.vmap(self.function)(values.reshape(-1)).reshape(values.shape)
-
-
-class _Constant(eqx.Module):
-    """A function that is no pytree, as a pytree without leaves."""
-
-    held: Callable[[Scalar], Scalar] = eqx.field(static=True)
-
-    def __call__(self, angular_frequency: Scalar) -> Float[Array, ""]:
-        return jnp.asarray(self.held(angular_frequency), jnp.result_type(float))
+        return jnp.asarray(jax.vmap(self.function)(values.reshape(-1)), values.dtype).reshape(values.shape)
 
 
 def spectrum_of(name: str, given: object) -> PowerSpectrum:
@@ -203,4 +195,5 @@ def spectrum_of(name: str, given: object) -> PowerSpectrum:
             f"Argument {name} must be a spectrum such as CloughPenzienSpectrum(), a TabulatedSpectrum(frequencies, "
             f"densities) or a function of angular frequency, but {_checks.show(given)} was given."
         )
-    return _OwnSpectrum(_Constant(given) if jax.tree.leaves(given) == [given] else given)
+    # A plain function is no pytree: JAX is to take it as a constant.
+    return _UserSpectrum(Partial(given) if jax.tree.leaves(given) == [given] else given)

@@ -28,7 +28,7 @@ from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, Fl
 from .built_in import is_built_in
 from .friction import FrictionLaw, times_of_slips
 from .steady_response import check_no_resonance, steady_response
-from .switched_model import Base, Segments, SwitchedModel, base_motion
+from .switched_model import Base, FloatPair, Segments, SwitchedModel, base_motion
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
@@ -244,9 +244,7 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
         speed, slip = self.rates_under(forcing, tau, y, coefficient)
         return speed, jnp.where(sign == 0, acceleration, slip)
 
-    def guard(
-        self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar
-    ) -> tuple[FloatScalar, FloatScalar]:
+    def guard(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         m, k, c = self._constants()
         velocity, acceleration = self.base_motion(forcing, tau)
         needed, holds = self._needed_and_limit(forcing, tau, y)
@@ -264,8 +262,8 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
     def guard_scale(self, forcing: OscillatorForcing, y: State, sign: FloatScalar) -> FloatScalar:
         m, k, _ = self._constants()
         velocity = self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
-        omega = jnp.sqrt(k / m)
-        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + self.system.stick_half_width)
+        omega, band = jnp.sqrt(k / m), self.friction.static * self.system.normal_force / k
+        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + band)
         return jnp.where(sign == 0, 2.0, slip)
 
     def on_base(self, forcing: OscillatorForcing, y: State) -> State:
@@ -312,9 +310,7 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
         force = self.system.force
         return forcing.load_slope + (force.rate(forcing.t + tau) if isinstance(force, Signal) else 0)
 
-    def _needed_and_limit(
-        self, forcing: OscillatorForcing, tau: FloatScalar, y: State
-    ) -> tuple[FloatScalar, FloatScalar]:
+    def _needed_and_limit(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatPair:
         """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), and the
         largest one in that direction, N.
         """
@@ -324,9 +320,7 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
         # A mass that needs a positive force lags behind the base once it is released.
         return needed, jnp.asarray(self.friction.stick_limit(-needed) * self.system.normal_force)
 
-    def _response(
-        self, forcing: OscillatorForcing, tau: FloatScalar, friction: FloatScalar
-    ) -> tuple[FloatScalar, FloatScalar]:
+    def _response(self, forcing: OscillatorForcing, tau: FloatScalar, friction: FloatScalar) -> FloatPair:
         """A particular solution: position and velocity under the load as the step begins, friction, harmonic forces."""
         m, k, c = self._constants()
         c = 0 if c is None else c

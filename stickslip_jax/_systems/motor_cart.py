@@ -12,7 +12,7 @@ a linear invariant, which a Runge-Kutta method conserves exactly and an exponent
 """
 
 import math
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -41,7 +41,7 @@ from .._types import (
     State,
 )
 from .friction import Coulomb, FrictionLaw
-from .switched_model import Segments, SwitchedModel
+from .switched_model import FloatPair, Segments, SwitchedModel
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
 
 _LONGEST_TURN = 0.13  # of the motor in a step, in units of its `angle_scale`
@@ -266,10 +266,6 @@ def _asin_within(sine: FloatArray) -> FloatArray:
     return jnp.where(within, jnp.arcsin(jnp.where(within, sine, 0)), jnp.sign(sine) * (math.pi / 2))
 
 
-Direction: TypeAlias = tuple[FloatScalar, FloatScalar]
-"""Sine and cosine of an angle."""
-
-
 class CartModel(SwitchedModel[FloatScalar]):
     """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
 
@@ -298,7 +294,7 @@ class CartModel(SwitchedModel[FloatScalar]):
         return speed, jnp.where(sticking, 0, turn), across * (1 / self.system.inductance)
 
     def _slip_rates(
-        self, start: Direction, phase: Direction, sign: FloatScalar, tau: FloatScalar, state: State
+        self, start: FloatPair, phase: FloatPair, sign: FloatScalar, tau: FloatScalar, state: State
     ) -> State:
         """The rates of a slip `tau` (s) after a step began at the angle `start`, from which the `state` counts it."""
         angle, speed, current = state
@@ -308,8 +304,8 @@ class CartModel(SwitchedModel[FloatScalar]):
         return speed, turn, across * (1 / self.system.inductance)
 
     def _balances(
-        self, direction: Direction, phase: Direction, speed: FloatScalar, current: FloatScalar, friction: FloatScalar
-    ) -> tuple[FloatScalar, FloatScalar]:
+        self, direction: FloatPair, phase: FloatPair, speed: FloatScalar, current: FloatScalar, friction: FloatScalar
+    ) -> FloatPair:
         """The equations of motion (eqs 1, 2): angular acceleration (rad/s^2), and voltage across the inductance (V).
 
         `direction`, `phase`: sine and cosine of the motor angle and of the phase of the voltage. `friction`: N m.
@@ -342,9 +338,7 @@ class CartModel(SwitchedModel[FloatScalar]):
         at_dead_center = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
         return jnp.where(at_dead_center, jnp.sign(cosine), jnp.sign(sine * y[1]))
 
-    def guard(
-        self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar
-    ) -> tuple[FloatScalar, FloatScalar]:
+    def guard(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         sine, cosine = sincos(y[0])
         _, turn, current_rate = self.rates(forcing, tau, y, sign)
         rate = turn * sine + y[1] * y[1] * cosine
@@ -403,7 +397,7 @@ class CartModel(SwitchedModel[FloatScalar]):
         return voltage.mean / system.resistance + gain * (system.resistance * sine - reactance * cosine)
 
 
-def _turned(direction: Direction, angle: FloatScalar) -> Direction:
+def _turned(direction: FloatPair, angle: FloatScalar) -> FloatPair:
     """Sine and cosine after a rotation by a small angle."""
     sine, cosine = direction
     small_sine, small_cosine = sincos_of_small(angle)

@@ -5,7 +5,7 @@ the relative velocity. All arrays are scalars, those of one trajectory: the engi
 """
 
 import abc
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,6 +19,9 @@ NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its
 
 F = TypeVar("F")
 """The forcing of a model: its excitation from the time a step begins until a segment ends."""
+
+
+FloatPair: TypeAlias = tuple[FloatScalar, FloatScalar]
 
 
 class Segments(NamedTuple):
@@ -96,7 +99,7 @@ class SwitchedModel(eqx.Module, Generic[F]):
         return jnp.sign(self.relative_velocity(forcing, jnp.zeros_like(y[0]), y))
 
     @abc.abstractmethod
-    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         """Guard of the mode, positive while the stick or slip lasts, and its time derivative.
 
         In a slip: ``sign`` times the relative velocity. In a stick (`sign` 0): ``1 - (f / f_max)^2``, where f is the
@@ -147,7 +150,7 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def relative_acceleration(self, forcing: F, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         """The time derivative of the relative velocity, where the state changes with `rates`, m/s^2."""
 
-    def effect_of_friction(self, forcing: F, tau: FloatScalar, y: State) -> tuple[FloatScalar, FloatScalar]:
+    def effect_of_friction(self, forcing: F, tau: FloatScalar, y: State) -> FloatPair:
         """The relative acceleration without friction, and what a friction coefficient of 1 adds to it, m/s^2."""
         free, under_one = (
             self.relative_acceleration(forcing, tau, y, self.rates_under(forcing, tau, y, jnp.full_like(tau, number)))

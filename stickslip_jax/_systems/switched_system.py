@@ -23,7 +23,7 @@ from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import BoolScalar, ExplicitSolver, FloatScalar, Number, Scalar, Solver, State
 from .friction import Coulomb, FrictionLaw
-from .switched_model import Base, Segments, SwitchedModel, base_motion
+from .switched_model import Base, FloatPair, Segments, SwitchedModel, base_motion
 from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
 from .user_system_checks import check_fields, check_motion
 
@@ -266,9 +266,7 @@ class GeneralModel(SwitchedModel[GeneralForcing]):
         contact = self._contact(*self.base_at(forcing, tau)[:2], y)
         return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.by_friction, strict=True))
 
-    def guard(
-        self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar
-    ) -> tuple[FloatScalar, FloatScalar]:
+    def guard(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         t, base, jerk = self.base_at(forcing, tau)
         base_rates = Base(base.acceleration, jerk)
         one = jnp.ones_like(t)
