@@ -38,7 +38,7 @@ class ByIntervals(NamedTuple):
     The system is a `MassSpring`, the only one with an interval form.
     """
 
-    arguments: Arguments[Exact]
+    arguments: Arguments
 
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
@@ -55,7 +55,7 @@ class ByIntervals(NamedTuple):
 class BySteps(NamedTuple):
     """Time steps in which every event is located, for any system and excitation."""
 
-    arguments: Arguments[Exact]
+    arguments: Arguments
 
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
@@ -75,7 +75,7 @@ class BySteps(NamedTuple):
 class Smoothed(NamedTuple):
     """Regularised dynamics, in fixed or adaptive steps."""
 
-    arguments: Arguments[Regularized]
+    arguments: Arguments
 
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
@@ -98,7 +98,7 @@ class Smoothed(NamedTuple):
         )
 
 
-def engine_for(arguments: Arguments[Exact | Regularized]) -> ByIntervals | BySteps | Smoothed:
+def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
     """The fastest engine for these arguments, whose base is a law or a realisation.
 
     The choice depends on their types and options, not on their numbers.

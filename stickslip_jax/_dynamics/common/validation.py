@@ -1,7 +1,7 @@
 """Checks of the arguments of `simulate` and `simulate_ensemble`."""
 
 import warnings
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,21 +20,18 @@ from .time_scales import step_for
 _LEAST_TURN = 1e-3  # rad in the whole duration: the motion is then good to about 1e-8 in double precision
 
 
-M_co = TypeVar("M_co", bound=Exact | Regularized, covariant=True)
-
-
-class Arguments(NamedTuple, Generic[M_co]):
+class Arguments(NamedTuple):
     """What is simulated: a system on a base motion (a law or a realisation), by a method, up to `t1` (s)."""
 
     system: System
     base: BaseMotion
-    method: M_co
+    method: Exact | Regularized
     t1: Scalar
 
     @classmethod
     def of_one(
-        cls, system: System, base: BaseMotion, method: M_co, t1: Scalar, y0: InitialState | None
-    ) -> tuple["Arguments[M_co]", tuple[Number, ...]]:
+        cls, system: System, base: BaseMotion, method: Exact | Regularized, t1: Scalar, y0: InitialState | None
+    ) -> tuple["Arguments", tuple[Number, ...]]:
         """The checked arguments of `simulate`, the base as a motion without randomness, and the initial state.
 
         Raises:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ... import _checks
 from ..._events.sticks import StickRecord, sticks_in_order
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.segments import first_segment
@@ -96,7 +97,9 @@ def follow_regularized(
     system.check_excitation(excitation)
     given, method = method, resolved(system, excitation, method, dtype)
     if given.step is not None:
-        step_for(system, excitation, given)  # raises for a step that is too long
+        step = step_for(system, excitation, given)  # raises for a step that is too long; shortens it where traced
+        if _checks.is_traced(step):
+            method = dataclasses.replace(method, step=lax.stop_gradient(jnp.asarray(step, dtype)))
     steps = method.max_steps or _fixed_steps(system, excitation, given, t1)
     sizes = table_sizes(system, excitation, t1)
     system, excitation, t1, y0 = as_arrays((system, excitation, t1, y0), dtype)

@@ -10,7 +10,7 @@ import numpy as np
 from ... import _checks
 from ... import _diffrax as diffrax
 from ..._excitation.excitation import Excitation
-from ..._numerics.known import largest, smallest
+from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.system import System
 from ..._types import Array, Scalar
 from ..common.method import Regularized
@@ -72,10 +72,15 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
     """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each segment.
 
-    Raises NotKnown where a number that it depends on is traced, ValueError for a step that is too long for the
-    shortest time scale.
+    Where JAX traces a time scale, the given step counts: a trajectory whose steps must be shorter may run out of them.
+    Raises NotKnown where `t1` or the given step is traced, ValueError for a step that is too long for the shortest
+    time scale.
     """
-    horizon, shortest = largest(t1), smallest(step_for(system, excitation, method))
+    horizon, step = largest(t1), step_for(system, excitation, method)
+    try:
+        shortest = smallest(step)
+    except NotKnown:
+        shortest = smallest(method.step)
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
     return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
 

@@ -206,3 +206,15 @@ def test_nothing_sticks_without_friction():
     assert int(one.status) == ss.Status.FINISHED
     assert int(one.sticks.count) == 0
     assert float(one.stick_time) == 0
+
+
+def test_a_given_step_where_a_time_scale_is_traced():
+    """It counts the steps; where it is too long, it is shortened, and the status tells if they were too few."""
+    method = ss.Regularized(0.01, step=0.005)
+
+    @jax.jit
+    def status(tone):
+        return ss.simulate(SYSTEM, ss.Harmonic(0.5, tone, 0.4), t1=2.0, method=method).status
+
+    assert status(1.3) == ss.Status.FINISHED
+    assert status(2000.0) == ss.Status.OUT_OF_STEPS
