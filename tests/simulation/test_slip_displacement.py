@@ -70,13 +70,16 @@ def test_a_force_drop_in_closed_form():
 
 @pytest.mark.slow
 def test_regularized_dynamics_come_close():
+    """Like ``w log(1/w)`` in the width: by 7.5 from the first of these widths to the second, but for parts of order 1."""
     base = LAW.sample(jax.random.key(3), T1)
-    exact, smooth = (
+    exact, *smooth = (
         columns(ss.simulate(SYSTEM, base, t1=T1, y0=Y0, method=method).sticks)
-        for method in (ss.Exact(), ss.Regularized(1e-4))
+        for method in (ss.Exact(), *(ss.Regularized(width, rtol=1e-9, max_steps=100_000) for width in (1e-3, 1e-4)))
     )
-    assert len(exact[0]) == len(smooth[0]) > 3
-    np.testing.assert_allclose(smooth[3], exact[3], rtol=0, atol=2e-3)
+    assert len(exact[0]) == len(smooth[0][0]) == len(smooth[1][0]) > 3
+    wide, narrow = (np.max(np.abs(found[3] - exact[3])) for found in smooth)
+    assert 6 < wide / narrow < 10
+    assert narrow < 5e-3
 
 
 @pytest.mark.slow
@@ -111,8 +114,11 @@ def test_derivatives_are_those_of_the_ends(method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{"step": 4e-3}, pytest.param({"rtol": 1e-6}, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("options", [{"step": 4e-3}, {"rtol": 1e-6}])
 def test_regularised_ensembles_hold_it(options):
+    """In a stick the error of adaptive steps is round-off, and so is the choice of the next: programs that are compiled
+    apart take other steps. They agree as well as the steps are asked to be exact.
+    """
     method = ss.Regularized(1e-2, max_steps=16_384, **options)
     how = {"t1": 40.0, "y0": Y0, "method": method}
     many = ss.simulate_ensemble(SYSTEM, LAW, samples=3, key=jax.random.key(1), keep="sticks", **how)
@@ -120,7 +126,8 @@ def test_regularised_ensembles_hold_it(options):
     one = ss.simulate(SYSTEM, base, **how | {"y0": y0})
     own = many.flat_sticks.sample == 2
     assert own.sum() > 3
-    np.testing.assert_allclose(many.flat_sticks.slip_displacement[own], columns(one.sticks)[3], rtol=0, atol=1e-8)
+    close = {"rtol": 0, "atol": options.get("rtol", 1e-8)}
+    np.testing.assert_allclose(many.flat_sticks.slip_displacement[own], columns(one.sticks)[3], **close)
 
 
 def test_ensembles_and_their_tables_hold_it(tmp_path):
