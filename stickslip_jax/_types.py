@@ -1,6 +1,6 @@
 """Names of types for annotations: shapes are in the annotations, units in the docstrings."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING, Any, ForwardRef, TypeAlias
 
 import numpy as np
@@ -40,6 +40,9 @@ Word: TypeAlias = UInt32[Array, ""]
 State: TypeAlias = tuple[FloatArray, ...]
 """The state of a system: one array for each of its coordinates, all of one shape."""
 
+PyTreeDef: TypeAlias = Hashable
+"""The structure of a pytree, ``jax.tree_util.PyTreeDef``, which type checkers take for a variable."""
+
 if TYPE_CHECKING:
     from diffrax import AbstractERK as ExplicitSolver
     from diffrax import AbstractSolver as Solver
@@ -65,6 +68,7 @@ __all__ = [
     "IntArray",
     "KeyData",
     "Number",
+    "PyTreeDef",
     "Scalar",
     "Solver",
     "State",

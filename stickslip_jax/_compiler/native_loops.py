@@ -9,13 +9,14 @@ attributes mean nothing and the function is compiled as usual.
 import warnings
 from collections.abc import Callable
 from functools import cache, wraps
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import jax
 import numpy as np
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 
+from .._types import PyTreeDef
 from .native_call import NATIVE, native_call
 from .switch import PLAIN
 
@@ -63,7 +64,7 @@ def computed_once(function: Callable[_Arguments, _Result]) -> Callable[_Argument
     def call(*args: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
         if not native_loops_work():
             return function(*args, **options)
-        return set_xla_metadata(compiled(*args, **options), **_OWN_CALL)
+        return cast(_Result, set_xla_metadata(compiled(*args, **options), **_OWN_CALL))
 
     return call
 
@@ -77,7 +78,7 @@ class CompiledNatively(Generic[_Arguments, _Result]):
     def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
         self.native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
         self.usual = jax.jit(function, static_argnames=static_argnames, **options)
-        self._refused: set[jax.tree_util.PyTreeDef] = set()
+        self._refused: set[PyTreeDef] = set()
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         kind = jax.tree.structure((args, named))

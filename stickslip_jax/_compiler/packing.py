@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from .._types import PyTreeDef
 from .switch import PLAIN
 
 
 class Layout(NamedTuple):
     """How to unpack a pytree; may be a static argument of ``jax.jit``."""
 
-    structure: jax.tree_util.PyTreeDef
+    structure: PyTreeDef
     kinds: tuple[tuple[jnp.dtype, tuple[int, ...]], ...]  # type and shape of each leaf
 
     @classmethod

@@ -17,6 +17,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from .._compiler import sharing
+from .._types import PyTreeDef
 
 _Leaf: TypeAlias = Any  # an array, traced or not, or a tangent: an array or ``ad.Zero``
 _Axis: TypeAlias = int | None
@@ -61,7 +62,7 @@ class OwnDerivative:
 class _Call:
     """One call of a function: the structure of its arguments, and those that are no arrays."""
 
-    def __init__(self, of: OwnDerivative, tree: jax.tree_util.PyTreeDef, rest: tuple[Any, ...]):
+    def __init__(self, of: OwnDerivative, tree: PyTreeDef, rest: tuple[Any, ...]):
         self.of, self.tree, self.rest = of, tree, rest
 
     def results(self, *leaves: _Leaf) -> list[_Leaf]:

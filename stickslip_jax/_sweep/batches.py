@@ -27,12 +27,15 @@ _SUMS = ("moments", "accumulator", "near_grazing_samples")
 
 
 class Head(TypedDict):
-    """What a batch of samples says of itself; its sums stand beside it."""
+    """What a batch of samples says of itself, and its sums as an `Encoder` writes them."""
 
     samples: int
     first_sample: int
     status_counts: list[int]
     run_seconds: float
+    moments: Any
+    accumulator: Any
+    near_grazing_samples: Any
 
 
 class Derivatives(TypedDict):
@@ -128,7 +131,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
         sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
         retained = Retained(FlatSticks.of(**sticks), arrays["totals"]) if sticks else None
         counts = dict(zip(Status, head["status_counts"], strict=True))
-        numbers = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
+        numbers: dict[str, Any] = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
     except _UNFIT as error:
         raise DamagedBatchError(str(error)) from error
     return Ensemble(

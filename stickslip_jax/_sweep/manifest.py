@@ -171,7 +171,7 @@ def _as_json(value: object) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _different(old: object, new: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
+def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
     both = isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys()
     if both and old.get("class") == new.get("class"):
         for name in old:

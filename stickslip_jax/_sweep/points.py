@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -131,7 +131,7 @@ def _dimension_of_design(design: Design) -> Dimension:
     return _distinct(Dimension(POINT, design.names, np.asarray(design.values)), "over")
 
 
-def _dimension(names: object, values: object) -> Dimension:
+def _dimension(names: Any, values: object) -> Dimension:
     several = isinstance(names, tuple)
     parameters = names if isinstance(names, tuple) else (names,)
     if not parameters or not all(isinstance(name, str) and name for name in parameters):

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 
@@ -99,7 +99,7 @@ class Performer:
 
 @dataclasses.dataclass
 class _Device:
-    device: jax.Device
+    device: Any  # a ``jax.Device``, which type checkers take for a variable
     compiling: threading.Lock = dataclasses.field(default_factory=threading.Lock)
     compiled: bool = False
 

@@ -191,6 +191,7 @@ class Inputs:
         used = max(1, min(number, self.samples - first))
 
         def keys():
+            assert self.key_data is not None
             words = random_words(self.key_data, jnp.asarray(numbers[:used]))
             return jax.random.wrap_key_data(jnp.stack(words, axis=-1))
 
@@ -273,6 +274,7 @@ class Inputs:
     def _keys(self, entry: Input, first: int, number: int) -> Array:
         """A key of `entry` for each sample."""
         samples = np.arange(first, first + number, dtype=np.uint32)
+        assert self.key_data is not None
         own = random_words(random_words(self.key_data, jnp.asarray(samples)), jnp.uint32(entry.stream))
         return jax.random.wrap_key_data(jnp.stack(own, axis=-1))
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .. import _checks
-from .._types import Array, Scalar
+from .._types import Array
 
 _NOT_TRACEABLE = (
     jax.errors.TracerArrayConversionError,
@@ -49,7 +49,7 @@ class SampledLaw(eqx.Module):
     law: UserLaw = eqx.field(static=True)
     is_random = True
 
-    def sample(self, key: Array, t1: Scalar) -> PyTree:
+    def sample(self, key: Array, t1: float) -> PyTree:
         """The realisation that the user's law draws by `key`, for ``[0, t1]`` (s)."""
         return self.law.sample(key, t1)
 
