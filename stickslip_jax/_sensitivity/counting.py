@@ -65,7 +65,7 @@ class _Motion(NamedTuple):
     switches: IntArray
 
 
-class IntervalCounting(Engine):
+class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counted]):
     """Engine that counts the sticks that an `IntervalEngine` simulates.
 
     `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`). `fixed_start`: whether all
