@@ -145,12 +145,10 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
     return values, per_task, lambda first, number: count(first, number).pathwise
 
 
-def _of_totals(
-    statistic: OfTotals, t1: float, stick_time: np.ndarray, sticks: np.ndarray, status: np.ndarray
-) -> _Values:
+def _of_totals(statistic: OfTotals, t1: float, stick_time: AnyArray, sticks: AnyArray, status: AnyArray) -> _Values:
     weights = statistic.weights(t1)
     totals = np.stack([np.asarray(stick_time, float), np.asarray(sticks, float)], axis=-1)
-    return _Values(totals @ weights[:, :2].T + weights[:, 2], status.astype(int), sticks)
+    return _Values(totals @ weights[:, :2].T + weights[:, 2], np.asarray(status).astype(int), totals[:, 1])
 
 
 def _drawn(job: Job) -> Job:
@@ -196,7 +194,7 @@ def _simulated(problem: Problem, model: Model) -> _ValuesOf:
         if isinstance(statistic, OfTotals):
             return _of_totals(statistic, problem.t1, totals.stick_time, totals.sticks, totals.status)
         parts = _parts_of_sequences(statistic, many.require_sticks(), problem.t1, problem.dtype)
-        return _Values(parts, totals.status.astype(int), totals.sticks)
+        return _Values(parts, np.asarray(totals.status).astype(int), np.asarray(totals.sticks))
 
     return values
 

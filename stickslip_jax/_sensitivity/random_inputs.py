@@ -84,10 +84,9 @@ class RandomInputs(NamedTuple):
         """What the engine needs of samples `first` to ``first + number - 1``, one array for each place."""
         own = sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).own
         uniforms = self.inputs.uniforms(first, number, self.dtype)
-        drawn = zip(own, self.engine.sources, self.origins, strict=True)
-        return tuple(
-            column if source is None or origin is None else uniforms[origin] for column, source, origin in drawn
-        )
+        drawn = (None if source is None or origin is None else uniforms[origin]
+                 for source, origin in zip(self.engine.sources, self.origins, strict=True))  # fmt: skip
+        return tuple(column if uniform is None else uniform for column, uniform in zip(own, drawn, strict=True))
 
     def path(self, path: Path, in_engine: Path) -> Path:
         """The path in `engine` of the number at `path` of the model, which a `single_engine` has at `in_engine`."""

@@ -40,7 +40,7 @@ class IntervalSample(NamedTuple):
     deterministic_until: FloatArray
 
 
-class IntervalRecording(Engine):
+class IntervalRecording(Engine[Scales, IntervalSample, IntervalLane, Trace, IntArray]):
     """An `IntervalEngine` that also records candidates, if `with_distances`.
 
     `fixed_start`: whether all samples begin in the same state.
@@ -99,7 +99,7 @@ class StepMotion(NamedTuple):
     crossed: FloatArray
 
 
-class StepRecording(Engine):
+class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArray]):
     """A `SwitchedEngine` that also records candidates, if `with_distances`; `fixed_start` as in `IntervalRecording`."""
 
     engine: SwitchedEngine

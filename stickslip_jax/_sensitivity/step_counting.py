@@ -28,7 +28,7 @@ class _Motion(NamedTuple):
     sums: BoundarySums
 
 
-class StepCounting(Engine):
+class StepCounting(Engine[SwitchedShared, StepSample, _Motion, Trace, Counted]):
     """Engine that counts the sticks that `engine` simulates; `bandwidths`, `fixed_start` as for `IntervalCounting`.
 
     Without `bandwidths` it gives only pathwise derivatives.
