@@ -225,9 +225,11 @@ def test_manifest_of_another_sweep_alone(copied, tmp_path):
     one_sentence(error, f"{folder} has batches of another sweep than its manifest.json", "put the manifest", "back")
 
 
-def test_format_before_the_batches_were_sealed_with_their_names(copied):
+@pytest.mark.parametrize("version", [1, 2])
+def test_older_format(copied, version):
+    """When a sweep was called a study."""
     folder, _ = copied
-    rewrite(folder, lambda body: body.update(format_version=1))
-    calls_refused(folder, f"it has format 1, written by stickslip_jax {ss.__version__}", "into another folder")
-    with pytest.raises(ss.SweepError, match="it has format 1"):
+    rewrite(folder, lambda body: body.update(format="stickslip_jax study", format_version=version))
+    calls_refused(folder, f"it has format {version}, written by stickslip_jax {ss.__version__}", "into another folder")
+    with pytest.raises(ss.SweepError, match=f"it has format {version}"):
         run(sweep_of(), folder)
