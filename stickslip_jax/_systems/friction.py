@@ -289,7 +289,7 @@ def times_of_slips(
     return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0) else mass / drag
 
 
-def _is(number: Scalar, value: float) -> bool:
+def _is(number: Scalar, value: float | int) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
 
 
