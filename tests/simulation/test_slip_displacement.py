@@ -70,7 +70,7 @@ def test_a_force_drop_in_closed_form():
 
 @pytest.mark.slow
 def test_regularized_dynamics_come_close():
-    """Like ``w log(1/w)`` in the width: by 7.5 from the first of these widths to the second, but for parts of order 1."""
+    """Like ``w log(1/w)`` in the width: by 7.5 from one of these widths to the other, but for parts of order 1."""
     base = LAW.sample(jax.random.key(3), T1)
     exact, *smooth = (
         columns(ss.simulate(SYSTEM, base, t1=T1, y0=Y0, method=method).sticks)
