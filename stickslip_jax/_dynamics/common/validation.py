@@ -20,21 +20,21 @@ from .time_scales import step_for
 _LEAST_TURN = 1e-3  # rad in the whole duration: the motion is then good to about 1e-8 in double precision
 
 
-M_co = TypeVar("M_co", bound=Exact | Regularized, covariant=True)
+M = TypeVar("M", bound=Exact | Regularized)
 
 
-class Arguments(NamedTuple, Generic[M_co]):
+class Arguments(NamedTuple, Generic[M]):
     """What is simulated: a system on a base motion (a law or a realisation), by a method, up to `t1` (s)."""
 
     system: System
     base: BaseMotion
-    method: M_co
+    method: M
     t1: Scalar
 
     @classmethod
     def of_one(
-        cls, system: System, base: BaseMotion, method: M_co, t1: Scalar, y0: InitialState | None
-    ) -> tuple["Arguments[M_co]", tuple[Number, ...]]:
+        cls, system: System, base: BaseMotion, method: M, t1: Scalar, y0: InitialState | None
+    ) -> tuple["Arguments[M]", tuple[Number, ...]]:
         """The checked arguments of `simulate`, the base as a motion without randomness, and the initial state.
 
         Raises:
