@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from .._dynamics.common.engine import Engine
-from .._dynamics.interval.crossing import Scales
+from .._dynamics.interval.crossing import Scales, status_of
 from .._dynamics.interval.engine import IntervalEngine
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances
@@ -111,7 +111,8 @@ class IntervalCounting(Engine):
             score = zero_with_derivative(motion.switches / rate - self.engine.t1, rate, jnp.ones((), bool))
             event_parts = tuple(part + (totals.sticks - self.likelihood.sticks) * score for part in event_parts)
             time = time + (time - self.likelihood.stick_time) * score
-        return Counted(self._recording.results(sample, motion.lane), time, totals.sticks, event_parts, in_window)
+        status = status_of(motion.lane.motion, jnp.asarray(self.engine.t1, motion.lane.motion.t.dtype))
+        return Counted(status, time, totals.sticks, event_parts, in_window)
 
     def _with_interval(
         self, sums: BoundarySums, distances: BoundaryDistances, arrival: FloatArray, is_fixed: BoolArray

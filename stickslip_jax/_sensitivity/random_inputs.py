@@ -7,7 +7,7 @@ distribution moves it smoothly, and derivatives of an expectation are those of t
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -86,7 +86,8 @@ class RandomInputs(NamedTuple):
         uniforms = self.inputs.uniforms(first, number, self.dtype)
         drawn = zip(own, self.engine.sources, self.origins, strict=True)
         return tuple(
-            column if source is None or origin is None else uniforms[origin] for column, source, origin in drawn
+            column if source is None or origin is None else cast(AnyArray, uniforms[origin])
+            for column, source, origin in drawn
         )
 
     def path(self, path: Path, in_engine: Path) -> Path:
