@@ -40,7 +40,7 @@ class ByIntervals(NamedTuple):
 
     arguments: Arguments
 
-    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact | Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_intervals(system, base, t1, y0, dtype)
@@ -60,6 +60,7 @@ class BySteps(NamedTuple):
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
+        assert isinstance(method, Exact)
         return method, follow_steps(system, base, method, t1, y0, dtype)
 
     def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> SwitchedEngine:
@@ -80,6 +81,7 @@ class Smoothed(NamedTuple):
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
+        assert isinstance(method, Regularized)
         return follow_regularized(system, base, method, t1, y0, dtype)
 
     def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> FixedEngine | AdaptiveBatch:
@@ -88,6 +90,7 @@ class Smoothed(NamedTuple):
         excitation = excitation_of(base, "law")
         system.check_excitation(excitation)
         self.arguments.check_length()
+        assert isinstance(method, Regularized)
         method = resolved(system, excitation, method, dtype)
         if method.step is None:
             sizes = table_sizes(system, excitation, largest(t1))
