@@ -156,7 +156,7 @@ def _distances(
 class _Arc(NamedTuple):
     """The first arc of an interval on a moving base."""
 
-    excess: FloatArray  # of one from below: R^2 - q^2 in (m/s)^2, R its radius; where positive it reaches q
+    excess: FloatArray  # R^2 - q^2 in (m/s)^2, R its radius; where positive it reaches q
     top: FloatArray  # when it comes nearest to q, s from its beginning
     is_below: BoolArray
     has_top: BoolArray  # whether the interval holds its top: a change of the excess's sign then adds or removes a stick
@@ -171,7 +171,7 @@ def _first_arc(
     p, q, a = forward * motion.p * scales.omega, jnp.abs(velocity), scales.half_width * scales.omega
     D = (forward * motion.x - scales.half_width) * scales.omega
     is_below = p < q
-    excess = excess_of(D, p, q)
+    excess = excess_of(D + jnp.where(is_below, 0, 2 * a), p, q)  # the centre of an arc from above is -a
     # Clockwise from (D, p) to the top, (0, R). It decides whether the interval holds the top; no derivative needs it.
     back, up = lax.stop_gradient(D), lax.stop_gradient(p)
     angle = angle_of(jnp.abs(back), up)
