@@ -222,7 +222,7 @@ def test_manifest_of_another_sweep_alone(copied, tmp_path):
         shutil.copy(tmp_path / "other" / name, folder / name)
     with pytest.raises(ss.SweepError) as error:
         run(sweep_of(key=jax.random.key(1)), folder)
-    one_sentence(error, f"{folder} has batches of another sweep than its manifest.json", "put the manifest", "back")
+    one_sentence(error, f"{folder} has batches of another sweep than its manifest.json", "put their manifest back")
 
 
 @pytest.mark.parametrize("version", [1, 2])
