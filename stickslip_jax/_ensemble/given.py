@@ -105,7 +105,7 @@ def _summed(
     """The fields of an `Ensemble` that follow from its sticks, and those that say how long it took."""
     samples = len(results.status)
     # Columns that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
-    unknown = np.isnan(sticks.numbers).all(axis=1)
+    unknown = np.all(np.isnan(sticks.numbers), axis=1)
     counted = sticks._replace(numbers=np.where(unknown[:, None], 0, sticks.numbers))
     part = Part.of(results, counted, t1, numbering, True, period)
     if part.sticks is not None:
