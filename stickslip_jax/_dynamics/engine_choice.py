@@ -1,8 +1,7 @@
 """Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
-import equinox as eqx
 import numpy as np
 
 from .._excitation.excitation import BaseMotion, excitation_of
@@ -10,6 +9,7 @@ from .._excitation.merged import merged
 from .._excitation.motion import Motion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.known import largest
+from .._systems.mass_spring import MassSpring
 from .._systems.system import System
 from .._types import AnyArray, Number, Scalar
 from .._uncertainty.inputs import Inputs
@@ -40,7 +40,7 @@ class ByIntervals(NamedTuple):
 
     arguments: Arguments
 
-    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact | Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_intervals(system, base, t1, y0, dtype)
@@ -49,7 +49,7 @@ class ByIntervals(NamedTuple):
         """The engine that simulates samples of the law."""
         system, base, _, t1 = self.arguments
         (law,) = excitation_of(base).base
-        return IntervalEngine(system, law, t1, y0)
+        return IntervalEngine(cast(MassSpring, system), cast(PiecewiseConstantLaw, law), t1, y0)
 
 
 class BySteps(NamedTuple):
@@ -60,6 +60,7 @@ class BySteps(NamedTuple):
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
+        assert isinstance(method, Exact)
         return method, follow_steps(system, base, method, t1, y0, dtype)
 
     def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> SwitchedEngine:
@@ -79,7 +80,9 @@ class Smoothed(NamedTuple):
 
     def follow(self, y0: tuple[Number, ...], dtype: np.dtype) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
-        return follow_regularized(*self.arguments, y0, dtype)
+        system, base, method, t1 = self.arguments
+        assert isinstance(method, Regularized)
+        return follow_regularized(system, base, method, t1, y0, dtype)
 
     def lanes(self, y0: tuple[Number, ...], dtype: np.dtype) -> FixedEngine | AdaptiveBatch:
         """The engine that simulates samples of the law."""
@@ -87,6 +90,7 @@ class Smoothed(NamedTuple):
         excitation = excitation_of(base, "law")
         system.check_excitation(excitation)
         self.arguments.check_length()
+        assert isinstance(method, Regularized)
         method = resolved(system, excitation, method, dtype)
         if method.step is None:
             sizes = table_sizes(system, excitation, largest(t1))
@@ -129,7 +133,7 @@ def sample_engines(
 ) -> Engines:
     """The engines of samples ``first .. first + number - 1``, whose `inputs` differ."""
 
-    def build(values: tuple[AnyArray, ...], base: eqx.Module | None) -> Engine | AdaptiveBatch:
+    def build(values: tuple[AnyArray, ...], base: BaseMotion | None) -> Engine | AdaptiveBatch:
         system, law, y0 = inputs.filled(values)
         return engine_for(Arguments(system, law if base is None else base, method, t1)).lanes(y0, dtype)
 

@@ -173,6 +173,6 @@ def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Number
     if len(found) != len(sticks.count):
         raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
     totals = SampleTotals(found, **{name: dataset[of].to_numpy() for name, of in names.items()})
-    finished = np.equal(totals.status, Status.FINISHED)
+    finished = np.asarray(totals.status) == Status.FINISHED
     own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
     return {"totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}

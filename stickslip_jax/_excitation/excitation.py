@@ -1,6 +1,6 @@
 """The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them."""
 
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -75,6 +75,7 @@ class WithJumps(Motion):
         of_segments, of_signal = (None, None) if key is None else (jax.random.fold_in(key, part) for part in (0, 1))
         motion, jumps = self.motion, self.jumps
         if motion.is_random:
+            assert of_segments is not None
             is_signal = motion.parts().smooth is not None
             motion = motion.sample(of_signal if is_signal else jax.random.fold_in(of_segments, _MOTION), t1)
         if isinstance(jumps, PiecewiseConstantLaw):
@@ -188,7 +189,7 @@ def law_of(base: BaseMotion) -> BaseMotion | SampledLaw:
     """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
     draws = callable(getattr(base, "sample", None)) and not hasattr(base, "__array__")  # as tables of pandas do
     is_known = isinstance(base, (Motion, SampledLaw, type)) or _is_users(base)
-    return SampledLaw(base) if draws and not is_known else base
+    return SampledLaw(cast(UserLaw, base)) if draws and not is_known else base
 
 
 def key_data_for(base: BaseMotion, key: Array | None) -> Array:

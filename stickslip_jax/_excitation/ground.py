@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from .. import _checks
 from .._fields import Quantity
 from .._types import AnyArray, Float, FloatArray
-from .recorded import Recorded, check_times
+from .recorded import Recorded, check_times, end_of
 from .segments import GivenSegments, PerSegment, SegmentLaw
 
 
@@ -55,12 +55,16 @@ class GroundAcceleration(GroundMotion):
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
-    duration, covered_time = Recorded.duration, Recorded.covered_time
+    duration = Recorded.duration
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)
+
+    @property
+    def covered_time(self) -> float:
+        return end_of(self.times)
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""

@@ -79,8 +79,7 @@ def merged(base: BaseMotion, t1: Scalar) -> BaseMotion:
     if isinstance(base, WithJumps):
         jumps = merged(base.jumps, t1)
         return base if jumps is base.jumps else eqx.tree_at(lambda whole: whole.jumps, base, jumps)
-    is_theirs = isinstance(base, PiecewiseConstantLaw) and not is_of_package(base)
-    return Merged(base, t1) if is_theirs else base
+    return Merged(base, t1) if isinstance(base, PiecewiseConstantLaw) and not is_of_package(base) else base
 
 
 def path_in_merged(base: BaseMotion, path: Path) -> Path:

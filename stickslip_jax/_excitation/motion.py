@@ -42,7 +42,7 @@ class Motion(eqx.Module):
     def parts(self) -> Parts:
         """Its smooth part and its parts in segments."""
         name, part = self.part_of_excitation, cast(Any, self)
-        return Parts(smooth=part) if name == "smooth" else Parts(**{name: (part,)})
+        return Parts()._replace(**{name: part if name == "smooth" else (part,)})
 
     def path_in_excitation(self, path: Path) -> Path:
         """The path in the `Excitation` of its parts of the number that has the `path` in it."""

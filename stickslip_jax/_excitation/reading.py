@@ -223,8 +223,8 @@ def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
 
 
 def _check_column(name: str, column: object) -> None:
-    whole = isinstance(column, (int, np.integer)) and not isinstance(column, bool)
-    if not isinstance(column, str) and not (whole and column >= 0):
+    counts = isinstance(column, (int, np.integer)) and not isinstance(column, bool) and column >= 0
+    if not isinstance(column, str) and not counts:
         raise ValueError(
             f"Argument {name} must be the number of a column, counted from 0, or its name in the header row, but "
             f"{_checks.show(column)} was given."

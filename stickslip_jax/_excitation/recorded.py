@@ -50,7 +50,7 @@ class Recorded(SegmentLaw):
 
     @property
     def covered_time(self) -> float:
-        return math.inf if _checks.is_traced(self.times) else float(self.times[-1])
+        return end_of(self.times)
 
     def value(self, t: AnyArray | float) -> FloatArray:
         """The signal at times `t` (s, any shape)."""
@@ -69,6 +69,11 @@ class Recorded(SegmentLaw):
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
+
+
+def end_of(times: AnyArray) -> float:
+    """The last of `times`, s; infinity where they are traced."""
+    return math.inf if _checks.is_traced(times) else float(times[-1])
 
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:

@@ -178,7 +178,7 @@ class TabulatedSpectrum(PowerSpectrum):
 class _UserSpectrum(PowerSpectrum):
     """A function of angular frequency as a spectrum."""
 
-    function: Callable[[Scalar], Scalar]
+    function: Callable[[Scalar], Number]
     holds_users_code = True
 
     def density(self, angular_frequency: Frequencies) -> Frequencies:

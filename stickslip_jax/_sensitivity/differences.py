@@ -191,10 +191,11 @@ def _simulated(problem: Problem, model: Model) -> _ValuesOf:
         many = simulate_batch(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
         totals, statistic = many.totals, problem.statistic
         assert totals is not None
+        stick_time, sticks, status = map(np.asarray, (totals.stick_time, totals.sticks, totals.status))
         if isinstance(statistic, OfTotals):
-            return _of_totals(statistic, problem.t1, totals.stick_time, totals.sticks, totals.status)
+            return _of_totals(statistic, problem.t1, stick_time, sticks, status)
         parts = _parts_of_sequences(statistic, many.require_sticks(), problem.t1, problem.dtype)
-        return _Values(parts, np.asarray(totals.status).astype(int), np.asarray(totals.sticks))
+        return _Values(parts, status.astype(int), sticks)
 
     return values
 

@@ -156,9 +156,12 @@ class VelocityWeakening(FrictionLaw):
         ValueError: For numbers outside these bounds.
     """
 
-    static_exceeds_kinetic = False  # pyright: ignore[reportAssignmentType] - known for all of them
     mu_static: Annotated[Number, Quantity(meaning=_STATIC, at_least=0)]
     weakening: Annotated[Number, Quantity("s/m", "a slip has mu_static / (1 + weakening |v|)", at_least=0)]
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return False
 
     @property
     def static(self) -> Scalar:
@@ -188,7 +191,6 @@ class Stribeck(FrictionLaw):
         ValueError: For numbers outside these bounds.
     """
 
-    static_exceeds_kinetic = False  # pyright: ignore[reportAssignmentType] - known for all of them
     mu: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
     mu_static: Annotated[Number, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
     stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
@@ -200,6 +202,10 @@ class Stribeck(FrictionLaw):
     def check_relations(self) -> None:
         _static_at_least(self.mu, self.mu_static)
         FrictionLaw.check_relations(self)
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return False
 
     @property
     def static(self) -> Scalar:

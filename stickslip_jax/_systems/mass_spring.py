@@ -7,7 +7,7 @@ Runge-Kutta step.
 
 import math
 from contextlib import suppress
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
-from .._excitation.smooth import Signal
+from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._fields import Quantity
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
@@ -325,8 +325,8 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
         m, k, c = self._constants()
         c = 0 if c is None else c
         x, p = (forcing.load - friction) / k, jnp.zeros_like(tau)
-        force: Any = self.system.force
-        if isinstance(force, Signal):  # a sum of harmonics: under others there is no closed form
+        if isinstance(self.system.force, Signal):
+            force = cast(Harmonic | SumOfHarmonics, self.system.force)  # under others there is no closed form
             position, velocity = steady_response(force.tones, m, k, c, forcing.t + tau)
             x, p = x + force.mean / k + position, p + velocity
         return x, p

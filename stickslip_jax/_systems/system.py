@@ -2,7 +2,7 @@
 
 import abc
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, cast
 
 import jax.numpy as jnp
 
@@ -232,7 +232,7 @@ def voltage_of(excitation: Excitation) -> Signal | RandomSignal | None:
 
 def unphased(signal: S) -> S | Signal:
     """`signal` without its random phase, if it is a `RandomPhase` and nothing else of it is random."""
-    return signal.signal if keeps(signal, RandomPhase, "realized") else signal
+    return cast(RandomPhase, signal).signal if keeps(signal, RandomPhase, "realized") else signal
 
 
 def shortest_period(excitation: Excitation) -> Scalar | None:
@@ -252,5 +252,6 @@ def checked_system(system: object) -> System:
 
 def require_system(system: object) -> System:
     """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
-    checked_system(system).check_numbers()
-    return system
+    known = checked_system(system)
+    known.check_numbers()
+    return known

@@ -76,9 +76,8 @@ def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
 
 
 def _check_rates(kind: str, rates: object, size: int) -> None:
-    given = len(rates) if isinstance(rates, (tuple, list)) else None
-    if given != size:
-        shown = _checks.show(rates) if given is None else f"{given}"
+    if not isinstance(rates, (tuple, list)) or len(rates) != size:
+        shown = f"{len(rates)}" if isinstance(rates, (tuple, list)) else _checks.show(rates)
         raise ValueError(
             f"Argument rates of a {kind} must return a tuple of {size} numbers, one for each of state_names, but "
             f"{shown} was given."

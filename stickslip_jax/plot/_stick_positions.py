@@ -1,6 +1,6 @@
 """Where complete sticks begin, on the first coordinate of the system, and how long they can last there."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -55,7 +55,7 @@ def placed_sticks(
             "histogram(result), their durations."
         )
     whole = system.coordinates[0].period
-    voltage = unphased(bound)
+    voltage: Any = unphased(bound)  # the user's, until it is checked
     if voltage is not None and np.ndim(getattr(system, "mu", 0.0)) > 0:
         raise ValueError(
             "Argument system must be given with the bound, which is that of one MotorCart, but a batch of shape "

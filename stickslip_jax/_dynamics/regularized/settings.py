@@ -42,6 +42,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         threshold = width if system.static_exceeds_kinetic else Switch(width, method.shape).creep(jnp.asarray(speed))
     duration = method.minimum_duration
     if duration is None:
+        assert deceleration is not None
         # Without friction nothing sticks, however slowly the mass passes through.
         slows = jnp.asarray(deceleration) > 0
         never = min(_checks.LARGEST, float(jnp.finfo(dtype).max))
