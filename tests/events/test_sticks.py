@@ -11,7 +11,7 @@ import stickslip_jax as ss
 from stickslip_jax._events.sticks import NUMBERS, FlatSticks, Sticks, ending_of, with_columns
 
 
-@pytest.mark.parametrize(("is_stick", "released", "cut"), itertools.product((False, True), repeat=3))
+@pytest.mark.parametrize(("is_stick", "released", "cut"), list(itertools.product((False, True), repeat=3)))
 def test_a_stick_is_released_or_cut_or_ended_by_a_switch(is_stick, released, cut):
     ended = ss.Ending.RELEASED if released else ss.Ending.HORIZON if cut else ss.Ending.BASE_SWITCHED
     code = ending_of(jnp.asarray(is_stick), jnp.asarray(released), jnp.asarray(cut))
