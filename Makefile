@@ -44,8 +44,11 @@ coverage: $(READY)
 versions:
 	$(PYTHON) tools/versions.py --tests $(FAST)
 
+# Folder by folder, each in processes of its own: what JAX has compiled stays in memory, more than 10 GB of it in the end.
 check-slow: $(READY)
-	$(BIN)/python -m pytest -m slow -n auto --dist worksteal
+	failed=; for folder in $$(grep -rl --include='test_*.py' 'mark\.slow' tests | cut -d/ -f1-2 | sort -u); do \
+		$(BIN)/python -m pytest -m slow -n auto --dist worksteal $$folder || failed="$$failed $$folder"; \
+	done; test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
 
 # The notebooks at full size, as .ipynb files with their figures.
 notebooks: $(READY)
