@@ -128,7 +128,7 @@ STATISTICS = {
     statistic.name: statistic
     for statistic in (stick_fraction, mean_stick_count, mean_slip_count, mean_stick_duration, mean_slip_duration)
 }
-"""What studies and sweeps estimate, by name; without the mean total stick time, which only repeats the stick fraction."""
+"""What studies and sweeps estimate, by name; without the mean total stick time, which repeats the stick fraction."""
 
 DIFFERENTIABLE = tuple(one for one in (*STATISTICS.values(), mean_total_stick_time) if one.is_of_sticks)
 """The statistics that `sensitivity` takes: the lanes that follow derivatives count sticks, not slips."""
