@@ -56,7 +56,6 @@ ROWS = (
 )
 CIRCLES = {
     tuple(f"_dynamics/{name}" for name in ("method", "regularized", "switched", "time_scales", "validation")),
-    ("_statistics/ensemble_statistics", "_statistics/slip_statistics", "_statistics/summary"),
 }
 """Known circles of files and subfolders that import each other. None may be added; one undone leaves the list."""
 
