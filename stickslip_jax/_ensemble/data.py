@@ -68,6 +68,21 @@ def same_object(one: Any, other: Any) -> bool:
         return one is other
 
 
+class GivenMotions(eqx.Module):
+    """The base motions of all samples, which were given and not drawn: `bases` has a leading axis of samples."""
+
+    bases: Any
+
+    def base(self, number: int) -> Any:
+        """The base motion of sample `number`."""
+        return jax.tree.map(lambda leaf: single(leaf[number]) if np.ndim(leaf) else leaf, self.bases)
+
+
+def single(entry: Any) -> Any:
+    """One entry of a batch: a plain number, or an array of JAX."""
+    return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
+
+
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class EnsembleData:
     """The fields of an `Ensemble`, which says what they are, and what follows from them alone."""
@@ -108,7 +123,8 @@ class EnsembleData:
         """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
         samples = self.first_sample + self.samples if self.design is None else self.design
         key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
-        return Inputs.of(Model(self.system, law_of(self.law), self.y0), samples, key, self.copula)
+        law = self.law if isinstance(self.law, GivenMotions) else law_of(self.law)
+        return Inputs.of(Model(self.system, law, self.y0), samples, key, self.copula)
 
     def finished_sticks(self) -> FlatSticks:
         """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.

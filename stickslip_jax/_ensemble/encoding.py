@@ -19,8 +19,7 @@ from .._numerics.moments import Moments
 from .._numerics.power_sums import PowerSums
 from .._statistics.accumulator import StickAccumulator
 from .._uncertainty.design import Design
-from .data import Origin
-from .origins import GivenMotions
+from .data import GivenMotions, Origin
 from .unknown import Unknown, UnknownSystem
 
 _SHORT = 32  # entries: longer arrays stand beside the JSON

@@ -14,8 +14,8 @@ from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._status import Ending
 from .._systems.system import Coordinate
+from .data import GivenMotions, single
 from .measured import measured_sticks
-from .origins import GivenMotions, single
 from .parts import EnsembleAccumulator, Part
 from .unknown import Unknown, UnknownSystem
 

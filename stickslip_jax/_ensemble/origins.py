@@ -4,12 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .data import EnsembleData, Origin
+from .data import EnsembleData, GivenMotions, Origin, single
 from .unknown import require_known
 
 Data = TypeVar("Data", bound=EnsembleData)
@@ -21,21 +20,6 @@ class Realization(NamedTuple):
     system: Any
     base: Any
     y0: tuple[float, ...]
-
-
-class GivenMotions(eqx.Module):
-    """The base motions of all samples, which were given and not drawn: `bases` has a leading axis of samples."""
-
-    bases: Any
-
-    def base(self, number: int) -> Any:
-        """The base motion of sample `number`."""
-        return jax.tree.map(lambda leaf: single(leaf[number]) if np.ndim(leaf) else leaf, self.bases)
-
-
-def single(entry: Any) -> Any:
-    """One entry of a batch: a plain number, or an array of JAX."""
-    return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
 
 
 def origins_of(ensemble: EnsembleData) -> tuple[Origin, ...]:
