@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import PyTree
 
 from .._fields import is_of_package
@@ -66,7 +67,7 @@ class Merged(PiecewiseConstantLaw):
         counts = began < self.t1
         return jnp.where(counts, total, jnp.inf), jnp.where(counts, velocity, 0), (following, began + total)
 
-    def _following(self, key_data: KeyData, present: _Present, dtype: np.dtype) -> _Present:
+    def _following(self, key_data: KeyData, present: _Present, dtype: DTypeLike) -> _Present:
         """The law's memory, number, duration and velocity after the interval with the `present` ones."""
         memory, number, duration, _ = present
         more, velocity, memory = self.law.next_interval(memory, self.law.draw(key_data, number, dtype), dtype)

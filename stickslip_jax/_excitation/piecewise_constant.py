@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PyTree
 
 from .. import _checks
@@ -115,14 +116,14 @@ class PiecewiseConstantLaw(SegmentLaw):
     only_with: ClassVar = {"next_segment": ("next_interval",)}
 
     @abc.abstractmethod
-    def next_interval(self, memory: PyTree, drawn: PyTree, dtype: np.dtype) -> Interval:
+    def next_interval(self, memory: PyTree, drawn: PyTree, dtype: DTypeLike) -> Interval:
         """Duration (s) and velocity (m/s) of an interval, and the memory for the next.
 
         Neighbours of equal velocity count as one interval. A duration of 0 means that there is no further interval. A
         negative duration, or a velocity that is not finite, ends the sample with ``Status.BASE_INVALID``.
         """
 
-    def all_intervals(self, memory: PyTree, drawn: PyTree, number: int, dtype: np.dtype) -> tuple[Each, Each]:
+    def all_intervals(self, memory: PyTree, drawn: PyTree, number: int, dtype: DTypeLike) -> tuple[Each, Each]:
         """Durations and velocities of the first intervals, one after the other.
 
         Override it where all can be computed at once, which is faster.
@@ -146,7 +147,7 @@ class PiecewiseConstantLaw(SegmentLaw):
     def segments(self, t1: Scalar) -> int:
         return self.capacity(t1)
 
-    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: np.dtype):
+    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: DTypeLike):
         duration, velocity, memory = self.next_interval(memory, drawn, dtype)
         return duration, velocity, jnp.zeros((), dtype), memory
 
@@ -214,7 +215,7 @@ class GivenSteps(PiecewiseConstantLaw):
 
 
 @partial(jax.jit, static_argnames=("capacity", "dtype"))
-def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype: np.dtype) -> tuple[Each, Each]:
+def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype: DTypeLike) -> tuple[Each, Each]:
     """Durations and velocities of the first `capacity` intervals."""
     drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
     return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)

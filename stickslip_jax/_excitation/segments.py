@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.errors import ConcretizationTypeError
+from jax.typing import DTypeLike
 from jaxtyping import PyTree, UInt32
 
 from .. import _checks
@@ -106,16 +107,16 @@ class SegmentLaw(Checked, Motion):
     def segments(self, t1: Scalar) -> int:
         """The number of segments that nearly every realisation on ``[0, t1]`` needs at most; `t1` (s) is not traced."""
 
-    def begin(self, key_data: KeyData, dtype: np.dtype) -> PyTree:
+    def begin(self, key_data: KeyData, dtype: DTypeLike) -> PyTree:
         """The memory before the first segment, drawn by the key data: an array or a tuple of arrays. Default: none."""
         return ()
 
     @abc.abstractmethod
-    def draw(self, key_data: KeyData, number: Word, dtype: np.dtype) -> PyTree:
+    def draw(self, key_data: KeyData, number: Word, dtype: DTypeLike) -> PyTree:
         """What is random (or looked up) about segment `number`, from the key data and that number alone."""
 
     @abc.abstractmethod
-    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: np.dtype) -> DrawnSegment:
+    def next_segment(self, memory: PyTree, drawn: PyTree, dtype: DTypeLike) -> DrawnSegment:
         """Duration (s), value at its beginning and slope (value per s) of a segment, and the memory for the next.
 
         A duration of 0 means that there is no further segment. A negative duration, or a value or slope that is not
@@ -123,7 +124,7 @@ class SegmentLaw(Checked, Motion):
         """
 
     @staticmethod
-    def uniforms(key_data: KeyData, number: Word | None, dtype: np.dtype) -> tuple[FloatScalar, FloatScalar]:
+    def uniforms(key_data: KeyData, number: Word | None, dtype: DTypeLike) -> tuple[FloatScalar, FloatScalar]:
         """Two independent random numbers, uniform on (0, 1), for segment `number`; None: for `begin`.
 
         A `RandomNumber` makes others of them: ``ss.Weibull(2.0, 1.5).icdf(u)``. To draw more than two, or by other
@@ -276,7 +277,7 @@ class VelocitySegments(GivenSegments):
     """
 
 
-def first_segment(law: SegmentLaw, key_data: KeyData, dtype: np.dtype) -> SegmentState:
+def first_segment(law: SegmentLaw, key_data: KeyData, dtype: DTypeLike) -> SegmentState:
     """The first segment of the realisation that `key_data` draw."""
     zero = jnp.zeros((), dtype)
     memory = law.begin(key_data, dtype)
@@ -285,7 +286,7 @@ def first_segment(law: SegmentLaw, key_data: KeyData, dtype: np.dtype) -> Segmen
     return following_segment(law, segment_state, dtype)
 
 
-def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype: np.dtype) -> SegmentState:
+def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype: DTypeLike) -> SegmentState:
     """The segment after the present one."""
     drawn = law.draw(segment_state.key_data, segment_state.number, dtype)
     duration, value, slope, memory = law.next_segment(segment_state.memory, drawn, dtype)
@@ -339,7 +340,7 @@ def _lasts(durations: PerSegment, t1: Scalar) -> bool:
 
 
 @partial(jax.jit, static_argnames=("size", "dtype"))
-def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: np.dtype) -> tuple[PerSegment, PerSegment, PerSegment]:
+def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: DTypeLike) -> tuple[PerSegment, PerSegment, PerSegment]:
     """Durations, values and slopes of the first `size` segments; zeros after the last."""
     words = (key_data[0], key_data[1])
 
@@ -354,7 +355,7 @@ def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: np.dtype) -> tup
     return lax.scan(step, start, jnp.arange(size, dtype=jnp.uint32))[1]
 
 
-def drawn_sign(first_sign: str, key_data: KeyData, dtype: np.dtype) -> FloatScalar:
+def drawn_sign(first_sign: str, key_data: KeyData, dtype: DTypeLike) -> FloatScalar:
     """1 or -1: the `first_sign`, "positive" or "negative", or a random one drawn by `key_data`."""
     if first_sign != "random":
         return jnp.asarray(1 if first_sign == "positive" else -1, dtype)

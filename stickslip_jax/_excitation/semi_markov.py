@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from .. import _checks
 from .._claims import keeps
@@ -194,7 +195,7 @@ def _check_values(speed: RandomNumber) -> None:
         )
 
 
-def _shares(values: Discrete, dtype: np.dtype) -> Float[Array, " values"]:
+def _shares(values: Discrete, dtype: DTypeLike) -> Float[Array, " values"]:
     """The probabilities of the values."""
     if values.probabilities is None:
         return jnp.full(len(values.values), 1 / len(values.values), dtype)
