@@ -3,7 +3,6 @@
 from typing import NamedTuple, cast
 
 import numpy as np
-from jax.typing import DTypeLike
 
 from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
@@ -12,7 +11,7 @@ from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.known import largest
 from .._systems.mass_spring import MassSpring
 from .._systems.system import System
-from .._types import AnyArray, Number, Scalar
+from .._types import AnyArray, DType, Number, Scalar
 from .._uncertainty.inputs import Inputs
 from .common.engine import Engine
 from .common.method import Exact, Regularized
@@ -41,12 +40,12 @@ class ByIntervals(NamedTuple):
 
     arguments: Arguments
 
-    def follow(self, y0: tuple[Number, ...], dtype: DTypeLike) -> tuple[Exact | Regularized, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: DType) -> tuple[Exact | Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         return method, follow_intervals(system, base, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Number, ...], dtype: DTypeLike) -> IntervalEngine:
+    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> IntervalEngine:
         """The engine that simulates samples of the law."""
         system, base, _, t1 = self.arguments
         (law,) = excitation_of(base).base
@@ -58,13 +57,13 @@ class BySteps(NamedTuple):
 
     arguments: Arguments
 
-    def follow(self, y0: tuple[Number, ...], dtype: DTypeLike) -> tuple[Exact, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: DType) -> tuple[Exact, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         assert isinstance(method, Exact)
         return method, follow_steps(system, base, method, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Number, ...], dtype: DTypeLike) -> SwitchedEngine:
+    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
         system, _, method, t1 = self.arguments
         excitation, step = self.arguments.checked_step("law")
@@ -79,13 +78,13 @@ class Smoothed(NamedTuple):
 
     arguments: Arguments
 
-    def follow(self, y0: tuple[Number, ...], dtype: DTypeLike) -> tuple[Regularized, Run]:
+    def follow(self, y0: tuple[Number, ...], dtype: DType) -> tuple[Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
         assert isinstance(method, Regularized)
         return follow_regularized(system, base, method, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Number, ...], dtype: DTypeLike) -> FixedEngine | AdaptiveBatch:
+    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> FixedEngine | AdaptiveBatch:
         """The engine that simulates samples of the law."""
         system, base, method, t1 = self.arguments
         excitation = excitation_of(base, "law")
@@ -121,7 +120,7 @@ def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
 
 
 def lanes_for(
-    system: System, law: BaseMotion, method: Exact | Regularized, t1: float, y0: tuple[Number, ...], dtype: DTypeLike
+    system: System, law: BaseMotion, method: Exact | Regularized, t1: float, y0: tuple[Number, ...], dtype: DType
 ) -> Engine | AdaptiveBatch:
     """The engine that simulates samples of `law`, with its arguments checked."""
     if isinstance(law, PiecewiseConstantLaw):
@@ -130,7 +129,7 @@ def lanes_for(
 
 
 def sample_engines(
-    inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype: DTypeLike, first: int, number: int
+    inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype: DType, first: int, number: int
 ) -> Engines:
     """The engines of samples ``first .. first + number - 1``, whose `inputs` differ."""
 
@@ -142,7 +141,7 @@ def sample_engines(
     return engines_of(build, inputs.drawn(first, number, dtype), base)
 
 
-def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype: DTypeLike) -> Engines:
+def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtype: DType) -> Engines:
     """The engines of all samples: one that stands for all, and which of its leaves are drawn for each sample.
 
     Of the drawn leaves, those of the first samples only are returned.

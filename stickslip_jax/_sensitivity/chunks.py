@@ -14,7 +14,7 @@ from .._dynamics.common.engine import Engine
 from .._dynamics.common.lanes import Job, summarize
 from .._numerics.moments import Moments
 from .._status import Status
-from .._types import AnyArray, Array, IntArray
+from .._types import AnyArray, Array, DType, IntArray
 from .._uncertainty.numbers import Path, number_at, with_numbers
 from .sequences import BufferSizes, Features, features_of, record_sequences
 from .statistic import StickStatistic
@@ -82,7 +82,7 @@ def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: in
 
 
 def derivatives_of(
-    function: Callable[[Array], tuple[_Value, _Other]], engine: Engine, paths: tuple[Path, ...], dtype: np.dtype
+    function: Callable[[Array], tuple[_Value, _Other]], engine: Engine, paths: tuple[Path, ...], dtype: DType
 ) -> tuple[_Value, _Value, _Other]:
     """Value of `function` of the engine's numbers at `paths`, its derivatives along a first axis, its other output.
 
@@ -108,7 +108,7 @@ _Slopes: TypeAlias = tuple[Array, tuple[Array, ...], tuple[Array, ...]]
 
 
 def _count(
-    job: Job, *, paths: tuple[Path, ...], lanes: int, rows: int, dtype: np.dtype
+    job: Job, *, paths: tuple[Path, ...], lanes: int, rows: int, dtype: DType
 ) -> tuple[tuple[Array, Array], _Slopes, IntArray]:
     """Total stick time and number of sticks, their derivatives by the numbers at `paths`, and status; (rows, lanes)."""
 
@@ -137,7 +137,7 @@ def _sequence(
     paths: tuple[Path, ...],
     lanes: int,
     buffer: BufferSizes,
-    dtype: np.dtype,
+    dtype: DType,
 ) -> tuple[Features, Features, RecordedCounts]:
     """`Features`, their derivatives by the numbers at `paths` along a first axis, and the counts of each lane.
 
@@ -154,7 +154,7 @@ def _sequence(
 
 
 def _values(
-    statistic: StickStatistic, job: Job, *, lanes: int, buffer: BufferSizes, dtype: np.dtype
+    statistic: StickStatistic, job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType
 ) -> tuple[Float[Array, "lanes 2"], RecordedCounts]:
     """Parts of the statistic, and the counts of each lane. `buffer.candidates` must be 0."""
     recorded = record_sequences(job, lanes=lanes, buffer=buffer, dtype=dtype)

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.interval.crossing import Scales, status_of
 from .._dynamics.interval.engine import IntervalEngine
-from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
+from .._types import AnyArray, Array, BoolArray, DType, FloatArray, IntArray, Scalar
 from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances
 from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel, zero_with_derivative
 from .recording import IntervalRecording
@@ -51,7 +50,7 @@ class BoundarySums(NamedTuple):
     in_window: tuple[FloatArray, ...]
 
     @classmethod
-    def start(cls, windows: int, dtype: np.dtype) -> "BoundarySums":
+    def start(cls, windows: int, dtype: DType) -> "BoundarySums":
         """The sums at the beginning of a sample, all zero."""
         zeros = (jnp.zeros((), dtype),) * windows
         return cls(zeros, zeros)

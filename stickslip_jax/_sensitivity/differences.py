@@ -20,7 +20,7 @@ from .._ensemble.parts import RETAINED
 from .._ensemble.setup import EnsembleSetup
 from .._events.sticks import FlatSticks
 from .._statistics.accumulator import Numbering
-from .._types import AnyArray
+from .._types import AnyArray, DType
 from .._uncertainty.inputs import Model
 from .._uncertainty.numbers import Parameter, Path, check_numbers, with_numbers
 from .chunks import RecordedCounts, Rows, run_chunks, units_of, value_chunk
@@ -200,7 +200,7 @@ def _simulated(problem: Problem, model: Model) -> _ValuesOf:
     return values
 
 
-def _parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: np.dtype) -> np.ndarray:
+def _parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: DType) -> np.ndarray:
     most = 8 * -(-(int(sticks.count.max()) + 1) // 8)  # few sizes: each is compiled
     slots = np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count)
     columns = np.zeros((2, len(sticks.count), most), dtype)

@@ -14,7 +14,7 @@ from .._dynamics.common.engine import Engine
 from .._dynamics.interval.crossing import Scales, scales_of, start_motion
 from .._dynamics.interval.engine import IntervalEngine
 from .._numerics.random_bits import random_words
-from .._types import Array
+from .._types import Array, DType
 from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
 from .boundaries import relative_excess
 from .problem import Problem
@@ -79,7 +79,7 @@ def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Ar
     return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], velocity.dtype))
 
 
-def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: np.dtype) -> Float[Array, " lanes"]:
+def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: DType) -> Float[Array, " lanes"]:
     """The first base velocity of each lane, m/s."""
 
     def of(high, low):
@@ -121,7 +121,7 @@ def _is_shared(problem: Problem, parameter: Parameter) -> bool:
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
 def _with_slopes(
-    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[Path, ...], dtype: np.dtype
+    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[Path, ...], dtype: DType
 ) -> tuple[Array, Array]:
     """Values of the function, and its derivatives by the parameters along a last axis."""
 

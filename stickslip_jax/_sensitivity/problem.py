@@ -14,7 +14,7 @@ from .._excitation.excitation import BaseMotion, path_in_excitation
 from .._excitation.merged import merged, path_in_merged
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._systems.system import System
-from .._types import AnyArray, Array, Scalar
+from .._types import AnyArray, Array, DType, Scalar
 from .._uncertainty.inputs import Inputs, Model
 from .._uncertainty.numbers import Parameter, Path
 from .random_inputs import RandomInputs
@@ -51,7 +51,7 @@ class Problem(NamedTuple):
     samples: int
     threads: int
     chunk: int | None
-    dtype: np.dtype
+    dtype: DType
     random: RandomInputs | None = None
     model: Model | None = None
 

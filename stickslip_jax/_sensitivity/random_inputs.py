@@ -11,13 +11,12 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.varying import VaryingEngine
 from .._dynamics.engine_choice import engines_of_all, sample_engines
-from .._types import AnyArray
+from .._types import AnyArray, DType
 from .._uncertainty.inputs import Inputs
 from .._uncertainty.numbers import Path
 from .._uncertainty.random_number import RandomNumber
@@ -64,11 +63,11 @@ class RandomInputs(NamedTuple):
     origins: tuple[int | None, ...]
     method: Exact | Regularized
     t1: float
-    dtype: np.dtype
+    dtype: DType
 
     @classmethod
     def of(
-        cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: np.dtype, paths: tuple[Path, ...]
+        cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: DType, paths: tuple[Path, ...]
     ) -> "RandomInputs":
         """The engine of all samples of `inputs`; distributions with parameters at `paths` are its sources."""
         template, places, _, origins = engines_of_all(inputs, method, t1, dtype)

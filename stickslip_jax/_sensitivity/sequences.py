@@ -12,13 +12,12 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.lanes import Job, follow_block, lanes_at_start
-from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray
+from .._types import AnyArray, Array, BoolArray, DType, FloatArray, IntArray
 from .boundaries import BoundaryDistances, vanishes_from_start
 from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel
 from .random_inputs import constants_of, single_engine, wrapped
@@ -61,7 +60,7 @@ class Features(NamedTuple):
     in_window: Float[Array, "lanes windows"]
 
 
-def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: np.dtype) -> LaneSticks:
+def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType) -> LaneSticks:
     """Simulate the first row of a job's samples for up to `buffer.blocks` blocks; keep sticks and candidates.
 
     The engine is one that `recording` made, or `wrapped` by it.
