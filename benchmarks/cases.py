@@ -184,10 +184,10 @@ def _regularized(samples: int, settings: dict[str, Any] | None, sizes: Sizes) ->
 
 
 def _sensitivity(motion: str | None, options: dict[str, Any] | None, sizes: Sizes) -> Run:
-    """For the default study d(pooled mean stick duration)/d mu; for an ensemble in time steps d(mean number)/d mu; or
-    (no `options`) the value alone.
+    """At mu = 0.9 (at 1, w = 2, there is none) d(pooled mean stick duration)/d mu; for an ensemble in time steps
+    d(mean number)/d mu; or (no `options`) the value alone.
     """
-    moved, law, y0 = (system(), LAW, START) if motion is None else ENSEMBLES[motion](sizes)
+    moved, law, y0 = (system(0.9), LAW, START) if motion is None else ENSEMBLES[motion](sizes)
     statistic = ss.mean_stick_duration if motion is None else ss.mean_stick_count
     t1, samples = (T1, sizes.sensitivity) if motion is None else (sizes.stepped_t1, sizes.sensitivity_compiled)
 
