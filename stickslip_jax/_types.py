@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, ForwardRef, TypeAlias
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Real, UInt32
 
-Scalar: TypeAlias = Real[Array, ""] | float
-"""A single real number: a Python float or a zero-dimensional array (traced or not)."""
+Scalar: TypeAlias = Real[Array, ""] | float | int
+"""A single real number: of Python, or a zero-dimensional array (traced or not)."""
 
 Number: TypeAlias = Any
 """A real number; for `simulate_ensemble` also an array with one for each sample, or a distribution."""

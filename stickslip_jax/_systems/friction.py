@@ -291,11 +291,11 @@ def times_of_slips(
     """
     scale, held = friction.speed_scale, friction.static * normal_force
     drag = friction.viscous_slope * normal_force + (0.0 if damping is None else damping)
-    passes = not (scale is None or _is(scale, math.inf) or _is(held, 0))
-    return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0) else mass / drag
+    passes = not (scale is None or _is(scale, math.inf) or _is(held, 0.0))
+    return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0.0) else mass / drag
 
 
-def _is(number: Scalar, value: float | int) -> bool:
+def _is(number: Scalar, value: float) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
 
 
