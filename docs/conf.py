@@ -29,6 +29,8 @@ add_module_names = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 python_use_unqualified_type_names = True
+napoleon_use_ivar = True  # autodoc describes the attributes themselves besides
+napoleon_attr_annotations = False  # shapes such as "*times" are no markup
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"stickslip_jax {release}"

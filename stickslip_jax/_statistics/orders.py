@@ -36,7 +36,7 @@ class OrderStatistics(ByQuantity):
 
     - `share`: the share of samples that have it.
     - `start`, `duration` (s), and of sticks `position` (m; of a motor rad): each a `Distribution`; `distributions`:
-      these by the names of their quantities, which for slips begin with "slip_".
+      these by the names of their quantities, for slips `slip_start` and so on.
     """
 
     number: int
