@@ -117,7 +117,8 @@ def _check_parts(body: dict[str, Any]) -> None:
             raise UnreadableError(f"its {name} is missing")
     wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
-        for name in {*names} ^ body[part].keys():
+        there = body[part]
+        for name in (*(name for name in names if name not in there), *(name for name in there if name not in names)):
             raise UnreadableError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
 
 
