@@ -10,7 +10,7 @@ ROUNDS ?= 15
 ONLY ?=
 # Own processes, a trajectory and its derivatives, ensembles, statistics, sensitivities.
 FAST := $(addprefix tests/,package/test_fresh_process.py simulation/test_derivatives.py statistics/test_streaming.py \
-	statistics/test_edges.py sensitivity/test_edges.py)
+	statistics/test_edges.py sensitivity/test_boundaries.py)
 # What is cheap to measure: a tracer costs about a third more of the Python that runs, and hardly shows in compilations.
 # Processes of their own are not seen.
 MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics excitation package/test_bad_input.py \
