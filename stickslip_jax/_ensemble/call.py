@@ -243,10 +243,10 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
         results = SampleTotals(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
-        *numbers, ending = (np.asarray(column).T for column in records)
+        values = np.stack([np.asarray(column).T for column in records.columns.values()], axis=1)
         sticks = StickCollector()
         sticks.restart(number)
-        sticks.add(np.stack(numbers, axis=1), ending, np.arange(plan.lanes)[None, :])
+        sticks.add(values, np.asarray(records.ending).T, np.arange(plan.lanes)[None, :])
         return Part.of(results, sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
 
     return simulate

@@ -7,7 +7,8 @@ import numpy as np
 
 from .._dynamics.common.engine import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._events.sticks import FURTHER, FlatSticks
+from .._events.stick_quantities import QUANTITIES
+from .._events.sticks import FlatSticks
 from .._statistics.conventions import labeled_dataset, variable
 from .._statistics.totals import TOTALS
 from .._status import Ending, Status
@@ -51,7 +52,7 @@ def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> dict[str
     position = ensemble.system.stick_position
     further = {
         f"stick_{name}": variable("stick", getattr(sticks, name), one.label, one.unit or position.unit)
-        for name, one in FURTHER.items()
+        for name, one in QUANTITIES.items()
     }
     first = ensemble.first_sample if sample == "sample" else 0
     folded = {} if position.period is None else {"period": position.period}

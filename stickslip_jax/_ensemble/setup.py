@@ -14,6 +14,7 @@ from .._dynamics.common.validation import check_method, state_of, working_dtype
 from .._dynamics.common.varying import VaryingEngine, with_leaves
 from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
 from .._dynamics.regularized.engine import AdaptiveBatch, FixedEngine
+from .._events.stick_quantities import ALL
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
@@ -95,6 +96,8 @@ class EnsembleSetup:
                 "was given."
             )
         engine, places, method = _engine_of(inputs, first, method, t1, dtype)
+        if keep != "totals" and isinstance(engine, Engine):
+            engine = engine.asked(ALL)
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         return cls(engine, places, inputs, method, key_data, random, dtype, float(t1), numbering, period)
 

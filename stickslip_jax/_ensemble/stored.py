@@ -9,7 +9,8 @@ import numpy as np
 
 from .. import _checks
 from .._dynamics.common.engine import SampleTotals
-from .._events.sticks import FURTHER, NUMBERS, FlatSticks
+from .._events.stick_quantities import QUANTITIES
+from .._events.sticks import NUMBERS, FlatSticks
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
@@ -157,7 +158,7 @@ def _origin(origin: Any, position: Coordinate) -> Any:
 
 def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
     # A file of a version that had fewer columns is as good as any: the others are not known.
-    names = [name for name in (*NUMBERS, "ending") if name not in FURTHER or f"stick_{name}" in dataset]
+    names = [name for name in (*NUMBERS, "ending") if name not in QUANTITIES or f"stick_{name}" in dataset]
     columns = {name: dataset[f"stick_{name}"].to_numpy() for name in names}
     sticks = FlatSticks.of(dataset["stick_count"].to_numpy(), **columns)
     owner, first = dataset["stick_sample"].to_numpy(), dataset[sample].to_numpy()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .._events.sticks import FURTHER
+from .._events.stick_quantities import QUANTITIES
 from .._files import file_for_user, file_to_write
 from .._statistics.quantities import STICK_QUANTITIES
 from .._status import Ending
@@ -19,7 +19,7 @@ def write_sticks(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite
     """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
     sticks = ensemble.require_sticks()
     position = ensemble.system.stick_position.unit
-    units = {one.name: one.unit for one in STICK_QUANTITIES} | {name: one.unit for name, one in FURTHER.items()}
+    units = {one.name: one.unit for one in STICK_QUANTITIES} | {name: one.unit for name, one in QUANTITIES.items()}
     columns = {
         "sample": sticks.sample,
         "order": ensemble.numbering.order_of(sticks),

@@ -1,6 +1,6 @@
 """Sticks of trajectories and the slips between them: as engines record them, and as results return them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -11,43 +11,30 @@ from jaxtyping import Bool, Float, Int, Real
 
 from .._status import Ending
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
+from .stick_quantities import QUANTITIES
 
 
 class StickRecord(NamedTuple):
     """The stick of one interval or step, if any: times in s, position in m, and an `Ending` code, or -1 for no stick.
 
-    The definition of the columns of a stick. To add one: a field here before `ending`, computed by the three engines
-    that make records (in `_dynamics`: `interval/engine.py`, `switched/engine.py`, `regularized/stick_detector.py`), its
-    line in `FURTHER`, and a field of `Sticks`, which users see. All else that holds sticks, files and tables included,
-    has the columns that stand here.
+    `quantities`: those of `stick_quantities` that are asked for, by name.
     """
 
     start: FloatArray
     end: FloatArray
     position: FloatArray
-    slip_displacement: FloatArray
+    quantities: dict[str, FloatArray]
     ending: IntArray
 
     @property
-    def numbers(self) -> tuple[FloatArray, ...]:
-        """All columns but the ending."""
-        return self[:-1]
+    def columns(self) -> dict[str, FloatArray]:
+        """All columns but the ending, by name."""
+        further = {name: self.quantities[name] for name in QUANTITIES if name in self.quantities}
+        return {"start": self.start, "end": self.end, "position": self.position, **further}
 
 
-NUMBERS = StickRecord._fields[:-1]
+NUMBERS = ("start", "end", "position", *QUANTITIES)
 """Names of the columns of a stick, without the ending."""
-
-
-class Column(NamedTuple):
-    """Description of a column: its name in tables and figures, and its unit (None: that of the position)."""
-
-    label: str
-    unit: str | None
-
-
-FURTHER = {"slip_displacement": Column("displacement in the slip before the stick", None)}
-"""The columns after start, end and position; a file or a table of measured sticks may lack them (NaN then)."""
-assert tuple(FURTHER) == NUMBERS[3:]
 
 
 def ending_of(is_stick: BoolArray, released: BoolArray, cut: BoolArray) -> IntArray:
@@ -74,6 +61,15 @@ def start_totals(dtype) -> Totals:
     return Totals(none, none, jnp.zeros((), dtype))
 
 
+def with_stick(totals: Totals, is_stick: BoolArray, censored: BoolArray, duration: FloatArray) -> Totals:
+    """The totals after a step in which a stick of this `duration` (s) ended, if one did; `censored`: by the horizon."""
+    return Totals(
+        sticks=totals.sticks + is_stick,
+        censored=totals.censored + (is_stick & censored),
+        stick_time=totals.stick_time + jnp.where(is_stick, duration, 0),
+    )
+
+
 def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
     """Number of slips: one between two sticks, one before them unless `at_start`, one after them unless censored."""
     return totals.sticks + 1 - at_start.astype(jnp.int32) - totals.censored
@@ -91,9 +87,10 @@ def closed_up(records: StickRecord) -> StickRecord:
     return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1))
 
 
-def no_stick(dtype: Any) -> StickRecord:
-    """The record of a step in which no stick ended."""
-    return StickRecord._make((*[jnp.zeros((), dtype)] * len(NUMBERS), jnp.asarray(-1, jnp.int8)))
+def no_stick(dtype: Any, quantities: Iterable[str]) -> StickRecord:
+    """The record of a step in which no stick ended, with these `quantities`."""
+    zero = jnp.zeros((), dtype)
+    return StickRecord(zero, zero, zero, dict.fromkeys(quantities, zero), jnp.asarray(-1, jnp.int8))
 
 
 class Sticks(eqx.Module):
@@ -159,8 +156,12 @@ class Slips(eqx.Module):
 
 def sticks_in_order(records: StickRecord) -> Sticks:
     """The `Sticks` in the records of one trajectory, arrays (records,); differentiable, fixed size."""
-    ordered = closed_up(records)
-    return Sticks(*ordered, ordered.ending >= 0)
+    return sticks_of(closed_up(records))
+
+
+def sticks_of(ordered: StickRecord) -> Sticks:
+    """The `Sticks` of a trajectory from its records in order, which hold all quantities."""
+    return Sticks(**ordered.columns, ending=ordered.ending, mask=ordered.ending >= 0)
 
 
 def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips:

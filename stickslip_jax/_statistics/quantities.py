@@ -63,7 +63,7 @@ OWN_MEAN_DURATION = SampledQuantity("own_mean_duration", "mean stick duration of
 STICK_QUANTITIES = (START, DURATION, POSITION)
 """Quantities of each stick that are summed over all sticks, and by order, while the sticks stream by.
 
-A new one goes to the end, and has the name of one of the `FURTHER` columns of a stick (`_events/sticks.py`).
+A new one goes to the end, and has the name of one of the `QUANTITIES` of a stick (`_events/stick_quantities.py`).
 """
 
 StickQuantity: TypeAlias = Literal["start", "duration", "position", "slip_before", "slip_start", "slip_duration"]

@@ -12,7 +12,8 @@ import xarray as xr
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._events.sticks import FURTHER, NUMBERS, slips_between
+from stickslip_jax._events.stick_quantities import QUANTITIES
+from stickslip_jax._events.sticks import NUMBERS, slips_between
 from stickslip_jax._statistics.quantities import STICK_QUANTITIES
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -138,10 +139,10 @@ def test_what_a_version_with_fewer_columns_stored_loads(keep):
     """A column that a file lacks is not known: NaN, and all else as it was."""
     whole = ss.simulate_ensemble(SYSTEM, POISSON, samples=90, keep=keep, **RUN)
     data = whole.to_xarray()
-    back = ss.Ensemble.from_xarray(data.drop_vars([f"stick_{name}" for name in FURTHER]))
+    back = ss.Ensemble.from_xarray(data.drop_vars([f"stick_{name}" for name in QUANTITIES]))
     for name in NUMBERS:
         column = getattr(back.finished_sticks(), name)
-        if name in FURTHER:
+        if name in QUANTITIES:
             assert np.all(np.isnan(column))
         else:
             np.testing.assert_array_equal(column, getattr(whole.finished_sticks(), name))

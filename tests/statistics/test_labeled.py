@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 import stickslip_jax as ss
-from stickslip_jax._events.sticks import FURTHER, NUMBERS
+from stickslip_jax._events.stick_quantities import QUANTITIES
+from stickslip_jax._events.sticks import NUMBERS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 
@@ -45,7 +46,7 @@ def test_statistics_as_labeled_arrays(many, tmp_path):
 def test_tables_hold_every_stick(many, tmp_path, ending, read):
     path = many.write_sticks(tmp_path / f"sticks{ending}")
     table, sticks = read(path), many.flat_sticks
-    measured = [f"{name}_{FURTHER[name].unit or 'm'}" if name in FURTHER else f"{name}_m" for name in NUMBERS[2:]]
+    measured = [f"{name}_{QUANTITIES[name].unit or 'm'}" if name in QUANTITIES else f"{name}_m" for name in NUMBERS[2:]]
     assert list(table) == ["sample", "order", "start_s", "end_s", "duration_s", *measured, "is_initial_rest", "ending"]
     for name in ("start", "end", "duration"):
         np.testing.assert_array_equal(table[f"{name}_s"], getattr(sticks, name))

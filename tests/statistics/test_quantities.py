@@ -8,7 +8,7 @@ import pytest
 from support.statistics import made_up_sticks, statistics_of
 
 import stickslip_jax as ss
-from stickslip_jax._events.sticks import FURTHER
+from stickslip_jax._events.stick_quantities import QUANTITIES
 from stickslip_jax._sensitivity.statistic import StickSequence, statistic_of
 from stickslip_jax._statistics import quantities, totals
 
@@ -21,7 +21,7 @@ def test_the_types_of_arguments_name_all_quantities():
     assert set(get_args(ss.TestedQuantity)) == set(quantities.TESTED)
     first, others = quantities.STICK_QUANTITIES[:3], quantities.STICK_QUANTITIES[3:]
     assert first == (quantities.START, quantities.DURATION, quantities.POSITION)
-    assert all(one.name in FURTHER for one in others)
+    assert all(one.name in QUANTITIES for one in others)
 
 
 def test_every_quantity_has_values_a_distribution_and_labels():

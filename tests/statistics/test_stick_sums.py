@@ -11,8 +11,9 @@ import pytest
 from support.statistics import made_up_sticks, sticks_from
 
 import stickslip_jax as ss
+from stickslip_jax._events.stick_quantities import QUANTITIES
 from stickslip_jax._events.stick_stream import StickCollector, StickStream
-from stickslip_jax._events.sticks import FURTHER, NUMBERS, with_columns
+from stickslip_jax._events.sticks import NUMBERS, with_columns
 from stickslip_jax._numerics import loops, numba_loops
 from stickslip_jax._numerics.dyadic import DyadicCounts
 from stickslip_jax._numerics.power_sums import PowerSums
@@ -230,7 +231,7 @@ def test_a_further_quantity_needs_no_loop_of_its_own(rest, monkeypatch):
     stream = collected([(values, ending, sample)], 9)
     skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
     before = stick_sums.sums_of_sticks(stream, skipped, T1), stick_sums.sums_of_orders(stream, skipped, 3)
-    at = NUMBERS.index(next(iter(FURTHER)))
+    at = NUMBERS.index(next(iter(QUANTITIES)))
     monkeypatch.setattr(stick_sums, "_OTHERS", [at])
     monkeypatch.setattr(stick_sums, "_SLIP", 4)
     sums, orders = stick_sums.sums_of_sticks(stream, skipped, T1), stick_sums.sums_of_orders(stream, skipped, 3)

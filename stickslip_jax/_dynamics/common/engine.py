@@ -1,6 +1,7 @@
 """How one trajectory among many is followed: what each engine of ensembles defines."""
 
 import abc
+import dataclasses
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -31,6 +32,10 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
 
     looks_back: ClassVar[bool] = False
     """Whether `after_block` reads the records of the block."""
+
+    def asked(self, quantities: tuple[str, ...]) -> "Engine":
+        """The same engine, whose records hold these `quantities` of each stick; without them it computes none."""
+        return dataclasses.replace(self, quantities=quantities)
 
     @abc.abstractmethod
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, Motion]:

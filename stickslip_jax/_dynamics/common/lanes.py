@@ -162,7 +162,7 @@ def follow_block(
         motion, record = engine.step(shared, sample, motion, drawn)
         if into is None:
             return motion, record if stacks else None
-        return motion, (jnp.stack(record.numbers), record.ending)
+        return motion, (jnp.stack(list(record.columns.values())), record.ending)
 
     def step(carry, drawn):
         motions, records, slot = carry

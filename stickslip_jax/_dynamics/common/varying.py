@@ -34,6 +34,9 @@ class VaryingEngine(Engine):
         """That of the template."""
         return self.template.looks_back
 
+    def asked(self, quantities: tuple[str, ...]) -> "VaryingEngine":
+        return VaryingEngine(self.template.asked(quantities), self.places)
+
     def of_sample(self, own: tuple[Array, ...]) -> Any:
         """The engine of the sample with its `own` leaves."""
         return with_leaves(self.template, self.places, own)

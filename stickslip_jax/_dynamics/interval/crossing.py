@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
+from ..._events.stick_quantities import Remembered, StickSpan, begin_quantities, measured
+from ..._events.sticks import StickRecord, Totals, ending_of, start_totals, with_stick
 from ..._status import Status
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar
@@ -21,13 +22,13 @@ from .arcs import carry_across, sticks_from_start
 class Motion(NamedTuple):
     """The state of the mass: time `t` in s, position `x` in m, velocity divided by omega `p` in m.
 
-    `slid_from`: position where the current slip began, or during a stick where the slip before it began, m.
+    `remembered`: by the quantities of each stick that are asked for.
     """
 
     t: FloatArray
     x: FloatArray
     p: FloatArray
-    slid_from: FloatArray
+    remembered: Remembered
 
 
 class Scales(NamedTuple):
@@ -45,11 +46,14 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
     return Scales(omega, 1 / omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
 
 
-def start_motion(scales: Scales, y0: tuple[Scalar, Scalar]) -> Motion:
-    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's stays equal to the last bit."""
+def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[str, ...] = ()) -> Motion:
+    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's stays equal to the last bit.
+
+    `quantities` of each stick: those that are asked for.
+    """
     dtype = scales.omega.dtype
-    x = jnp.asarray(y0[0], dtype)
-    return Motion(jnp.zeros((), dtype), x, jnp.asarray(y0[1], dtype) * scales.inverse_omega, x)
+    x, p = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.inverse_omega
+    return Motion(jnp.zeros((), dtype), x, p, begin_quantities(x, quantities))
 
 
 def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
@@ -69,21 +73,13 @@ def cross_interval(
     stuck, released = passage.stuck, passage.released
     # A stick ends where the spring reaches the friction limit, or with the interval.
     left_at = jnp.where(released, jnp.where(velocity < 0, -a, a), passage.x)
-    following = Motion(t_end, passage.x, passage.p, jnp.where(stuck, left_at, motion.slid_from))
-    record = StickRecord(
-        start=motion.t + passage.entered * inverse_omega,
-        end=jnp.where(released, motion.t + passage.left * inverse_omega, t_end),
-        position=passage.position,
-        slip_displacement=passage.position - motion.slid_from,
-        ending=ending_of(stuck, released, ~uncut),
-    )
-    totals = Totals(
-        sticks=totals.sticks + stuck,
-        censored=totals.censored + (stuck & ~released & ~uncut),
-        # Not end - start, whose round-off grows with the time since t = 0.
-        stick_time=totals.stick_time + jnp.where(stuck, passage.left - passage.entered, 0) * inverse_omega,
-    )
-    return following, totals, record
+    start = motion.t + passage.entered * inverse_omega
+    end = jnp.where(released, motion.t + passage.left * inverse_omega, t_end)
+    quantities, remembered = measured(motion.remembered, stuck, StickSpan(start, end, passage.position, left_at))
+    record = StickRecord(start, end, passage.position, quantities, ending_of(stuck, released, ~uncut))
+    # Not end - start, whose round-off grows with the time since t = 0.
+    totals = with_stick(totals, stuck, ~released & ~uncut, (passage.left - passage.entered) * inverse_omega)
+    return Motion(t_end, passage.x, passage.p, remembered), totals, record
 
 
 def cross_live_interval(

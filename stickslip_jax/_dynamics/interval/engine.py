@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from ..._compiler import computed_once
@@ -31,17 +32,21 @@ class _Lane(NamedTuple):
 
 
 class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
-    """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0`."""
+    """A `MassSpring` on a base that follows `law`, up to `t1`, from `y0`.
+
+    `quantities` of each stick: those asked for.
+    """
 
     system: MassSpring
     law: PiecewiseConstantLaw
     t1: Scalar
     y0: tuple[Any, ...]
+    quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[_Sample, _Lane]:
         scales = self.shared(dtype)
         x, velocity = self.y0
-        motion = start_motion(scales, (x, velocity))
+        motion = start_motion(scales, (x, velocity), self.quantities)
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
         _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)

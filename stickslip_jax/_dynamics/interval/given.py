@@ -22,13 +22,15 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 
 from ..._compiler import computed_once, native_loop, native_loops_work
-from ..._events.sticks import NUMBERS, StickRecord, Totals, closed_up, start_totals
+from ..._events.stick_quantities import ALL, QUANTITIES
+from ..._events.sticks import StickRecord, Totals, closed_up, start_totals
 from ..._types import Array, IntArray
 from .crossing import Motion, Scales, cross_live_interval, run_intervals, start_motion
-from .ties import is_tie
+from .ties import LAST_LEFT, is_tie
 
 _LANES = 256  # of a block
 _What = Literal["final", "sticks", "beginnings"]
+_ASKED: dict[_What, tuple[str, ...]] = {"final": (), "sticks": ALL, "beginnings": (LAST_LEFT,)}  # quantities of a stick
 
 
 class Given(NamedTuple):
@@ -81,7 +83,7 @@ def _follow(what: _What, given: Given) -> Any:
 
 def _plain(what: _What, given: Given) -> Any:
     """One scan over all intervals, which every transformation of JAX supports."""
-    start = start_motion(given.scales, given.y0)
+    start = start_motion(given.scales, given.y0, _ASKED[what])
     motion, totals, records, began = run_intervals(given.scales, start, given.durations, given.velocities)
     if what == "final":
         return motion, totals
@@ -212,10 +214,10 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
 def _run_block(what: _What, given: Given) -> Any:
     """The results of a block of lanes; all leaves have the lanes as their first axis."""
     durations = given.durations
-    start = jax.vmap(start_motion)(given.scales, given.y0)
+    start = jax.vmap(partial(start_motion, quantities=_ASKED[what]))(given.scales, given.y0)
     totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, start.t.shape), start_totals(durations.dtype))
     buffer: Any = jnp.zeros_like(durations)
-    began = Beginnings(Motion(*[buffer] * len(Motion._fields)), totals.sticks)
+    began = Beginnings(jax.tree.map(lambda _: buffer, start), totals.sticks)
     buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": began}[what]
     block = _Block(jnp.zeros((), jnp.int32), start, totals, buffer)
     block = _cross_all(given.scales, durations, given.velocities, block)
@@ -229,7 +231,7 @@ def _run_block(what: _What, given: Given) -> Any:
 
 
 def _no_sticks(times: Array) -> StickRecord:
-    return StickRecord._make((*[times] * len(NUMBERS), jnp.full(times.shape, -1, jnp.int8)))
+    return StickRecord(times, times, times, dict.fromkeys(QUANTITIES, times), jnp.full(times.shape, -1, jnp.int8))
 
 
 @native_loop

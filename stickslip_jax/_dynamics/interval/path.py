@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..._events.sticks import Sticks, start_totals
+from ..._events.sticks import start_totals, sticks_of
 from ..._excitation.interval_checks import marked
 from ..._excitation.piecewise_constant import VelocitySteps
 from ..._excitation.segments import Segment
@@ -66,6 +66,5 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     final_state = (final.x, final.p * scales.omega)
     began = beginnings(given)
     path = IntervalPath(system, base, t1, began.motion)
-    records = ordered_sticks(given)
-    sticks = Sticks(*records, records.ending >= 0)
+    sticks = sticks_of(ordered_sticks(given))
     return Run(sticks, totals, status_of(final, scales.t1), final.t, final_state, began.near_grazing_count, path)

@@ -23,6 +23,7 @@ from .crossing import Motion, Scales
 # intervals, which grows with the square root of their number (`_TOUCH_ULPS` of `arcs.py`). By chance,
 # 4 of 10^12 intervals of the default study come so close (float32: 4 of 10^4).
 _NEAR_ULPS = {8: 256, 4: 64}
+LAST_LEFT = "slip_displacement"  # the quantity of a stick that remembers where the last one ended
 _CLOCK_ULPS = 4  # the round-off of the time at which an interval begins, in units in the last place
 
 
@@ -81,7 +82,7 @@ def _ties_at_first(scales, began, arc) -> BoolArray:
     """Ties of the first arc: of the place where the mass begins on the base, of tangency, of the edge of the band."""
     a, threshold = scales.half_width, touch(arc.D, arc.q, scales.half_width)
     # After a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
-    released = (jnp.abs(began.slid_from) == a) & (began.t > 0)
+    released = (jnp.abs(began.remembered[LAST_LEFT]) == a) & (began.t > 0)
     returns = released & (jnp.abs(arc.excess) <= threshold)
     tangent = (arc.p < arc.q) & (jnp.abs(arc.excess) <= 2 * threshold) & ~returns
     at_edge = arc.meets & (jnp.abs(arc.h - 2 * a) <= arc.of_h)

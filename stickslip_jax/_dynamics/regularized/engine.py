@@ -2,9 +2,11 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, count_slips, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
@@ -36,8 +38,8 @@ class FixedShared(NamedTuple):
 class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, SampleTotals]):
     """Any system under any excitation, up to `t1`, from `y0`, in fixed steps.
 
-    `method`: with every option filled in (`resolved`). A sample that needs more than `most_steps` is given up. The
-    constant of a sample is the smooth part of its excitation.
+    `method`: with every option filled in (`resolved`). A sample that needs more than `most_steps` is given up.
+    `quantities` of each stick: those asked for. The constant of a sample is the smooth part of its excitation.
     """
 
     system: Any
@@ -46,6 +48,7 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
     t1: Scalar
     y0: tuple[Any, ...]
     most_steps: AnyInteger
+    quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realized(self.excitation, key_data, dtype)
@@ -53,7 +56,8 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
         own, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
         segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
         field = field_of(self.system, smooth, self.method)
-        return smooth, start_fixed(field, segment_laws, criterion_of(self.method), segment_states, y0, dtype)
+        criterion = criterion_of(self.method)
+        return smooth, start_fixed(field, segment_laws, criterion, segment_states, y0, dtype, self.quantities)
 
     def shared(self, dtype) -> FixedShared:
         laws, most = SegmentLaws.of(self.system, self.excitation), jnp.asarray(self.most_steps, jnp.int32)
@@ -107,7 +111,7 @@ def solve_batch(
     the others end at once. `own`, `places`: the leaves of the batch that
     differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
-    t1 = jnp.asarray(batch.t1, dtype)
+    t1, quantities = jnp.asarray(batch.t1, dtype), ALL if keep else ()
 
     def one(place, number, own):
         words = random_words(key_data, number)
@@ -125,13 +129,13 @@ def solve_batch(
             detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)
             return detector, record if keep else None
 
-        start = start_detection(field, tables, criterion, solution.y[0])
+        start = start_detection(field, tables, criterion, solution.y[0], quantities)
         detector, records = stopping_scan(
             one_step,
             start,
             most,
             lambda _, index: index >= solution.steps,
-            lambda _: no_stick(dtype) if keep else None,
+            lambda _: no_stick(dtype, quantities) if keep else None,
         )
         return detector, status_of(solution, detector), records
 

@@ -9,6 +9,7 @@ import numpy as np
 from jax import lax
 
 from ... import _checks
+from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, sticks_in_order
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.segments import first_segment
@@ -127,7 +128,7 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
         criterion_of(method),
     )
     segment_states = tuple(first_segment(law, _NO_KEY_DATA, dtype) for law in segment_laws.all)
-    start = start_fixed(field, segment_laws, criterion, segment_states, y0, dtype)
+    start = start_fixed(field, segment_laws, criterion, segment_states, y0, dtype, ALL)
 
     most = jnp.asarray(steps, jnp.int32)
 
@@ -164,7 +165,7 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
         detector, record, passage = detect_in_step(field, tables, criterion, t1, solution, detector, index)
         return detector, (record, passage)
 
-    start = start_detection(field, tables, criterion, solution.y[0])
+    start = start_detection(field, tables, criterion, solution.y[0], ALL)
     detector, (records, passages) = stopping_scan(
         one_step, start, steps, lambda _, index: index >= solution.steps, lambda _: nothing_seen(tuple(solution.y[0]))
     )

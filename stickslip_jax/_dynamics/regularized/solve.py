@@ -132,12 +132,13 @@ def solve_adaptive(
     return Solution(t, y, steps, jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8))
 
 
-def start_detection(field: Field, tables: Tables, criterion: Criterion, y: Array) -> StickDetector:
-    """The stick detector at the beginning of a trajectory."""
+def start_detection(
+    field: Field, tables: Tables, criterion: Criterion, y: Array, quantities: tuple[str, ...]
+) -> StickDetector:
+    """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
     zero = jnp.zeros((), y.dtype)
-    return start_detector(
-        criterion, field.model.relative_velocity(field.model.forcing(zero, tables.at(zero)), zero, tuple(y)), y[0]
-    )
+    speed = field.model.relative_velocity(field.model.forcing(zero, tables.at(zero)), zero, tuple(y))
+    return start_detector(criterion, speed, y[0], quantities)
 
 
 def detect_in_step(
@@ -168,12 +169,13 @@ def detect_in_step(
     )
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
     # A base acceleration that is NaN hides sticks, although the motion does not need it: `status_of`.
-    hidden = jnp.isnan(detector.slid_from) | (live & (jnp.isnan(seen.slope0) | jnp.isnan(seen.slope1)))
-    moved = moved._replace(slid_from=jnp.where(hidden, jnp.nan, moved.slid_from))
+    hidden = live & (jnp.isnan(seen.slope0) | jnp.isnan(seen.slope1))
+    stick_time = jnp.where(hidden, jnp.nan, moved.totals.stick_time)
+    moved = moved._replace(totals=moved.totals._replace(stick_time=stick_time))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
     return moved, record, Passage(t, y, rates, end_rates)
 
 
 def status_of(solution: Solution, detector: StickDetector) -> IntArray:
     """How a solution ended whose steps the `detector` has seen."""
-    return jnp.where(jnp.isnan(detector.slid_from), jnp.int8(Status.NOT_FINITE), solution.status)
+    return jnp.where(jnp.isnan(detector.totals.stick_time), jnp.int8(Status.NOT_FINITE), solution.status)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._compiler import sharing
+from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
@@ -97,7 +98,7 @@ class Passage(NamedTuple):
 def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
     """The records of an idle step, for a trajectory with states like `y`."""
     none = tuple(jnp.zeros_like(value) for value in y)
-    return no_stick(y[0].dtype), Passage(none[0], none, none, none)
+    return no_stick(y[0].dtype, ALL), Passage(none[0], none, none, none)
 
 
 def start_fixed(
@@ -107,13 +108,14 @@ def start_fixed(
     segment_states: tuple[SegmentState, ...],
     y0: tuple,
     dtype,
+    quantities: tuple[str, ...],
 ) -> FixedLane:
-    """The lane at the beginning of a trajectory."""
+    """The lane at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     speed = field.model.relative_velocity(field.model.forcing(zero, segment_laws.segments(segment_states)), zero, y)
     limit = jnp.full((), jnp.inf, dtype) if field.model.friction.static_exceeds_kinetic else None
-    detector = start_detector(criterion, speed, y[0])
+    detector = start_detector(criterion, speed, y[0], quantities)
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
 

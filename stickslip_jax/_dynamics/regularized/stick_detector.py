@@ -6,7 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from ..._events.sticks import StickRecord, Totals, ending_of, start_totals
+from ..._events.stick_quantities import Remembered, StickSpan, begin_quantities, measured
+from ..._events.sticks import StickRecord, Totals, ending_of, start_totals, with_stick
 from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.roots import look_ahead
 from ..._types import BoolArray, FloatArray, Scalar
@@ -26,7 +27,7 @@ class StickDetector(NamedTuple):
 
     - `inside`: whether the relative velocity is below the threshold, since `start` (s) at `position` (m).
     - `crossed`: when it passed through zero in the last step without ending inside, s, infinity if it did not;
-      `crossed_at`: the position there. `slid_from`: the position at the end of the last stick, or at t = 0.
+      `crossed_at`: the position there. `remembered`: by the quantities of each stick that are asked for.
     """
 
     inside: BoolArray
@@ -34,7 +35,7 @@ class StickDetector(NamedTuple):
     position: FloatArray
     crossed: FloatArray
     crossed_at: FloatArray
-    slid_from: FloatArray
+    remembered: Remembered
     totals: Totals
     at_start: BoolArray
 
@@ -60,11 +61,17 @@ class Step(NamedTuple):
     need1: FloatArray
 
 
-def start_detector(criterion: Criterion, speed: FloatArray, position: FloatArray) -> StickDetector:
-    """The detector at the beginning of a trajectory with relative velocity `speed` and `position`."""
+def start_detector(
+    criterion: Criterion, speed: FloatArray, position: FloatArray, quantities: tuple[str, ...]
+) -> StickDetector:
+    """The detector at the beginning of a trajectory with relative velocity `speed` and `position`.
+
+    `quantities` of each stick: those that are asked for.
+    """
     dtype = speed.dtype
     inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
-    return StickDetector(inside, zero, position, never, position, position, start_totals(dtype), jnp.zeros((), bool))
+    remembered = begin_quantities(position, quantities)
+    return StickDetector(inside, zero, position, never, position, remembered, start_totals(dtype), jnp.zeros((), bool))
 
 
 def detect(
@@ -106,13 +113,9 @@ def detect(
     ends = leaves | cut | (jumped & inside)
     end = jnp.where(leaves, step.t + leave, now)
     counts = ends & (end - start >= criterion.minimum_duration) & (end > start)
-    record = StickRecord(start, end, position, position - detector.slid_from, ending_of(counts, leaves, cut))
     left_at = jnp.where(leaves, _position(step, leave), step.x1)
-    totals = Totals(
-        sticks=detector.totals.sticks + counts,
-        censored=detector.totals.censored + (counts & cut),
-        stick_time=detector.totals.stick_time + jnp.where(counts, end - start, 0),
-    )
+    quantities, remembered = measured(detector.remembered, counts, StickSpan(start, end, position, left_at))
+    record = StickRecord(start, end, position, quantities, ending_of(counts, leaves, cut))
     goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
     detector = StickDetector(
         inside=goes_on,
@@ -120,8 +123,8 @@ def detect(
         position=jnp.where(jumped, step.x1, position),
         crossed=crossed,
         crossed_at=crossed_at,
-        slid_from=jnp.where(counts, left_at, detector.slid_from),
-        totals=totals,
+        remembered=remembered,
+        totals=with_stick(detector.totals, counts, cut, end - start),
         at_start=detector.at_start | (counts & (start <= 0)),
     )
     return detector, record

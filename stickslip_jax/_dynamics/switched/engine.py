@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -28,8 +29,8 @@ class SwitchedShared(NamedTuple):
 class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, SampleTotals]):
     """Any system under any excitation, up to `t1`, from `y0`, in time steps.
 
-    A sample that needs more than `most_steps` steps, rejected ones included, is given up. The constant of a sample is
-    the smooth part of its excitation.
+    A sample that needs more than `most_steps` steps, rejected ones included, is given up. `quantities` of each stick:
+    those asked for. The constant of a sample is the smooth part of its excitation.
     """
 
     system: Any
@@ -39,11 +40,12 @@ class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, Sa
     y0: tuple[Any, ...]
     step_length: Scalar
     most_steps: AnyInteger
+    quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         step = jnp.asarray(self.step_length, dtype)
-        lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver)
+        lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver, self.quantities)
         smooth = self.excitation.realized(key_data, dtype)
         return jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth), lane
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from ..._events.stick_quantities import Remembered
 from ..._events.sticks import Totals
 from ..._excitation.segments import SegmentState
 from ..._systems.switched_model import State
@@ -26,7 +27,7 @@ class Lane(NamedTuple):
     steps: IntArray  # loop steps so far
     stick_start: FloatArray
     stick_position: FloatArray
-    slid_from: FloatArray  # position where the current slip began, or during a stick where the slip before it began
+    remembered: Remembered  # by the quantities of each stick that are asked for
     totals: Totals
     at_start: BoolArray
     near_grazing_count: IntArray

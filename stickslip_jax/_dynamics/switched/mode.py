@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from ..._events.sticks import StickRecord, Totals, ending_of
+from ..._events.stick_quantities import StickSpan, measured
+from ..._events.sticks import StickRecord, ending_of, with_stick
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
 from ..._types import BoolArray, FloatArray
 from ..common.segments import SegmentLaws, following_segments
@@ -85,26 +86,22 @@ def _with_mode(lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray
     """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
     was_stick, sticks = lane.sign == 0, mode.sign == 0
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start)
+    stick = StickSpan(lane.stick_start, lane.t, lane.stick_position, left_at=mode.y[0])
+    quantities, remembered = measured(lane.remembered, over, stick)
     ending = ending_of(over, ~at_horizon & ~jumped, at_horizon)
-    displacement = lane.stick_position - lane.slid_from
-    record = StickRecord(lane.stick_start, lane.t, lane.stick_position, displacement, ending)
+    record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
     begins = ~was_stick & sticks
     # A stick that starts exactly on the edge of the band ends at once: of no length, it does not count.
     no_stick = was_stick & ~sticks & ~over
-    totals = Totals(
-        sticks=lane.totals.sticks + over,
-        censored=lane.totals.censored + (over & at_horizon),
-        stick_time=lane.totals.stick_time + jnp.where(over, lane.t - lane.stick_start, 0),
-    )
     following = lane._replace(
         y=mode.y,
         sign=mode.sign,
-        totals=totals,
+        totals=with_stick(lane.totals, over, at_horizon, lane.t - lane.stick_start),
         event=jnp.where(mode.at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
         stick_position=jnp.where(begins, mode.y[0], lane.stick_position),
-        slid_from=jnp.where(over, mode.y[0], lane.slid_from),
+        remembered=remembered,
     )
     return following, record
 

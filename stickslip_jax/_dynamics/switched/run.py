@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
@@ -48,7 +49,13 @@ class Trajectory(eqx.Module):
 
 
 def lane_at_start(
-    system: Any, excitation: Excitation, key_data: Any, y0: tuple[Any, ...], step: FloatArray, solver: Any
+    system: Any,
+    excitation: Excitation,
+    key_data: Any,
+    y0: tuple[Any, ...],
+    step: FloatArray,
+    solver: Any,
+    quantities: tuple[str, ...],
 ) -> Lane:
     """The lane at the beginning of the trajectory that `key_data` choose."""
     dtype = step.dtype
@@ -56,7 +63,7 @@ def lane_at_start(
     model = system.switched_model(excitation.realized(key_data, dtype), solver)
     own = excitation.segment_key_data(key_data)
     segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
-    return start_lane(model, segment_laws, segment_states, y0, step)
+    return start_lane(model, segment_laws, segment_states, y0, step, quantities)
 
 
 def run_trajectory(
@@ -73,7 +80,7 @@ def run_trajectory(
     """Simulate one realisation in at most `steps` loop steps; the loop idles once the trajectory has ended."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
     segment_laws, model = SegmentLaws.of(system, excitation), system.switched_model(excitation.signal, solver)
-    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver)
+    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver, ALL)
     most = jnp.asarray(steps, jnp.int32)
 
     def beginning(lane):
@@ -84,7 +91,7 @@ def run_trajectory(
         return following, (record, beginning(lane))
 
     def idle(lane):
-        return no_stick(dtype), beginning(lane)
+        return no_stick(dtype, ALL), beginning(lane)
 
     lane, (records, beginnings) = stopping_scan(one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle)
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)

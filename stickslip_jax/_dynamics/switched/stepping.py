@@ -26,6 +26,7 @@ import numpy as np
 from jax import lax
 
 from ..._compiler import sharing
+from ..._events.stick_quantities import begin_quantities
 from ..._events.sticks import StickRecord, start_totals
 from ..._excitation.segments import SegmentState
 from ..._numerics.primal import without_derivatives
@@ -53,8 +54,12 @@ def start_lane(
     segment_states: tuple[SegmentState, ...],
     y0: tuple[Any, ...],
     step: FloatArray,
+    quantities: tuple[str, ...],
 ) -> Lane:
-    """The lane at the beginning of a trajectory, with its mode (stick or slip) found."""
+    """The lane at the beginning of a trajectory, with its mode (stick or slip) found.
+
+    `quantities` of each stick: those that are asked for.
+    """
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
@@ -73,7 +78,7 @@ def start_lane(
         none,
         zero,
         y[0],
-        y[0],
+        begin_quantities(y[0], quantities),
         start_totals(dtype),
         sign == 0,
         is_tie(margin).astype(jnp.int32),
