@@ -1,18 +1,21 @@
 """The tasks of a sweep that are left, and the batches that are there."""
 
 import contextlib
+import pickle
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import SpooledTemporaryFile, gettempdir
 
 from .._ensemble.result import Ensemble
 from .._statistics.totals import STATISTICS
 from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unfinished_in, unpacked
-from .errors import DamagedBatchError
+from .errors import DamagedBatchError, SweepError
 from .plan import Plan, Task
-from .read_cache import ReadCache
 from .store import Batch, Store, derivative_name
 
+_IN_MEMORY = 2**26  # bytes of what has been read; what is more goes to a temporary file
 _LISTINGS = 5  # of the folder at most, where a run that is under way has joined batches since the last
 
 
@@ -234,3 +237,31 @@ class Work:
         self.damaged += 1
         if self.store.can_write:
             self.store.remove(batch, reason)
+
+
+class ReadCache:
+    """The batches of points, with their bytes, as they were when they were read first."""
+
+    def __init__(self) -> None:
+        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115 - closed with this object
+        weakref.finalize(self, self._file.close)
+        self._starts: dict[int, int] = {}
+
+    def put(self, point: int, batches: list[tuple[Batch, bytes]]) -> None:
+        """Keep what was read of a point. Raises SweepError where there is no room for it."""
+        try:
+            start = self._file.seek(0, 2)
+            pickle.dump(batches, self._file)
+        except OSError as error:
+            raise SweepError(
+                f"{gettempdir()} cannot be written ({error.strerror}), where the batches of a large sweep are kept "
+                "while it is read; make room there, or name another folder in the environment variable TMPDIR."
+            ) from error
+        self._starts[point] = start
+
+    def get(self, point: int) -> list[tuple[Batch, bytes]] | None:
+        """What was read of a point; None if nothing was."""
+        if point not in self._starts:
+            return None
+        self._file.seek(self._starts[point])
+        return pickle.load(self._file)

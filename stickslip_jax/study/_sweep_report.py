@@ -13,7 +13,7 @@ import numpy as np
 from .._statistics.estimate import format_with_error
 from .._statistics.totals import STATISTICS
 from .._status import Status
-from .._sweep.reading import SweepStatus
+from .._sweep.dataset import SweepStatus
 from ._errors import StudyError
 
 if TYPE_CHECKING:
