@@ -116,7 +116,7 @@ class DaskCluster(Executor):
         return found
 
     def _path_of(self, task: Task) -> Path:
-        return self._store.path_of(self._checked.points.identity(task.point), task, self._checked)
+        return self._store.batch_of(self._checked.points.identity(task.point), task, self._checked).path
 
     def _check_visible(self, path: Path, size: int) -> None:
         """Raises SweepError if a file that a worker wrote does not appear here; network folders take a moment."""

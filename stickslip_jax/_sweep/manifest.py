@@ -100,7 +100,7 @@ def body_of(text: str) -> Manifest:
     return cast(Manifest, body)
 
 
-def _check_format(body: dict[str, Any]) -> None:
+def _check_format(body: Mapping[str, object]) -> None:
     """Raises SweepError for a manifest of another format than this version writes."""
     version = body.get("format_version")
     if version == FORMAT_VERSION or not isinstance(version, int):
@@ -170,14 +170,18 @@ def sum_of(body: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _as_json(value: object) -> Any:
+def _as_json(value: object) -> object:
     """`value` in lists, dicts and numbers, as JSON gives it back."""
     return json.loads(json.dumps(value))
 
 
-def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
-    both = isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys()
-    if both and old.get("class") == new.get("class"):
+def _kind_of(part: dict[str, object]) -> tuple[set[str], object]:
+    """The names in a part of a manifest, and the class of which it is."""
+    return set(part), part.get("class")
+
+
+def _different(old: object, new: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
+    if isinstance(old, dict) and isinstance(new, dict) and _kind_of(old) == _kind_of(new):
         for name in old:
             yield from _different(old[name], new[name], (*path, name))
     elif old != new:

@@ -148,14 +148,14 @@ def checked_statistics(statistics: object, keep: Keep) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def checked_derivatives(sensitivities: Any) -> tuple[Derivative, ...]:
+def checked_derivatives(sensitivities: object) -> tuple[Derivative, ...]:
     """The derivatives as pairs of names. Raises ValueError for anything else."""
     known = [statistic.name for statistic in DIFFERENTIABLE]
     found = []
-    is_one = isinstance(sensitivities, (str, bytes, Mapping)) or not isinstance(sensitivities, Iterable)
-    if is_one or hasattr(sensitivities, "__array__"):
-        sensitivities = [sensitivities]  # which is no pair
-    for entry in sensitivities:
+    entries = sensitivities if isinstance(sensitivities, Iterable) else [sensitivities]  # which is no pair
+    if isinstance(sensitivities, (str, bytes, Mapping)) or hasattr(sensitivities, "__array__"):
+        entries = [sensitivities]
+    for entry in entries:
         pair = tuple(entry) if isinstance(entry, (list, tuple)) and len(entry) == 2 else (entry, None)
         statistic, wrt = getattr(pair[0], "name", pair[0]), pair[1]
         wrt = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (list, tuple)) else ()

@@ -188,12 +188,12 @@ class Store:
                 with contextlib.suppress(OSError):  # they do no harm
                     batch.path.unlink()
 
-    def path_of(self, identity: str, task: Task, plan: Plan) -> Path:
-        """The file of the result of a task."""
-        name = f"{identity}-{task.first}-{task.end}"
-        if task.derivative is None:
-            return self.folder / BATCHES / f"{name}.zip"
-        return self.folder / BATCHES / f"{name}-{derivative_name(plan, task.derivative)}.json"
+    def batch_of(self, identity: str, task: Task, plan: Plan) -> Batch:
+        """The file for the result of a task."""
+        derivative = "" if task.derivative is None else derivative_name(plan, task.derivative)
+        ending = f"-{derivative}.json" if derivative else ".zip"
+        path = self.folder / BATCHES / f"{identity}-{task.first}-{task.end}{ending}"
+        return Batch(path, task.first, task.end, derivative)
 
     def write(self, path: Path, data: bytes) -> None:
         """Write the bytes of a batch. Raises SweepError if that fails."""

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from .plan import Plan, checked_derivatives, checked_errors, checked_keep, check
 from .points import Dimension, Points
 from .setting import Setting, setting_of
 
+_Known = TypeVar("_Known")
 _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
@@ -97,7 +98,7 @@ def _key_data(words: object) -> tuple[int, ...] | None:
     return tuple(words)
 
 
-def _known(names: object, check: Callable[[Any], tuple[Any, ...]]) -> tuple[Any, ...]:
+def _known(names: object, check: Callable[[Any], tuple[_Known, ...]]) -> tuple[_Known, ...]:
     """Those of the `names` that this version knows; a warning tells of the others."""
     if not isinstance(names, list):
         raise TypeError(f"statistics are {_checks.show(names)}")

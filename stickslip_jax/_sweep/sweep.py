@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import distributed
     import xarray
 
-_Values = Sequence[Any] | np.ndarray
+_Values = Sequence[object] | np.ndarray
 Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
 Folder = str | os.PathLike[str]
 

@@ -206,10 +206,7 @@ def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None
     from .._sweep.store import DATA  # noqa: PLC0415
     from ._sweep_run import run_stored  # noqa: PLC0415
 
-    dataset = run_stored(
-        sweep, folder, threads=executors.threads, workers=executors.workers, dask=executors.dask,
-        progress=False if executors.quiet else executors.progress,
-    )  # fmt: skip
+    dataset = run_stored(sweep, folder, executors)
     if not executors.quiet:
         _print_table(dataset)
         print(f"The result is in {folder / DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")

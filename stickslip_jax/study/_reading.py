@@ -18,6 +18,7 @@ from ._sweep_config import SweepConfig
 from ._systems_config import MassSpringConfig
 
 _File = TypeVar("_File", bound=FileConfig)
+_Tables = Mapping[str, Mapping[str, object]]
 _Options = Mapping[tuple[str, str], str]
 """The option of the command by which a value was given, by section and key."""
 _CHOSEN = None  # the name under which the chosen kind of a section stands
@@ -67,9 +68,13 @@ def read_sweep_config(
 
 
 def _read(
-    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, object] | None
+    kind: type[_File],
+    command: str,
+    path: Path | None,
+    usual: Mapping[str, object],
+    options: Mapping[str, object] | None,
 ) -> _File:
-    table = dict(usual) if path is None else _parse(path, command)
+    table: dict[str, Any] = dict(usual) if path is None else _parse(path, command)
     config = _validated(kind, table, path, f"{path}: ", {})
     given = {option: value for option, value in (options or {}).items() if value is not None}
     for option, value in given.items():
@@ -112,7 +117,7 @@ def _sentence_for(
 ) -> str:
     """One sentence for the first problem that pydantic found in `table`, the content of this kind of `file`."""
     # A misspelt key shows as unknown and, often, also as missing: the first says more.
-    problem: Any = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+    problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     run = _run_kind(table, file)
     place = _place_of(problem["loc"], file, run)
     if problem["type"] == "extra_forbidden":
@@ -126,11 +131,12 @@ def _sentence_for(
     if problem["type"] == "missing":
         return _missing(place, _place_of(problem["loc"][:-1], file, run))
     if problem["type"] == "value_error":
-        said = str(problem["ctx"]["error"]).removeprefix("Argument ").removeprefix("Arguments ")
+        said = str(problem.get("ctx", {})["error"]).removeprefix("Argument ").removeprefix("Arguments ")
         return f"in [{place.section}], {said}" if place.section else said
     option = options.get((place.section, place.key))
     subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
-    return f"{subject} {_demand(problem)}, but {shown_value(problem['input'])} was given."
+    demand = _demand(problem["type"], problem["msg"], problem["loc"][-1])
+    return f"{subject} {demand}, but {shown_value(problem['input'])} was given."
 
 
 # --- where it is
@@ -205,7 +211,7 @@ def _all_sections(
 # --- what is wrong
 
 
-def _demand(problem: Any) -> str:
+def _demand(kind: str, said: str, last: str | int) -> str:
     demands = {
         "float_type": "must be a number",
         "int_type": "must be a whole number",
@@ -215,8 +221,8 @@ def _demand(problem: Any) -> str:
         "string_too_short": "must not be empty",
         "too_short": "must not be empty",
     }
-    demand = demands.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
-    return f"{demand} or {{ low = ..., high = ... }}" if problem["loc"][-1] == NUMBER else demand
+    demand = demands.get(kind) or said.replace("Input should be", "must be")
+    return f"{demand} or {{ low = ..., high = ... }}" if last == NUMBER else demand
 
 
 def _missing(place: _Place, owner: _Place) -> str:

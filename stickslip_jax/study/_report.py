@@ -2,7 +2,6 @@
 
 import json
 import math
-from typing import Any
 
 from .._statistics.estimate import Estimate, format_with_error
 from .._status import Status
@@ -33,7 +32,7 @@ def table(study: StoredStudy) -> str:
 def as_json(study: StoredStudy) -> str:
     """One JSON object: statistics by name, samples not finished, times, files. Undefined numbers are null."""
     ensemble = study.ensemble
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         name: {
             "value": _number(estimate.value),
             "standard_error": _number(estimate.standard_error),
