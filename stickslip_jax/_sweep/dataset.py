@@ -40,8 +40,7 @@ class Variables:
     """The variables of the data set, filled in point by point; NaN, or 0 for counts, where nothing is yet."""
 
     def __init__(self, plan: Plan):
-        self._number, self._shape = plan.points.number, plan.points.shape
-        self._dimensions = tuple(one.name for one in plan.points.dimensions)
+        self._points = plan.points
         self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
 
     def put(
@@ -51,7 +50,7 @@ class Variables:
         value = np.asarray(value)
         if name not in self._found:
             empty = np.nan if value.dtype.kind == "f" else 0
-            array = np.full((self._number, *value.shape), empty, value.dtype)
+            array = np.full((self._points.number, *value.shape), empty, value.dtype)
             self._found[name] = (dimensions, array, {"long_name": long_name, "units": unit})
         self._found[name][1][point] = value
 
@@ -63,9 +62,10 @@ class Variables:
 
     def entries(self) -> Iterator[tuple[str, _Variable]]:
         """Names and entries, as xarray takes them."""
+        own = tuple(one.name for one in self._points.dimensions)
         for name, (dimensions, array, attributes) in self._found.items():
-            values = array.reshape(*self._shape, *array.shape[1:])
-            yield name, ((*self._dimensions, *dimensions), values, attributes)
+            values = array.reshape(*self._points.shape, *array.shape[1:])
+            yield name, ((*own, *dimensions), values, attributes)
 
 
 def dataset_of(work: Work) -> "xarray.Dataset":
