@@ -12,7 +12,7 @@ import threading
 import weakref
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any
+from types import FrameType
 
 from . import _starting
 from ._sweep.errors import SweepError
@@ -70,7 +70,7 @@ def _run_or_fail(tokens: Sequence[str], left: str) -> int:
     return 0
 
 
-def _fail(reason: Any, code: int) -> int:
+def _fail(reason: object, code: int) -> int:
     print("stickslip:", *str(reason).splitlines(), file=sys.stderr)
     return code
 
@@ -96,7 +96,7 @@ def _stops_raised() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
+def _stop(reason: type[BaseException], number: int, frame: FrameType | None) -> None:
     # Python drops exceptions raised in callbacks of the garbage collector and of weak references, and such a callback
     # of JAX is often the first code to run after a long compilation: in one, send the signal again a little later.
     if _inside_callback(frame):
@@ -107,7 +107,7 @@ def _stop(reason: type[BaseException], number: int, frame: Any) -> None:
     raise reason
 
 
-def _inside_callback(frame: Any) -> bool:
+def _inside_callback(frame: FrameType | None) -> bool:
     callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
     while frame is not None:
         code = frame.f_code

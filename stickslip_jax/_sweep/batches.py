@@ -33,16 +33,16 @@ class Head(TypedDict):
     first_sample: int
     status_counts: list[int]
     run_seconds: float
-    moments: Any
-    accumulator: Any
-    near_grazing_samples: Any
+    moments: object
+    accumulator: object
+    near_grazing_samples: object
 
 
 class Derivatives(TypedDict):
     """The derivatives of a statistic from samples ``0 .. end - 1``, by parameter, and the warnings about them."""
 
     end: int
-    by: dict[str, dict[str, Any]]
+    by: dict[str, dict[str, object]]
     warnings: list[str]
     seconds: float
 
@@ -75,12 +75,7 @@ def _derivatives(plan: Plan, task: Task) -> Derivatives:
     names = ("value", "value_error", "derivative", "standard_error", "estimator", "samples", "sticks_in_window")
     assert isinstance(found, Sensitivities)  # as `wrt` is a tuple
     numbers = {parameter: {name: getattr(one, name) for name in names} for parameter, one in found.items()}
-    return {
-        "end": task.end,
-        "by": numbers,
-        "warnings": texts,
-        "seconds": time.perf_counter() - started,
-    }
+    return {"end": task.end, "by": numbers, "warnings": texts, "seconds": time.perf_counter() - started}
 
 
 def packed(ensemble: Ensemble) -> bytes:
@@ -119,13 +114,10 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
     `fields`: from `Plan.fields_at`. Raises DamagedBatchError for other bytes, and for those of other samples.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # checks the sum of every entry that it reads
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             head = _head_in(archive, first, end)
-            arrays = {
-                name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(archive.read(name)), allow_pickle=False)
-                for name in archive.namelist()
-                if name.endswith(".npy")
-            }
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:  # checks the sum of every entry that it reads
+            arrays = {name: archive[name] for name in archive.files if name != "head.json"}
         decoder = Decoder(arrays["floats"], arrays["integers"])
         found = {name: decoder.decoded(head[name]) for name in _SUMS}
         sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}

@@ -1,7 +1,6 @@
 """Checks of all points of a sweep at once: arrays of values in place of the numbers of one point."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -64,7 +63,7 @@ def _unrelated(module: Checked, single: Checked, inside: dict[Path, np.ndarray])
     return np.zeros(len(next(iter(inside.values()))), bool)
 
 
-def _refused(module: Any, inside: dict[Path, np.ndarray]) -> np.ndarray:
+def _refused(module: object, inside: dict[Path, np.ndarray]) -> np.ndarray:
     """For which points the constructor of `module` refuses these numbers: each different row is tried once."""
     check = getattr(type(module), "__check_init__", lambda _: None)
     rows, which = np.unique(np.stack(list(inside.values()), axis=1), axis=0, return_inverse=True)

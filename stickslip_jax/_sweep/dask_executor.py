@@ -7,19 +7,23 @@ import socket
 import sys
 import time
 import uuid
+from collections.abc import Callable
 from concurrent.futures import CancelledError
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .. import _checks
 from .._files import write_whole
 from .errors import SweepError
-from .executors import Executor, WorkerDiedError, Written
+from .executors import Executor, Pending, WorkerDiedError, Written
 from .header import with_header
 from .locking import cannot_write
 from .plan import Plan, Task
 from .store import Store
 from .workers import Failed, NoMemory, Outcome, Sent, UnfitWorkerError, perform_sent, sent
+
+if TYPE_CHECKING:
+    import distributed
 
 _RETRIES = 3  # of a task that failed for another reason than its point
 _PART = 4 * 2**20  # bytes: dask warns about tasks that hold 10 MB
@@ -36,49 +40,51 @@ class DaskCluster(Executor):
     tasks for each thread of the cluster are submitted at a time, and results are released as soon as they arrive.
     """
 
-    def __init__(self, plan: Plan, client: Any, store: Store, shared_folder: bool):
+    def __init__(self, plan: Plan, client: "distributed.Client", store: Store, shared_folder: bool):
         _check_client(client)
-        self._client, self._checked, self._sent = client, plan, sent(plan)
+        super().__init__(1)
+        self._client: Any = client  # whose annotations are those of its coroutines
+        self._checked, self._sent = plan, sent(plan)
         self._store, self._shared = store, shared_folder
-        self._futures: dict[Task, Any] = {}
-        self._threads, self._counted = 1, -_COUNTED
+        self._futures: dict[Task, distributed.Future] = {}
+        self._counted = -_COUNTED
         self._printed: set[str] = set()
         self._came = time.monotonic()  # when the last result did
         self._plan = self._send()
 
-    def _send(self) -> Any:
+    def _send(self) -> "distributed.Future":
         """The future of the plan in the cluster."""
         self.check()
-        name, data = f"stickslip-plan-{uuid.uuid4().hex[:8]}", self._sent.plan
-        submit = functools.partial(self._client.submit, pure=False, retries=_RETRIES)
-        parts = [
-            submit(bytes, data[at : at + _PART], key=f"{name}-{number}")
-            for number, at in enumerate(range(0, len(data), _PART))
-        ]
-        return submit(_assembled, parts, self._sent._replace(plan=b"")._asdict(), key=name)
+        data = self._sent.plan
+        parts = [self._begun("plan-part", bytes, data[at : at + _PART]) for at in range(0, len(data), _PART)]
+        return self._begun("plan", _assembled, parts, *self._sent[1:])
+
+    def _begun(self, name: str, function: Callable[..., object], *arguments: object) -> "distributed.Future":
+        """The future of a function, with its arguments, in the cluster."""
+        key = f"stickslip-{name}-{uuid.uuid4().hex[:8]}"
+        return self._client.submit(function, *arguments, key=key, pure=False, retries=_RETRIES)
 
     @property
     def at_once(self) -> int:
         """Two tasks for each thread that there is now; workers come and go."""
         self.check()
-        return 2 * self._threads
+        return super().at_once
 
-    def submit(self, task: Task) -> Any:
+    def submit(self, task: Task) -> "distributed.Future":
         self.check()
-        key = f"stickslip-{'-'.join(map(str, task))}-{uuid.uuid4().hex[:8]}"
-        submit = functools.partial(self._client.submit, key=key, pure=False, retries=_RETRIES)
+        name = "-".join(map(str, task))
         if self._shared:
             path = str(self._path_of(task).resolve())
-            future = submit(_perform_and_write, self._plan, tuple(task), path, self._store.sweep_id)
+            future = self._begun(name, _perform_and_write, self._plan, tuple(task), path, self._store.sweep_id)
         else:
-            future = submit(_perform, self._plan, tuple(task))
+            future = self._begun(name, _perform, self._plan, tuple(task))
         self._futures[task] = future
         return future
 
-    def result(self, task: Task, future: Any) -> Outcome | Written:
+    def result(self, task: Task, future: Pending) -> Outcome | Written:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
-        self._futures.pop(task, None)
+        mine = self._futures.pop(task)
         self._came = time.monotonic()
         try:
             found = future.result()
@@ -104,13 +110,13 @@ class DaskCluster(Executor):
                 "stickslip_jax, dask and distributed in the same versions there."
             ) from error
         finally:
-            future.release()
+            mine.release()
         if isinstance(found, Written):
             self._check_visible(self._path_of(task), found.size)
         return found
 
     def _path_of(self, task: Task) -> Path:
-        return self._store.path_of(self._checked.points.identity(task.point), task, self._checked)
+        return self._store.batch_of(self._checked.points.identity(task.point), task, self._checked).path
 
     def _check_visible(self, path: Path, size: int) -> None:
         """Raises SweepError if a file that a worker wrote does not appear here; network folders take a moment."""
@@ -145,7 +151,7 @@ class DaskCluster(Executor):
             return
         finally:
             self._counted = time.monotonic()
-        self._threads = max(1, threads)
+        self._workers = max(1, threads)
         message = ""
         if not threads:
             start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
@@ -176,7 +182,7 @@ class DaskCluster(Executor):
         self._futures.clear()
 
 
-def _check_client(client: Any) -> None:
+def _check_client(client: object) -> None:
     if not all(callable(getattr(client, name, None)) for name in ("submit", "nthreads")):
         raise ValueError(
             "Argument executor must be a dask.distributed.Client, but "
@@ -192,8 +198,8 @@ def _check_client(client: Any) -> None:
 # --- in the workers
 
 
-def _assembled(parts: list[bytes], others: dict[str, Any]) -> Sent:
-    return Sent(**{**others, "plan": b"".join(parts)})
+def _assembled(parts: list[bytes], double: bool, versions: dict[str, str], caches: bool) -> Sent:
+    return Sent(b"".join(parts), double, versions, caches)
 
 
 def _perform(plan: Sent, task: tuple) -> Outcome:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,12 +19,11 @@ from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._status import Status
 from .._systems.system import require_system
 from .errors import SweepError
-from .groups import GROUPS
 from .locking import cannot_write
 from .manifest import Manifest, sum_of
 from .plan import Plan
 from .points import POINT
-from .setting import label_of, unit_of
+from .setting import label_and_unit
 from .store import DATA, Store, derivative_name
 from .work import Work
 
@@ -41,8 +40,7 @@ class Variables:
     """The variables of the data set, filled in point by point; NaN, or 0 for counts, where nothing is yet."""
 
     def __init__(self, plan: Plan):
-        self._number, self._shape = plan.points.number, plan.points.shape
-        self._dimensions = tuple(one.name for one in plan.points.dimensions)
+        self._points = plan.points
         self._found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
 
     def put(
@@ -52,7 +50,7 @@ class Variables:
         value = np.asarray(value)
         if name not in self._found:
             empty = np.nan if value.dtype.kind == "f" else 0
-            array = np.full((self._number, *value.shape), empty, value.dtype)
+            array = np.full((self._points.number, *value.shape), empty, value.dtype)
             self._found[name] = (dimensions, array, {"long_name": long_name, "units": unit})
         self._found[name][1][point] = value
 
@@ -64,9 +62,10 @@ class Variables:
 
     def entries(self) -> Iterator[tuple[str, _Variable]]:
         """Names and entries, as xarray takes them."""
+        own = tuple(one.name for one in self._points.dimensions)
         for name, (dimensions, array, attributes) in self._found.items():
-            values = array.reshape(*self._shape, *array.shape[1:])
-            yield name, ((*self._dimensions, *dimensions), values, attributes)
+            values = array.reshape(*self._points.shape, *array.shape[1:])
+            yield name, ((*own, *dimensions), values, attributes)
 
 
 def dataset_of(work: Work) -> "xarray.Dataset":
@@ -185,7 +184,7 @@ def _put_derivatives(variables: Variables, point: int, work: Work) -> None:
 def _unit_of_derivative(plan: Plan, statistic: str, wrt: str) -> str:
     """Such as "s (1/s)-1", of a duration by a rate."""
     of = next(one.unit for one in DIFFERENTIABLE if one.name == statistic)
-    by = unit_of(plan.setting, wrt)
+    _, by = label_and_unit(plan.setting, wrt)
     return of if by == "1" else f"{of} ({by})-1"
 
 
@@ -194,8 +193,8 @@ def _point_coordinates(plan: Plan) -> dict[str, _Variable]:
     found: dict[str, _Variable] = {}
     for one in plan.points.dimensions:
         for name, values in zip(one.parameters, one.values.T, strict=True):
-            meaning = f"{name}, {GROUPS[name].meaning}" if name in GROUPS else label_of(plan.setting, name)
-            found[name] = (one.name, values, {"long_name": meaning, "units": unit_of(plan.setting, name)})
+            label, unit = label_and_unit(plan.setting, name)
+            found[name] = (one.name, values, {"long_name": label, "units": unit})
         if one.name not in found:
             entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
             found[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
@@ -261,3 +260,68 @@ def read_dataset(folder: Path) -> "xarray.Dataset":
         return verified(read_netcdf(path))
     except DamagedFileError as error:
         raise SweepError(f"{path} cannot be read ({error}); run the sweep again, which writes it anew.") from error
+
+
+# --- reading a sweep without changing its folder, also while a run writes to it
+
+
+class SweepStatus(NamedTuple):
+    """How far a sweep has come.
+
+    - `points`: their number. `complete`: the number of those that are done.
+    - `samples`: how many have been simulated. `most_samples`: how many are wanted; where points end at a standard error
+      (`is_adaptive`), the largest number.
+    - `endings`: how many samples have each status. `seconds`: time spent simulating, summed over threads.
+    - `is_running`: whether a run works on it now. `is_finished`: whether its data set is complete.
+    """
+
+    points: int
+    complete: int
+    samples: int
+    most_samples: int
+    is_adaptive: bool
+    endings: dict[Status, int]
+    seconds: float
+    is_running: bool
+    is_finished: bool
+
+
+def status_of(folder: Path) -> SweepStatus:
+    """The status of the sweep in `folder`. Raises SweepError if there is none."""
+    store = Store.reading(folder)
+    is_running, is_finished = store.is_in_use, _finished(store) is not None
+    # Whether a point has the standard error that was asked for, only a plan that can be run can tell.
+    plan = store.plan(to_run=bool(store.body["asked"]["standard_errors"]))
+    endings, seconds = dict.fromkeys(Status, 0), 0.0
+    work = Work(plan, store)
+    for point in range(plan.points.number):
+        for head in work.heads(point):
+            seconds += head["run_seconds"]
+            for status, count in zip(Status, head["status_counts"], strict=True):
+                endings[status] += count
+    for _ in work.tasks():  # counts what is done, after damaged batches were left out above
+        pass
+    points = plan.points.number
+    return SweepStatus(
+        points, points if is_finished else work.complete, sum(work.done), points * plan.samples, plan.is_adaptive,
+        endings, seconds, is_running, is_finished,
+    )  # fmt: skip
+
+
+def stored_dataset(folder: Path) -> "xarray.Dataset":
+    """The result of the sweep in `folder`, as far as it is stored.
+
+    Raises SweepError if there is none, or one of classes of your own that is not finished.
+    """
+    store = Store.reading(folder)
+    finished = _finished(store)
+    return dataset_of(Work(store.plan(), store)) if finished is None else finished
+
+
+def _finished(store: Store) -> "xarray.Dataset | None":
+    """The stored data set, if it is the result of what the manifest asks for."""
+    try:
+        found = read_dataset(store.folder)
+    except (SweepError, OSError, ValueError):  # none, or a damaged one, which the batches replace
+        return None
+    return found if found.attrs.get("manifest_sha256") == sum_of(store.body) else None

@@ -1,18 +1,21 @@
-"""The manifest of a sweep's folder: everything that decides its numbers, and what was asked for."""
+"""The manifest of a sweep's folder, and its copy there: everything that decides the numbers, and what was asked for."""
 
-import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, TypedDict, cast, get_origin
 
 import jax
 import jax.lib
 
 from .._ensemble.encoding import Encoder
+from .._files import NotAFileError, read_regular
 from .errors import OtherProgramError, SweepError, UnreadableError
+from .header import ID_LENGTH
 from .plan import Plan
 
+MANIFEST, COPY = "manifest.json", "manifest-copy.json"
 FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 3
 _OLDER_FORMAT = "stickslip_jax study"  # of versions 1 and 2
 OBJECTS = ("system", "law", "y0", "method")
@@ -97,7 +100,7 @@ def body_of(text: str) -> Manifest:
     return cast(Manifest, body)
 
 
-def _check_format(body: dict[str, Any]) -> None:
+def _check_format(body: Mapping[str, object]) -> None:
     """Raises SweepError for a manifest of another format than this version writes."""
     version = body.get("format_version")
     if version == FORMAT_VERSION or not isinstance(version, int):
@@ -167,14 +170,18 @@ def sum_of(body: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _as_json(value: object) -> Any:
+def _as_json(value: object) -> object:
     """`value` in lists, dicts and numbers, as JSON gives it back."""
     return json.loads(json.dumps(value))
 
 
-def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
-    both = isinstance(old, dict) and isinstance(new, dict) and old.keys() == new.keys()
-    if both and old.get("class") == new.get("class"):
+def _kind_of(part: dict[str, object]) -> tuple[set[str], object]:
+    """The names in a part of a manifest, and the class of which it is."""
+    return set(part), part.get("class")
+
+
+def _different(old: object, new: object, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
+    if isinstance(old, dict) and isinstance(new, dict) and _kind_of(old) == _kind_of(new):
         for name in old:
             yield from _different(old[name], new[name], (*path, name))
     elif old != new:
@@ -194,6 +201,73 @@ def _brief(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def with_batch(plan: Plan, body: Manifest) -> Plan:
-    """`plan` with the batches of the sweep of a manifest."""
-    return dataclasses.replace(plan, batch=body["deciding"]["batch"])
+# --- in the folder
+
+
+def sweep_id_of(body: Manifest) -> bytes:
+    """The identity of a sweep, with which the files of its batches begin."""
+    return fingerprint(body)[:ID_LENGTH].encode()
+
+
+def has_manifest(folder: Path) -> bool:
+    """Whether there is a manifest, or a copy of one."""
+    return any((folder / name).exists() for name in (MANIFEST, COPY))
+
+
+def body_in(folder: Path, ids_of_batches: Callable[[], Iterable[bytes]], *, to_write: bool = False) -> Manifest:
+    """The manifest of a folder, or its copy where that is damaged.
+
+    Args:
+        folder: That of the sweep.
+        ids_of_batches: Gives the identities with which the batches begin that are there.
+        to_write: Whether both files are about to be replaced.
+
+    Raises:
+        SweepError: If there is no manifest, where the two are of two sweeps, and for a file of another program that
+            would be replaced.
+    """
+    found: dict[str, Manifest] = {}
+    damage, foreign = "", None
+    for name in (MANIFEST, COPY):
+        path = folder / name
+        try:
+            found[name] = body_of(read_regular(path).decode())
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except SweepError as error:
+            raise SweepError(f"{folder} cannot be read: {error}") from None
+        except (UnreadableError, UnicodeDecodeError) as error:
+            damage = damage or f"{path} is damaged ({error})"
+            foreign = path if isinstance(error, OtherProgramError) else foreign
+        except NotAFileError as error:
+            raise SweepError(f"{path} cannot be read ({error.strerror}); move it elsewhere, and try again.") from None
+        except OSError as error:
+            raise SweepError(f"{path} cannot be read ({error.strerror}); make it readable.") from None
+    if not found and damage:
+        raise SweepError(f"{damage}, and there is no whole copy of it; run the sweep into another folder.")
+    if not found:
+        raise SweepError(
+            f"{folder} holds no sweep ({FORMAT}); name the folder that Sweep.run or stickslip sweep wrote."
+        )
+    if len({sweep_id_of(body) for body in found.values()}) > 1:
+        raise SweepError(_two_sweeps(folder, found, set(ids_of_batches())))
+    if to_write and foreign is not None:
+        raise SweepError(
+            f"{foreign} is a file of another program beside the sweep's own; move it elsewhere, and try again."
+        )
+    return found.get(MANIFEST) or found[COPY]
+
+
+def _two_sweeps(folder: Path, found: dict[str, Manifest], ids: set[bytes]) -> str:
+    """The sentence about a manifest and a copy that are of two sweeps; `ids`: those of the batches."""
+    right = [name for name, body in found.items() if sweep_id_of(body) in ids]
+    if len(right) != 1:
+        return (
+            f"{folder / MANIFEST} and {COPY} beside it are of two sweeps; move the one elsewhere that is not of this "
+            "sweep, and try again."
+        )
+    (wrong,) = found.keys() - right
+    return (
+        f"{folder / wrong} is of another sweep than {right[0]} and the batches beside it; move {wrong} elsewhere, and "
+        "try again."
+    )

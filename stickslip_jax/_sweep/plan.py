@@ -1,7 +1,7 @@
 """What a sweep simulates, checked: its setting, points and options, and the tasks into which its work is divided."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple, get_args
 
@@ -13,7 +13,7 @@ from .. import _checks
 from .._ensemble.data import Keep
 from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._numerics.random_bits import key_data_of
-from .._statistics.accumulator import MOST_ORDERS, Numbering
+from .._statistics.accumulator import Numbering
 from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._types import Array
@@ -46,9 +46,12 @@ class Task(NamedTuple):
         return self.end - self.first
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False)
 class Plan:
-    """The checked arguments of a `Sweep`, which every worker needs."""
+    """The arguments of a `Sweep`, which every worker needs. Raises ValueError, with their names, for unsuitable ones.
+
+    What may be given in several ways was checked before: `checked_keep`, `checked_statistics` and the like.
+    """
 
     setting: Setting
     points: Points
@@ -65,48 +68,13 @@ class Plan:
     batch: int
     dtype: str
 
-    @classmethod
-    def checked(
-        cls,
-        setting: Setting,
-        points: Points,
-        *,
-        t1: Any,
-        samples: object,
-        key_data: tuple[int, ...] | None,
-        keep: object,
-        numbering: Sequence[object],
-        statistics: object,
-        derivatives: object,
-        independent: object,
-        standard_errors: object,
-        realizations: object,
-        batch: object,
-        dtype: str,
-    ) -> "Plan":
-        """The plan with these fields. Raises ValueError, with the names of the arguments of `Sweep`, for others."""
-        orders, count_initial_rest = numbering
-        _checks.truth("count_initial_rest", count_initial_rest)
-        _checks.truth("independent", independent)
-        _checks.positive("t1", t1, "s")
-        keep = checked_keep(keep)
-        names = checked_statistics(statistics, keep)
-        return cls(
-            setting=setting,
-            points=points,
-            t1=float(t1),
-            samples=checked_samples(samples),
-            key_data=key_data,
-            keep=keep,
-            numbering=Numbering(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest)),
-            statistics=names,
-            derivatives=checked_derivatives(derivatives),
-            independent=bool(independent),
-            standard_errors=checked_errors(standard_errors, names),
-            realizations=_checks.whole_number("realizations", realizations, minimum=0),
-            batch=_checks.whole_number("batch", batch, maximum=MOST_SAMPLES),
-            dtype=dtype,
-        )
+    def __post_init__(self) -> None:
+        _checks.truth("independent", self.independent)
+        _checks.positive("t1", self.t1, "s")
+        self.t1, self.independent = float(self.t1), bool(self.independent)
+        self.samples = checked_samples(self.samples)
+        self.realizations = _checks.whole_number("realizations", self.realizations, minimum=0)
+        self.batch = _checks.whole_number("batch", self.batch, maximum=MOST_SAMPLES)
 
     @cached_property
     def _with_values(self) -> Setter:
@@ -137,15 +105,8 @@ class Plan:
 
     def fields_at(self, point: int) -> dict[str, Any]:
         """The fields of the `Ensemble` of a point that its arguments are, without what only simulating it needs."""
-        setting = self.setting_at(point)
-        key = self.key_at(point)
-        return {
-            **setting._asdict(),
-            "t1": self.t1,
-            "numbering": self.numbering,
-            "key_data": key_data_in(key),
-            "dtype": self.dtype,
-        }
+        fields = {name: getattr(self, name) for name in ("t1", "numbering", "dtype")}
+        return {**self.setting_at(point)._asdict(), **fields, "key_data": key_data_in(self.key_at(point))}
 
     def check(self) -> None:
         """Check every point as far as that is possible without simulating. Raises ValueError for what does not fit."""
@@ -187,14 +148,14 @@ def checked_statistics(statistics: object, keep: Keep) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def checked_derivatives(sensitivities: Any) -> tuple[Derivative, ...]:
+def checked_derivatives(sensitivities: object) -> tuple[Derivative, ...]:
     """The derivatives as pairs of names. Raises ValueError for anything else."""
     known = [statistic.name for statistic in DIFFERENTIABLE]
     found = []
-    is_one = isinstance(sensitivities, (str, bytes, Mapping)) or not isinstance(sensitivities, Iterable)
-    if is_one or hasattr(sensitivities, "__array__"):
-        sensitivities = [sensitivities]  # which is no pair
-    for entry in sensitivities:
+    entries = sensitivities if isinstance(sensitivities, Iterable) else [sensitivities]  # which is no pair
+    if isinstance(sensitivities, (str, bytes, Mapping)) or hasattr(sensitivities, "__array__"):
+        entries = [sensitivities]
+    for entry in entries:
         pair = tuple(entry) if isinstance(entry, (list, tuple)) and len(entry) == 2 else (entry, None)
         statistic, wrt = getattr(pair[0], "name", pair[0]), pair[1]
         wrt = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (list, tuple)) else ()

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -131,10 +131,11 @@ def _dimension_of_design(design: Design) -> Dimension:
     return _distinct(Dimension(POINT, design.names, np.asarray(design.values)), "over")
 
 
-def _dimension(names: Any, values: object) -> Dimension:
+def _dimension(names: object, values: object) -> Dimension:
     several = isinstance(names, tuple)
-    parameters = names if isinstance(names, tuple) else (names,)
-    if not parameters or not all(isinstance(name, str) and name for name in parameters):
+    given = names if isinstance(names, tuple) else (names,)
+    parameters = tuple(name for name in given if isinstance(name, str) and name)
+    if not given or len(parameters) < len(given):
         raise ValueError(
             "Argument over must have names of parameters as keys, or tuples of names that change together, but "
             f"{_checks.show(names)} was given."

@@ -1,31 +1,81 @@
 """Running a sweep in a folder: what is left to do is done and stored, then all is put together."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
+from .. import _checks
 from .._ensemble.progress import progress_bar
+from .._processor import cores
+from .dask_executor import DaskCluster
 from .dataset import dataset_of, write_dataset
 from .errors import SweepError
-from .executor_choice import ExecutorChoice
+from .executors import Executor, Processes, Threads
 from .plan import Plan
-from .runner import described, run_tasks
-from .stopping import stoppable
-from .store import LOG, opened
+from .runner import described, run_tasks, stoppable
+from .store import LOG, Store, opened
 from .task_warnings import warnings_by_thread
 from .work import Work
 
 if TYPE_CHECKING:
+    import distributed
     import xarray
 
 _ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
+class ExecutorChoice(NamedTuple):
+    """The arguments of `Sweep.run` that say where to simulate."""
+
+    threads: int | None = None
+    workers: int | None = None
+    executor: "distributed.Client | None" = None
+    shared_folder: bool = False
+
+    def check(self, *, has_folder: bool) -> None:
+        """Raises ValueError for arguments that exclude each other."""
+        names = [name for name in ("threads", "workers", "executor") if getattr(self, name) is not None]
+        if len(names) > 1:
+            raise ValueError(
+                f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate."
+            )
+        _checks.truth("shared_folder", self.shared_folder)
+        if self.shared_folder and (self.executor is None or not has_folder):
+            missing = "a folder" if self.executor is not None else "executor"
+            raise ValueError(
+                f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it "
+                "lets the workers of a cluster write into the folder of the sweep."
+            )
+
+    @contextmanager
+    def opened(self, plan: Plan, store: Store) -> Iterator[Executor]:
+        """The executor that was asked for, closed at the end."""
+        executor = self._executor(plan, store)
+        finished = False
+        try:
+            yield executor
+            finished = True
+        finally:
+            executor.close(wait=finished)
+
+    def _executor(self, plan: Plan, store: Store) -> Executor:
+        if self.executor is not None:
+            return DaskCluster(plan, self.executor, store, self.shared_folder)
+        if self.workers is not None:
+            return Processes(plan, _checks.whole_number("workers", self.workers))
+        usual = max(cores(), len(jax.local_devices()))
+        return Threads(plan, usual if self.threads is None else _checks.whole_number("threads", self.threads))
+
+
 def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
     """Do what is left of a sweep, and return its result; see `Sweep.run`."""
+    choice.check(has_folder=folder is not None)
     _check_dtype(plan)
     if folder is None:
         with TemporaryDirectory(prefix="stickslip-sweep-") as temporary:
@@ -38,12 +88,9 @@ def _run_in(folder: Path, kept: bool, asked: Plan, choice: ExecutorChoice, progr
     with opened(folder, asked) as (store, plan), stoppable() as stopping, warnings_by_thread():
         store.log(f"begun: {plan.points.number} points, {plan.samples} samples each")
         for _ in range(_ROUNDS):
-            work = Work(plan, store)
-            with (
-                choice.opened(plan, store) as chosen,
-                progress_bar(progress, plan.points.number * plan.samples) as bar,
-            ):
-                run_tasks(work, chosen, stopping, bar)
+            work, total = Work(plan, store), plan.points.number * plan.samples
+            with choice.opened(plan, store) as executor, progress_bar(progress, total) as bar:
+                run_tasks(work, executor, stopping, bar)
             if stopping.requested:
                 _stop(work, kept)
             if work.without_memory:
@@ -108,4 +155,4 @@ def _check_dtype(plan: Plan) -> None:
             f"jax.config.update('jax_enable_x64', {plan.dtype == 'float64'}) before anything else."
         )
     if plan.dtype == "float32":
-        warnings.warn("This sweep runs in float32.", stacklevel=5)
+        warnings.warn("This sweep runs in float32.", stacklevel=4)

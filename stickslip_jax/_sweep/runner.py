@@ -1,19 +1,55 @@
-"""The loop that does the tasks of a sweep."""
+"""The loop that does the tasks of a sweep, until all are done or Ctrl-C stops it."""
 
 import queue
+import signal
+import sys
+import threading
 import time
 from collections import deque
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 from .._ensemble.progress import Progress
 from .errors import SweepError
-from .executors import Executor, WorkerDiedError
+from .executors import Executor, Pending, WorkerDiedError, Written
 from .plan import Plan, Task
-from .stopping import Stopping
 from .work import Work
-from .workers import Failed, NoMemory, outcome_of
+from .workers import Failed, NoMemory, Outcome, outcome_of
 
 _DEATHS = 3  # of workers while a task was under way, after which the sweep ends
+
+
+class Stopping:
+    """Whether the sweep is to stop. `requested`: after the batches under way."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def request(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal: the first time ask to stop, the second time raise KeyboardInterrupt."""
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+        # In one write: a second Ctrl-C comes between the parts that print would write.
+        sys.stderr.write(
+            "\nStopping after the batches under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
+        )
+
+
+@contextmanager
+def stoppable() -> Iterator[Stopping]:
+    """Handles SIGINT while the block runs, where signals can be handled: in the main thread, unless it is ignored."""
+    stopping = Stopping()
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
+        yield stopping
+        return
+    signal.signal(signal.SIGINT, stopping.request)
+    try:
+        yield stopping
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
@@ -55,23 +91,17 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
                 f"no memory for {described(work.plan, task)} ({found.reason}); it is done again, with at most "
                 f"{under_way.most} at a time"
             )
-        elif isinstance(found, (NoMemory, Failed)):
-            _give_up(work, task, found)
+        elif isinstance(found, NoMemory):
+            work.without_memory[task] = found.reason
+            work.store.log(f"no memory for {described(work.plan, task)}, even alone: {found.reason}")
+        elif isinstance(found, Failed):
+            work.failed[task.point] = found.reason  # the other tasks of the point go on
+            work.store.log(f"FAILED {described(work.plan, task)}: {found.reason}")
         else:
             waiting.extendleft(work.finish(task, found if isinstance(found, bytes) else None))
             work.store.log(f"done {described(work.plan, task)} in {time.monotonic() - began:.2f} s")
             bar.advance(task.samples if task.derivative is None else 0)
             bar.note(f"{work.complete} of {work.plan.points.number} points")
-
-
-def _give_up(work: Work, task: Task, found: NoMemory | Failed) -> None:
-    """Note why a task is not done in this run."""
-    if isinstance(found, Failed):
-        work.failed[task.point] = found.reason  # the other tasks of the point go on
-        work.store.log(f"FAILED {described(work.plan, task)}: {found.reason}")
-    else:
-        work.without_memory[task] = found.reason
-        work.store.log(f"no memory for {described(work.plan, task)}, even alone: {found.reason}")
 
 
 class _UnderWay:
@@ -81,8 +111,8 @@ class _UnderWay:
 
     def __init__(self, executor: Executor):
         self._executor = executor
-        self._futures: dict[Task, Any] = {}
-        self._ended: queue.SimpleQueue[tuple[Task, Any]] = queue.SimpleQueue()
+        self._futures: dict[Task, Pending] = {}
+        self._ended: queue.SimpleQueue[tuple[Task, Pending]] = queue.SimpleQueue()
         self._not_alone: set[Task] = set()
         self.began: dict[Task, float] = {}
         self.most: int | None = None
@@ -122,7 +152,7 @@ class _UnderWay:
             return None
         return task if self._futures.get(task) is future else None  # else lost, and begun again
 
-    def result(self, task: Task) -> Any:
+    def result(self, task: Task) -> Outcome | Written:
         """The outcome of a task, which is no longer under way."""
         del self.began[task]
         return self._executor.result(task, self._futures.pop(task))

@@ -1,7 +1,9 @@
 """The folder of a sweep: its manifest, the batches that are done, the data set, and a log."""
 
 import contextlib
+import dataclasses
 import hashlib
+import itertools
 import os
 import re
 import time
@@ -22,15 +24,23 @@ from .._files import (
 from .errors import DamagedBatchError, SweepError
 from .header import ID_LENGTH, LONGEST_HEADER, ForeignBatchError, id_and_name, with_header, without_header
 from .locking import cannot_write, is_locked, locked
-from .manifest import Manifest, body_of, differences, extended, manifest_text, with_batch
-from .manifest_files import COPY, MANIFEST, body_in, has_manifest, sweep_id_of
+from .manifest import (
+    COPY,
+    MANIFEST,
+    Manifest,
+    body_in,
+    body_of,
+    differences,
+    extended,
+    has_manifest,
+    manifest_text,
+    sweep_id_of,
+)
 from .plan import Plan, Task
 from .stored_plan import plan_in
 
 BATCHES, DATA, LOG, LOCK = "batches", "sweep.nc", "log.txt", ".lock"
 _LONGEST_NAME = 100  # of a derivative in the name of a file
-
-
 _NAME = re.compile(r"(?P<point>[0-9a-f]{16})-(?P<first>\d+)-(?P<end>\d+)(\.zip|-(?P<name>.+)\.json)")
 
 
@@ -82,15 +92,12 @@ class Store:
 
     def check_kept(self) -> None:
         """Raises SweepError if the folder was removed or replaced while this program holds its lock."""
-        missing = []
         if not any(_file_number(self.folder / name) for name in (MANIFEST, COPY)):
-            missing.append(MANIFEST)
+            raise self._taken_away(MANIFEST)
         if _file_number(self.folder / LOCK) != self._lock:
-            missing.append(LOCK)
+            raise self._taken_away(LOCK)
         if not (self.folder / BATCHES).is_dir():
-            missing.append(BATCHES)
-        if missing:
-            raise self._taken_away(missing[0])
+            raise self._taken_away(BATCHES)
 
     def _taken_away(self, name: str) -> SweepError:
         return SweepError(
@@ -114,11 +121,9 @@ class Store:
         if not self.can_write:
             names |= _names_in(self.folder)
         found: dict[str, list[Batch]] = defaultdict(list)
-        for file in sorted(names):
-            parts = _NAME.fullmatch(file)
-            if parts is not None:
-                identity, first, end, name = parts.group("point", "first", "end", "name")
-                found[identity].append(Batch(self.folder / BATCHES / file, int(first), int(end), name or ""))
+        for parts in filter(None, map(_NAME.fullmatch, sorted(names))):
+            identity, first, end, name = parts.group("point", "first", "end", "name")
+            found[identity].append(Batch(self.folder / BATCHES / parts[0], int(first), int(end), name or ""))
         return found
 
     def read(self, batch: Batch) -> bytes:
@@ -133,12 +138,9 @@ class Store:
             raise
         except ForeignBatchError:
             raise SweepError(f"{batch.path} is a batch of another sweep; move it elsewhere, and run again.") from None
-        except NotAFileError as error:
-            raise SweepError(f"{batch.path} cannot be read ({error.strerror}); remove it, and run again.") from error
         except OSError as error:
-            raise SweepError(
-                f"{batch.path} cannot be read ({error.strerror}); make it readable, or remove it, and run again."
-            ) from error
+            todo = "remove it" if isinstance(error, NotAFileError) else "make it readable, or remove it"
+            raise SweepError(f"{batch.path} cannot be read ({error.strerror}); {todo}, and run again.") from error
 
     def check_batches(self) -> None:
         """Remove batches that have another name than when they were written, as tasks are found by the names.
@@ -146,24 +148,24 @@ class Store:
         Raises SweepError for undamaged batches of another sweep, and for what is no file, which must not be replaced.
         """
         foreign, is_any_ours = None, False
-        for batch in (one for batches in self._all().values() for one in batches):
+        for batch in itertools.chain.from_iterable(self._all().values()):
             try:
                 sweep_id, name = id_and_name(read_regular(batch.path, LONGEST_HEADER))
-                if sweep_id == self.sweep_id:
-                    is_any_ours = True
-                    if name != batch.path.name:
-                        self.remove(batch, f"it is {name}, under another name")
-                    continue
             except NotAFileError:
                 self.read(batch)  # says so
+                continue
             except OSError:
                 continue
-            try:
-                self.read(batch)
-            except (DamagedBatchError, FileNotFoundError):
-                continue
-            except SweepError as error:
-                foreign = foreign or error
+            if sweep_id != self.sweep_id:
+                try:
+                    self.read(batch)
+                except (DamagedBatchError, FileNotFoundError):
+                    continue
+                except SweepError as error:
+                    foreign = foreign or error
+            elif name != batch.path.name:
+                self.remove(batch, f"it is {name}, under another name")
+            is_any_ours |= sweep_id == self.sweep_id
         if foreign is not None and not is_any_ours:
             raise SweepError(
                 f"{self.folder} has batches of another sweep than its {MANIFEST}; put their manifest back, or choose "
@@ -186,12 +188,12 @@ class Store:
                 with contextlib.suppress(OSError):  # they do no harm
                     batch.path.unlink()
 
-    def path_of(self, identity: str, task: Task, plan: Plan) -> Path:
-        """The file of the result of a task."""
-        name = f"{identity}-{task.first}-{task.end}"
-        if task.derivative is None:
-            return self.folder / BATCHES / f"{name}.zip"
-        return self.folder / BATCHES / f"{name}-{derivative_name(plan, task.derivative)}.json"
+    def batch_of(self, identity: str, task: Task, plan: Plan) -> Batch:
+        """The file for the result of a task."""
+        derivative = "" if task.derivative is None else derivative_name(plan, task.derivative)
+        ending = f"-{derivative}.json" if derivative else ".zip"
+        path = self.folder / BATCHES / f"{identity}-{task.first}-{task.end}{ending}"
+        return Batch(path, task.first, task.end, derivative)
 
     def write(self, path: Path, data: bytes) -> None:
         """Write the bytes of a batch. Raises SweepError if that fails."""
@@ -265,7 +267,7 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         text = manifest_text(plan)
         if has_manifest(folder):
             stored = body_in(folder, lambda: _ids_in(folder), to_write=True)
-            plan = with_batch(plan, stored)
+            plan = dataclasses.replace(plan, batch=stored["deciding"]["batch"])
             new = body_of(manifest_text(plan))
             _check_extends(folder, stored, new)
             text = extended(stored, new)
@@ -275,9 +277,9 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
             remove_unfinished(folder)
             remove_unfinished(folder / BATCHES)
             (folder / BATCHES).mkdir(exist_ok=True)
-            for name in (MANIFEST, COPY):
-                if not _has_text(folder / name, text):
-                    write_whole(folder / name, text.encode())
+            for path in (folder / MANIFEST, folder / COPY):
+                if not path.exists() or read_regular(path) != text.encode():
+                    write_whole(path, text.encode())
             sync_folder(folder.parent)
         except OSError as error:
             raise cannot_write(folder, error) from error
@@ -299,17 +301,11 @@ def _check_extends(folder: Path, stored: Manifest, new: Manifest) -> None:
         )
 
 
-def _has_text(path: Path, text: str) -> bool:
-    with contextlib.suppress(FileNotFoundError):
-        return read_regular(path) == text.encode()
-    return False
-
-
 def _make_folder(folder: Path) -> None:
     """Make the folder. Raises SweepError for one that holds something else, or cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        others = sorted(entry.name for entry in os.scandir(folder) if not _is_begun(Path(entry.path)))
+        others = sorted(path.name for path in folder.iterdir() if not _is_begun(path))
         has_sweep = has_manifest(folder)
     except FileExistsError:
         raise SweepError(f"{folder} cannot hold a sweep, because it is a file; choose another folder.") from None

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from .. import _checks
 from .._dynamics.common.validation import check_method
 from .._ensemble.encoding import Decoder
 from .._ensemble.unknown import Unknown
+from .._statistics.accumulator import Numbering
 from .errors import SweepError
 from .manifest import OBJECTS, Manifest
-from .plan import Plan, checked_derivatives, checked_keep, checked_statistics
+from .plan import Plan, checked_derivatives, checked_errors, checked_keep, checked_statistics
 from .points import Dimension, Points
 from .setting import Setting, setting_of
 
+_Known = TypeVar("_Known")
 _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
@@ -46,14 +48,15 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
         raise ValueError(f"dtype is {_checks.show(fields['dtype'])}")
     keep = checked_keep(fields["keep"])
     derivatives = [(name, tuple(wrt)) for name, wrt in fields["derivatives"]]
+    statistics = _known(fields["statistics"], lambda name: checked_statistics([name], keep))
     fields |= {
-        "numbering": tuple(fields["numbering"]),
+        "numbering": Numbering.checked(*fields["numbering"]),
         "key_data": _key_data(fields["key_data"]),
-        "statistics": _known(fields["statistics"], lambda name: checked_statistics([name], keep)),
+        "statistics": statistics,
         "derivatives": _known(derivatives, lambda one: checked_derivatives([one])),
-        "standard_errors": fields["standard_errors"] or None,
+        "standard_errors": checked_errors(fields["standard_errors"] or None, statistics),
     }
-    return Plan.checked(_setting(body, to_run), _points(body["dimensions"]), **fields)
+    return Plan(_setting(body, to_run), _points(body["dimensions"]), **fields)
 
 
 def _setting(body: Manifest, to_run: bool) -> Setting:
@@ -95,7 +98,7 @@ def _key_data(words: object) -> tuple[int, ...] | None:
     return tuple(words)
 
 
-def _known(names: object, check: Callable[[Any], tuple[Any, ...]]) -> tuple[Any, ...]:
+def _known(names: object, check: Callable[[Any], tuple[_Known, ...]]) -> tuple[_Known, ...]:
     """Those of the `names` that this version knows; a warning tells of the others."""
     if not isinstance(names, list):
         raise TypeError(f"statistics are {_checks.show(names)}")
@@ -110,4 +113,4 @@ def _known(names: object, check: Callable[[Any], tuple[Any, ...]]) -> tuple[Any,
                 "left out.",
                 stacklevel=2,
             )
-    return tuple(known)
+    return tuple(dict.fromkeys(known))

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,20 +16,23 @@ from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
+from .._statistics.accumulator import Numbering
 from .._statistics.quantities import SampledQuantity
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
 from .._types import Array, InitialState
 from .._uncertainty.design import Design
+from . import plan as plans
 from .errors import SweepError
-from .plan import Plan, checked_samples, key_data_in, usual_batch
+from .plan import Plan
 from .points import points_of
 from .setting import setting_of
 
 if TYPE_CHECKING:
+    import distributed
     import xarray
 
-_Values = Sequence[Any] | np.ndarray
+_Values = Sequence[object] | np.ndarray
 Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
 Folder = str | os.PathLike[str]
 
@@ -106,21 +109,23 @@ class Sweep:
         batch: int | None = None,
     ):
         check_method(method)
-        points, samples = points_of(over), checked_samples(samples)
-        self._plan = Plan.checked(
+        points, samples = points_of(over), plans.checked_samples(samples)
+        keep = plans.checked_keep(keep)
+        names = plans.checked_statistics(statistics, keep)
+        self._plan = Plan(
             setting_of(system, law, y0, method),
             points,
             t1=t1,
             samples=samples,
-            key_data=key_data_in(key),
+            key_data=plans.key_data_in(key),
             keep=keep,
-            numbering=(orders, count_initial_rest),
-            statistics=statistics,
-            derivatives=sensitivities,
+            numbering=Numbering.checked(orders, count_initial_rest),
+            statistics=names,
+            derivatives=plans.checked_derivatives(sensitivities),
             independent=independent,
-            standard_errors=standard_error,
+            standard_errors=plans.checked_errors(standard_error, names),
             realizations=realizations,
-            batch=usual_batch(points.number, samples) if batch is None else batch,
+            batch=plans.usual_batch(points.number, samples) if batch is None else batch,
             dtype=str(jnp.result_type(float)),
         )
         self._plan.check()
@@ -156,7 +161,7 @@ class Sweep:
         Raises:
             SweepError: For a sweep that was not loaded from a folder.
         """
-        from .reading import stored_dataset  # noqa: PLC0415 - needs an extra
+        from .dataset import stored_dataset  # noqa: PLC0415 - needs an extra
 
         if self._folder is None:
             raise SweepError(
@@ -171,7 +176,7 @@ class Sweep:
         *,
         threads: int | None = None,
         workers: int | None = None,
-        executor: Any = None,
+        executor: "distributed.Client | None" = None,
         shared_folder: bool = False,
         progress: bool | None = None,
     ) -> "xarray.Dataset":
@@ -197,14 +202,11 @@ class Sweep:
             SweepError: For a folder that holds something else or cannot be written, and if points failed.
             ImportError: Without the extra ``study``.
         """
-        from .executor_choice import ExecutorChoice  # noqa: PLC0415 - with what runs sweeps only
-        from .run import run_sweep  # noqa: PLC0415 - needs an extra
+        from .run import ExecutorChoice, run_sweep  # noqa: PLC0415 - needs an extra
 
         require_threads_of_jax()
         path = None if folder is None else _checks.path("folder", folder)
-        choice = ExecutorChoice(threads, workers, executor, shared_folder)
-        choice.check(has_folder=folder is not None)
-        return run_sweep(self._plan, path, choice, progress)
+        return run_sweep(self._plan, path, ExecutorChoice(threads, workers, executor, shared_folder), progress)
 
     @property
     def points(self) -> int:

@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import TextIO
 
 _local = threading.local()
 _lock, _filters = threading.Lock(), ExitStack()
@@ -52,10 +52,13 @@ def _shown_by_thread() -> Iterator[None]:
         warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the sweep says so once
         show = warnings.showwarning
 
-        def show_or_collect(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        def show_or_collect(
+            message: Warning | str, category: type[Warning], filename: str, lineno: int,
+            file: TextIO | None = None, line: str | None = None,
+        ) -> None:  # fmt: skip
             texts = getattr(_local, "texts", None)
             if texts is None:
-                show(message, category, *where, **more)
+                show(message, category, filename, lineno, file, line)
             else:
                 texts.append(str(message))
 

@@ -1,22 +1,22 @@
 """The tasks of a sweep that are left, and the batches that are there."""
 
 import contextlib
+import pickle
+import weakref
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from tempfile import SpooledTemporaryFile, gettempdir
 
 from .._ensemble.result import Ensemble
 from .._statistics.totals import STATISTICS
 from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unfinished_in, unpacked
-from .errors import DamagedBatchError
+from .errors import DamagedBatchError, SweepError
 from .plan import Plan, Task
-from .read_cache import ReadCache
 from .store import Batch, Store, derivative_name
 
+_IN_MEMORY = 2**26  # bytes of what has been read; what is more goes to a temporary file
 _LISTINGS = 5  # of the folder at most, where a run that is under way has joined batches since the last
 
 
-@dataclass
 class Work:
     """The tasks of a sweep that are left, in order of the points.
 
@@ -25,33 +25,29 @@ class Work:
     `damaged`: batches that could not be read, and were removed.
     """
 
-    plan: Plan
-    store: Store
-    done: list[int] = field(default_factory=list)
-    failed: dict[int, str] = field(default_factory=dict)
-    without_memory: dict[Task, str] = field(default_factory=dict)
-    complete: int = 0
-    damaged: int = 0
-
-    def __post_init__(self) -> None:
-        self._identities = [self.plan.points.identity(point) for point in range(self.plan.points.number)]
-        self._batches = self.store.batches()
+    def __init__(self, plan: Plan, store: Store):
+        self.plan, self.store = plan, store
+        self.done = [0] * plan.points.number
+        self.failed: dict[int, str] = {}
+        self.without_memory: dict[Task, str] = {}
+        self.complete = self.damaged = 0
+        self._identities = [plan.points.identity(point) for point in range(plan.points.number)]
+        self._batches = store.batches()
         self._left: dict[int, int] = {}  # tasks of a point that are not done
-        self.done = [0] * self.plan.points.number
         # A run may join batches while they are read here: what was read once is kept, so that it stays the same.
         self._cache = None if self.store.can_write else ReadCache()
 
-    def batches(self, point: int) -> list[Batch]:
+    def _batches_at(self, point: int) -> list[Batch]:
         """The batches of a point that are there."""
         return self._batches.get(self._identities[point], [])
 
     def _of_samples(self, point: int) -> list[Batch]:
         """The batches of samples of a point, without those of derivatives."""
-        return [batch for batch in self.batches(point) if not batch.derivative]
+        return [batch for batch in self._batches_at(point) if not batch.derivative]
 
-    def _path_of(self, task: Task) -> Path:
+    def _batch_of(self, task: Task) -> Batch:
         """The file for the result of a task."""
-        return self.store.path_of(self._identities[task.point], task, self.plan)
+        return self.store.batch_of(self._identities[task.point], task, self.plan)
 
     def tasks(self) -> Iterator[Task]:
         """What is left to do. With wanted standard errors, the next batch of each point that misses them."""
@@ -66,7 +62,7 @@ class Work:
     def _tasks_at(self, point: int) -> list[Task]:
         self.done[point] = sum(batch.end - batch.first for batch in self._of_samples(point))
         tasks = self._missing(point)
-        there = {(batch.derivative, batch.end) for batch in self.batches(point)}
+        there = {(batch.derivative, batch.end) for batch in self._batches_at(point)}
         for number in range(len(self.plan.derivatives)):
             if (derivative_name(self.plan, number), self.plan.samples) not in there:
                 tasks.append(Task(point, 0, self.plan.samples, number))
@@ -91,12 +87,10 @@ class Work:
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
         """Store the result of a task (None: the worker has stored it); returns the tasks that follow from it."""
-        path = self._path_of(task)
+        batch = self._batch_of(task)
         if data is not None:
-            self.store.write(path, data)
-        name = "" if task.derivative is None else derivative_name(self.plan, task.derivative)
+            self.store.write(batch.path, data)
         batches = self._batches.setdefault(self._identities[task.point], [])
-        batch = Batch(path, task.first, task.end, name)
         batches.append(batch)
         batches.sort(key=lambda batch: (batch.derivative, batch.first))
         try:
@@ -151,12 +145,11 @@ class Work:
 
     def _without_gap(self, point: int) -> list[tuple[Batch, bytes]]:
         """The batches of samples of a point from the first on that are there without a gap."""
-        if self._cache is None:
-            return self._read(point, is_gap_allowed=False)
-        found = self._cache.get(point)
+        found = None if self._cache is None else self._cache.get(point)
         if found is None:
             found = self._read(point, is_gap_allowed=False)
-            self._cache.put(point, found)
+            if self._cache is not None:
+                self._cache.put(point, found)
         return found
 
     def heads(self, point: int) -> list[Head]:
@@ -190,7 +183,7 @@ class Work:
     def derivatives(self, point: int) -> dict[str, Derivatives]:
         """The results of the derivatives of a point that are there, by name."""
         found, names = {}, {derivative_name(self.plan, number) for number in range(len(self.plan.derivatives))}
-        for batch in list(self.batches(point)):
+        for batch in list(self._batches_at(point)):
             if batch.derivative in names and batch.end == self.plan.samples:
                 try:
                     with self._damage_removed(point, batch):
@@ -207,11 +200,10 @@ class Work:
         whole = self.ensemble(point)
         if whole is None or whole.samples != batches[-1].end:  # a damaged batch, which is done again
             return
-        task = Task(point, 0, whole.samples)
-        path = self._path_of(task)
-        self.store.write(path, packed(whole))
-        others = [batch for batch in self.batches(point) if batch.derivative]
-        self._batches[self._identities[point]] = [Batch(path, 0, whole.samples), *others]
+        joint = self._batch_of(Task(point, 0, whole.samples))
+        self.store.write(joint.path, packed(whole))
+        others = [batch for batch in self._batches_at(point) if batch.derivative]
+        self._batches[self._identities[point]] = [joint, *others]
         for batch in batches:
             with contextlib.suppress(OSError):  # what is left is not used, and removed at the end
                 batch.path.unlink()
@@ -230,7 +222,35 @@ class Work:
 
     def _remove(self, point: int, batch: Batch, reason: str) -> None:
         with contextlib.suppress(ValueError):  # the folder was listed again since it was read
-            self.batches(point).remove(batch)
+            self._batches_at(point).remove(batch)
         self.damaged += 1
         if self.store.can_write:
             self.store.remove(batch, reason)
+
+
+class ReadCache:
+    """The batches of points, with their bytes, as they were when they were read first."""
+
+    def __init__(self) -> None:
+        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115 - closed with this object
+        weakref.finalize(self, self._file.close)
+        self._starts: dict[int, int] = {}
+
+    def put(self, point: int, batches: list[tuple[Batch, bytes]]) -> None:
+        """Keep what was read of a point. Raises SweepError where there is no room for it."""
+        try:
+            start = self._file.seek(0, 2)
+            pickle.dump(batches, self._file)
+        except OSError as error:
+            raise SweepError(
+                f"{gettempdir()} cannot be written ({error.strerror}), where the batches of a large sweep are kept "
+                "while it is read; make room there, or name another folder in the environment variable TMPDIR."
+            ) from error
+        self._starts[point] = start
+
+    def get(self, point: int) -> list[tuple[Batch, bytes]] | None:
+        """What was read of a point; None if nothing was."""
+        if point not in self._starts:
+            return None
+        self._file.seek(self._starts[point])
+        return pickle.load(self._file)

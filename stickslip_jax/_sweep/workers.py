@@ -12,8 +12,8 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, NamedTuple, TypeAlias
+from contextlib import contextmanager, nullcontext
+from typing import NamedTuple, TypeAlias
 
 import jax
 
@@ -75,33 +75,24 @@ class Performer:
     """Does tasks of a plan in any threads of this process, spread over the devices that JAX has here."""
 
     def __init__(self, plan: Plan):
-        self._plan = plan
-        self._devices = [_Device(device) for device in jax.local_devices()]
-        self._number = itertools.count()
+        self._plan, self._devices, self._number = plan, jax.local_devices(), itertools.count()
+        self._compiling = [threading.Lock() for _ in self._devices]
+        self._compiled: set[int] = set()
 
     def perform(self, task: Task) -> bytes:
         """Do a task. Raises ValueError for a point that cannot be simulated."""
-        device = self._devices[next(self._number) % len(self._devices)]
-        if not device.compiled:  # the first task compiles what all need, while the others wait
-            with device.compiling:
-                if not device.compiled:
+        device = next(self._number) % len(self._devices)
+        if device not in self._compiled:  # the first task compiles what all need, while the others wait
+            with self._compiling[device]:
+                if device not in self._compiled:
                     done = self._on(device, task)
-                    device.compiled = True
+                    self._compiled.add(device)
                     return done
         return self._on(device, task)
 
-    def _on(self, device: "_Device", task: Task) -> bytes:
-        if len(self._devices) == 1:
+    def _on(self, device: int, task: Task) -> bytes:
+        with jax.default_device(self._devices[device]) if len(self._devices) > 1 else nullcontext():
             return perform(self._plan, task)
-        with jax.default_device(device.device):
-            return perform(self._plan, task)
-
-
-@dataclasses.dataclass
-class _Device:
-    device: Any  # a ``jax.Device``, which type checkers take for a variable
-    compiling: threading.Lock = dataclasses.field(default_factory=threading.Lock)
-    compiled: bool = False
 
 
 # --- sending
@@ -126,8 +117,10 @@ def sent(plan: Plan) -> Sent:
 
 
 def _dumps(plan: Plan) -> bytes:
+    # cloudpickle comes with loky and dask, and sends the classes of notebooks too
+    pickler = importlib.import_module("cloudpickle" if importlib.util.find_spec("cloudpickle") else "pickle")
     try:
-        return _pickler()(dataclasses.replace(plan))  # without what it has computed
+        return pickler.dumps(dataclasses.replace(plan))  # without what it has computed
     except Exception as error:  # pickling a user's object may raise anything
         raise ValueError(
             "Arguments system and law must be objects that can be sent to other processes, but pickling them failed "
@@ -135,28 +128,19 @@ def _dumps(plan: Plan) -> bytes:
         ) from error
 
 
-def _pickler() -> Callable[[object], bytes]:
-    if importlib.util.find_spec("cloudpickle") is None:
-        return pickle.dumps
-    return importlib.import_module("cloudpickle").dumps  # comes with loky and dask; sends the classes of notebooks too
-
-
 def perform_sent(plan: Sent, task: Task) -> Outcome:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
     with _precision.of(plan.double), warnings_by_thread():
-        return attempted(_performer(plan).perform, task)
+        with _reading:  # one performer for all threads, whose compilations they share
+            performer = _performer(plan.plan, tuple(sorted(plan.versions.items())), plan.caches)
+        return attempted(performer.perform, task)
 
 
 _reading = threading.Lock()
 
 
-def _performer(sent: Sent) -> Performer:
-    with _reading:  # one for all threads, whose compilations they share
-        return _new_performer(sent.plan, tuple(sorted(sent.versions.items())), sent.caches)
-
-
 @functools.lru_cache(maxsize=4)  # sweeps that run at once on one worker do not throw out each other
-def _new_performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: bool) -> Performer:
+def _performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: bool) -> Performer:
     if caches:
         _compilation_cache.use()
     here = versions()

@@ -19,12 +19,7 @@ if _missing:
     raise ImportError(f"Studies need {', '.join(_missing)}: pip install 'stickslip_jax[study]'.")
 
 # Loaded when asked for, so that help and messages about a file do not wait for what only a simulation needs.
-_HOMES = {
-    "StoredStudy": "_run",
-    "StudyConfig": "_config",
-    "read_config": "_reading",
-    "run_study": "_run",
-}
+_HOMES = {"StoredStudy": "_run", "StudyConfig": "_config", "read_config": "_reading", "run_study": "_run"}
 
 
 def __getattr__(name: str):

@@ -166,7 +166,7 @@ def status(folder: Path, /) -> None:
     folder
         Folder of the sweep.
     """
-    from .._sweep.reading import status_of  # noqa: PLC0415
+    from .._sweep.dataset import status_of  # noqa: PLC0415
     from ._sweep_report import status_text  # noqa: PLC0415
 
     print(status_text(folder, status_of(folder)))
@@ -189,7 +189,7 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     """
     if out is not None and out.suffix.lower() not in FIGURES:
         raise StudyError(f"option --out must be a file that ends in {', '.join(FIGURES)}, but {out} was given.")
-    from .._sweep.reading import stored_dataset  # noqa: PLC0415
+    from .._sweep.dataset import stored_dataset  # noqa: PLC0415
     from .._sweep.store import Store  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
@@ -206,10 +206,7 @@ def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None
     from .._sweep.store import DATA  # noqa: PLC0415
     from ._sweep_run import run_stored  # noqa: PLC0415
 
-    dataset = run_stored(
-        sweep, folder, threads=executors.threads, workers=executors.workers, dask=executors.dask,
-        progress=False if executors.quiet else executors.progress,
-    )  # fmt: skip
+    dataset = run_stored(sweep, folder, executors)
     if not executors.quiet:
         _print_table(dataset)
         print(f"The result is in {folder / DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")

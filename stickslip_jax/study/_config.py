@@ -50,8 +50,10 @@ class PointConfig(Section):
         default="linear", description="of regularised friction: linear, tanh, rational or arctan"
     )
 
-    def method(self, solver: Any = None) -> Exact | Regularized:
-        """The method as the simulation takes it; `solver`: for slips, or of regularised dynamics."""
+    def method(self) -> Exact | Regularized:
+        """The method as the simulation takes it."""
+        name = getattr(self, "solver", None)
+        solver = None if name is None else getattr(diffrax, name)()
         if self.width is None:
             return Exact(self.step, self.max_steps, solver)
         return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
@@ -85,10 +87,6 @@ class MassSpringPointConfig(PointConfig):
         default=None,
         description="Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms, with a width Kvaerno3",
     )
-
-    def method(self, solver: Any = None) -> Exact | Regularized:
-        """The method as the simulation takes it."""
-        return super().method(solver if self.solver is None else getattr(diffrax, self.solver)())
 
 
 class MotorCartPointConfig(PointConfig):
@@ -132,7 +130,7 @@ class FileConfig(Section):
 
     @field_validator("base", mode="before")
     @classmethod
-    def _usual_base(cls, table: Any, info: Any) -> Any:
+    def _usual_base(cls, table: object, info: Any) -> object:
         if not isinstance(table, dict) or "law" in table:
             return table
         by_voltage = getattr(info.data.get("system"), "driven_by_voltage", False)
@@ -140,11 +138,11 @@ class FileConfig(Section):
 
     @field_validator("run", mode="before", check_fields=False)
     @classmethod
-    def _run_of_the_system(cls, table: Any, info: Any) -> PointConfig:
+    def _run_of_the_system(cls, table: object, info: Any) -> PointConfig:
         if "system" not in info.data:  # the mistake in [system] is reported
             return cls.runs[MassSpringConfig]()
         kind = cls.runs[type(info.data["system"])]
-        if type(table) is RunConfig:
+        if isinstance(table, RunConfig) and type(table) is RunConfig:
             table = table.model_dump(exclude_unset=True)
         return kind.model_validate(table, context=info.context)
 

@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from .. import papers
 
 _BUILDING, _PERIOD, _GRAVITY = 2.0e5, 2.5, 9.81  # kg; s, natural period on its isolators; m/s^2
 
-EXAMPLES: dict[str, Mapping[str, Any]] = {
+EXAMPLES: dict[str, Mapping[str, Mapping[str, object]]] = {
     "harmonic-base": {
         "system": {"friction": {"law": "Stribeck", "mu": 0.3, "mu_static": 0.5, "stribeck_speed": 0.2}},
         "base": {"law": "Harmonic", "amplitude": 0.5, "angular_frequency": 0.8, "offset": 0.2},
@@ -32,7 +31,9 @@ EXAMPLES: dict[str, Mapping[str, Any]] = {
 """A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart."""
 
 
-def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, swept: bool = True) -> dict[str, Any]:
+def _share(
+    law: Mapping[str, object], samples: int = 1, keep: str = "totals", *, swept: bool = True
+) -> dict[str, Mapping[str, object]]:
     over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
     if swept:
         over["r"] = {"linspace": list(papers.SHARE_RATIOS)}
@@ -43,7 +44,7 @@ def _share(law: Mapping[str, Any], samples: int = 1, keep: str = "totals", *, sw
     }
 
 
-PAPERS: dict[str, Mapping[str, Any]] = {
+PAPERS: dict[str, Mapping[str, Mapping[str, object]]] = {
     "parametric-analysis": {
         "sweep": {
             "over": {

@@ -48,7 +48,7 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
     plot.save(axes, folder / DURATION_AND_POSITION, title=title)
 
 
-def _voltage(ensemble: Ensemble) -> Any:
+def _voltage(ensemble: Ensemble) -> SourceVoltage | RandomPhase | None:
     """The voltage if the bound of its stick durations is known in closed form; else None."""
     law = ensemble.law
     known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
@@ -68,7 +68,7 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
     return one
 
 
-def _time_shown(system: System, law: Any) -> float:
+def _time_shown(system: System, law: object) -> float:
     """The longest time whose oscillations can be distinguished in a figure, s."""
     if system.natural_frequency is None:
         signal: Any = law.signal if isinstance(law, RandomPhase) else law

@@ -78,19 +78,14 @@ def _publish(staging: Path, directory: Path) -> None:
     """Move the old files aside and the new ones into place; if that fails, move all of them back."""
     aside = staging / "replaced"
     aside.mkdir()
+    old = [(directory / name, aside / name) for name in reversed(RESULT_FILES)]
+    new = [(staging / name, directory / name) for name in RESULT_FILES]
     moved: list[tuple[Path, Path]] = []
-
-    def move(source: Path, target: Path) -> None:
-        source.replace(target)
-        moved.append((source, target))
-
     try:
-        for name in reversed(RESULT_FILES):
-            if os.path.lexists(directory / name):
-                move(directory / name, aside / name)
-        for name in RESULT_FILES:
-            if os.path.lexists(staging / name):
-                move(staging / name, directory / name)
+        for source, target in (*old, *new):
+            if os.path.lexists(source):
+                source.replace(target)
+                moved.append((source, target))
     except BaseException:
         for source, target in reversed(moved):
             target.replace(source)

@@ -2,19 +2,26 @@
 
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
+from .._checks import one_of
 from ._config import FileConfig, StudyConfig
 from ._errors import StudyError
 from ._examples import EXAMPLES, PAPERS
-from ._mistakes import Options, sentence_for
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, shown_value, tables_of, tag_key, tag_of
 from ._sweep_config import SweepConfig
+from ._systems_config import MassSpringConfig
 
 _File = TypeVar("_File", bound=FileConfig)
+_Tables = Mapping[str, Mapping[str, object]]
+_Options = Mapping[tuple[str, str], str]
+"""The option of the command by which a value was given, by section and key."""
+_CHOSEN = None  # the name under which the chosen kind of a section stands
 
 OPTIONS = {
     "samples": ("run", "samples"),
@@ -61,9 +68,13 @@ def read_sweep_config(
 
 
 def _read(
-    kind: type[_File], command: str, path: Path | None, usual: Mapping[str, Any], options: Mapping[str, object] | None
+    kind: type[_File],
+    command: str,
+    path: Path | None,
+    usual: Mapping[str, object],
+    options: Mapping[str, object] | None,
 ) -> _File:
-    table = dict(usual) if path is None else _parse(path, command)
+    table: dict[str, Any] = dict(usual) if path is None else _parse(path, command)
     config = _validated(kind, table, path, f"{path}: ", {})
     given = {option: value for option, value in (options or {}).items() if value is not None}
     for option, value in given.items():
@@ -94,8 +105,178 @@ def _parse(path: Path, command: str) -> dict[str, Any]:
         raise StudyError(f"{path}: has lists or tables within too many others; correct it.") from None
 
 
-def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: Options) -> _File:
+def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: _Options) -> _File:
     try:
         return kind.model_validate(table, context={"folder": Path() if path is None else path.parent})
     except ValidationError as error:
-        raise StudyError(source + sentence_for(error, table, options, kind)) from None
+        raise StudyError(source + _sentence_for(error, table, options, kind)) from None
+
+
+def _sentence_for(
+    error: ValidationError, table: Mapping[str, object], options: _Options, file: type[FileConfig]
+) -> str:
+    """One sentence for the first problem that pydantic found in `table`, the content of this kind of `file`."""
+    # A misspelt key shows as unknown and, often, also as missing: the first says more.
+    problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+    run = _run_kind(table, file)
+    place = _place_of(problem["loc"], file, run)
+    if problem["type"] == "extra_forbidden":
+        return _unknown_key(place, file) if place.section else _unknown_section(place.key, problem["input"], file)
+    if problem["type"] in ("model_type", "model_attributes_type"):
+        return (
+            f"{place.name} must be a section [{place.section}] of keys, but {shown_value(problem['input'])} was given."
+        )
+    if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        return _wrong_tag(place, problem["input"])
+    if problem["type"] == "missing":
+        return _missing(place, _place_of(problem["loc"][:-1], file, run))
+    if problem["type"] == "value_error":
+        said = str(problem.get("ctx", {})["error"]).removeprefix("Argument ").removeprefix("Arguments ")
+        return f"in [{place.section}], {said}" if place.section else said
+    option = options.get((place.section, place.key))
+    subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
+    demand = _demand(problem["type"], problem["msg"], problem["loc"][-1])
+    return f"{subject} {demand}, but {shown_value(problem['input'])} was given."
+
+
+# --- where it is
+
+
+class _Place(NamedTuple):
+    """The section ("base.jumps", or "" outside all), its possible kinds by name, and the key ("" for the section)."""
+
+    section: str
+    kinds: Mapping[str | None, type[Section]]
+    key: str = ""
+
+    @property
+    def name(self) -> str:
+        """The last part of the section's name."""
+        return self.section.rpartition(".")[2]
+
+    @property
+    def kind(self) -> type[Section]:
+        """The kind of the section."""
+        return self.kinds[_CHOSEN]
+
+
+def _place_of(location: Iterable[str | int], file: type[FileConfig], run: type[Section]) -> _Place:
+    """The place that pydantic locates by keys, indices of lists, and the names of the chosen kinds."""
+    place = outside = _Place("", {_CHOSEN: file})
+    for part in location:
+        if isinstance(part, int):
+            place = place._replace(key=f"{place.key}[{part}]")
+        elif part == NUMBER:  # a number where a table is possible too
+            place = outside._replace(key=place.name)
+        elif part in place.kinds:
+            place = place._replace(kinds={_CHOSEN: place.kinds[part]})
+        else:
+            fields = place.kind.model_fields
+            kinds = kinds_in(fields[part].annotation) if part in fields else {}
+            if not kinds:
+                place = place._replace(key=str(part))
+                continue
+            inside = f"{place.section}.{part}".removeprefix(".")
+            outside, place = place, _Place(inside, _kinds_of_place({"run": run} if inside == "run" else kinds))
+    return place
+
+
+def _kinds_of_place(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
+    (kind, *others) = kinds.values()
+    return {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
+
+
+def _run_kind(table: Mapping[str, object], file: type[FileConfig]) -> type[Section]:
+    """The kind of the section [run]."""
+    system = table.get("system")
+    model = system.get("model") if isinstance(system, dict) else None
+    return _runs_by_model(file).get(model if isinstance(model, str) else "", file.runs[MassSpringConfig])
+
+
+def _runs_by_model(file: type[FileConfig]) -> dict[str, type[Section]]:
+    return {tag_of(system): run for system, run in file.runs.items()}
+
+
+def _all_sections(
+    file: type[FileConfig], kind: type[Section] | None = None, within: str = ""
+) -> Iterator[tuple[str, dict[str, type[Section]]]]:
+    """The name of every section, and its possible kinds."""
+    for key, kinds in tables_of(kind or file).items():
+        name = f"{within}.{key}".removeprefix(".")
+        yield name, _runs_by_model(file) if name == "run" else kinds
+        for each in kinds.values():
+            yield from _all_sections(file, each, name)
+
+
+# --- what is wrong
+
+
+def _demand(kind: str, said: str, last: str | int) -> str:
+    demands = {
+        "float_type": "must be a number",
+        "int_type": "must be a whole number",
+        "bool_type": "must be true or false",
+        "string_type": "must be a text in quotation marks",
+        "list_type": "must be a list in brackets",
+        "string_too_short": "must not be empty",
+        "too_short": "must not be empty",
+    }
+    demand = demands.get(kind) or said.replace("Input should be", "must be")
+    return f"{demand} or {{ low = ..., high = ... }}" if last == NUMBER else demand
+
+
+def _missing(place: _Place, owner: _Place) -> str:
+    about = owner.kind.model_fields[place.key or place.name].description
+    return f"[{owner.section}] lacks {place.key or f'[{place.section}]'} ({about}), which {tag_of(owner.kind)} needs."
+
+
+def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
+    kinds = {str(name): kind for name, kind in place.kinds.items()}
+    key = tag_key(next(iter(kinds.values()))) or ""
+    if key not in table:
+        return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
+    return (
+        f"{key} in [{place.section}] must be one of {_listed(kinds)}, but {shown_value(table[key])} was given"
+        f"{_nearest(str(table[key]), kinds, before='; ') or '.'}"
+    )
+
+
+def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
+    key, models = place.key, {run: model for model, run in _runs_by_model(file).items()}
+    tag, name = ("model", models[place.kind]) if place.kind in models else (tag_key(place.kind), tag_of(place.kind))
+    owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
+    hint = _owner_of(key, file, place.section) or _nearest(key, place.kind.model_fields)
+    return f"unknown key {key} in {owner}; {hint or f'its keys are {_listed(place.kind.model_fields)}.'}"
+
+
+def _unknown_section(name: str, value: object, file: type[FileConfig]) -> str:
+    sections = _listed(file.model_fields)
+    if not isinstance(value, dict):
+        return f"unknown key {name} outside every section; {_owner_of(name, file) or f'keys belong in {sections}.'}"
+    inner = [section for section, _ in _all_sections(file) if section.endswith(f".{name}")]
+    if inner:
+        return f"unknown section [{name}]; did you mean [{inner[0]}]?"
+    return f"unknown section [{name}]; {_nearest(name, file.model_fields) or f'the sections are {sections}.'}"
+
+
+def _owner_of(key: str, file: type[FileConfig], section: str = "") -> str:
+    """A hint for a `key` that exists elsewhere, the `section` itself (of another kind) first, or ""."""
+    for name, kinds in sorted(_all_sections(file), key=lambda each: each[0] != section):
+        owners = [tag for tag, kind in kinds.items() if key in kind.model_fields]
+        if owners and len(owners) == len(kinds):
+            return f"{key} belongs in [{name}]."
+        if owners:
+            return (
+                f"{key} belongs in [{name}] of the {'model' if name in ('system', 'run') else 'law'} {one_of(owners)}."
+            )
+    return ""
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names)
+
+
+def _nearest(name: str, known: Iterable[str], before: str = "") -> str:
+    by_lower_case = {candidate.lower(): candidate for candidate in known}
+    found = get_close_matches(name.lower(), by_lower_case, n=1)
+    return f"{before}did you mean {by_lower_case[found[0]]}?" if found else ""

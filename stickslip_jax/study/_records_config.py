@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from .._excitation.ground import GroundAcceleration
@@ -47,7 +48,7 @@ def _delimiter(value: str) -> str:
 
 
 _File = Annotated[str, AfterValidator(_existing)]
-_Column = Annotated[Any, AfterValidator(_column)]
+_Column = Annotated[object, AfterValidator(_column)]
 _TABLE_ONLY = ("time_column", "value_column", "delimiter", "shift")
 """Keys that only tables have."""
 
@@ -72,7 +73,7 @@ class _FromFile(Section):
             if getattr(self, key) is not None:
                 raise ValueError(f"{key} must be left out, but {shown_value(getattr(self, key))} was given: {reason}.")
 
-    def _read(self, file: str) -> tuple[Any, Any]:
+    def _read(self, file: str) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) and values of the table. Raises ValueError if they are unsuitable, OSError if it cannot be read."""
         chosen = {key: getattr(self, key) for key in (*_TABLE_ONLY, "scale") if getattr(self, key) is not None}
         if self.delimiter == _WHITE_SPACE:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from typing import Any
 
 from .._statistics.estimate import Estimate, format_with_error
 from .._status import Status
@@ -33,7 +32,7 @@ def table(study: StoredStudy) -> str:
 def as_json(study: StoredStudy) -> str:
     """One JSON object: statistics by name, samples not finished, times, files. Undefined numbers are null."""
     ensemble = study.ensemble
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         name: {
             "value": _number(estimate.value),
             "standard_error": _number(estimate.standard_error),
@@ -61,13 +60,11 @@ def _row(estimate: Estimate) -> tuple[str, str, str, str]:
 
 def _endings(study: StoredStudy) -> list[str]:
     samples, near_grazing_samples = study.ensemble.samples, study.ensemble.near_grazing_samples
-    failed = _not_finished(study)
-    counts_rest = study.ensemble.keep == "totals" and not study.config.run.count_initial_rest
     lines = [
         f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
-        for status, count in failed.items()
+        for status, count in _not_finished(study).items()
     ] or [f"All {samples} samples reached t1."]
-    if counts_rest:
+    if study.ensemble.keep == "totals" and not study.config.run.count_initial_rest:
         lines.append('With keep = "totals" sticks that begin at t = 0 count in all numbers.')
     if study.ensemble.key_data is None and samples > 1:
         lines.append(f"Nothing is random here: all {samples} samples are the same.")

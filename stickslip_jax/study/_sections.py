@@ -32,7 +32,7 @@ class Section(BaseModel):
 class DescribedSection(Section):
     """A section whose keys are the fields of the class `described_class` (`section_of`), and are checked by it."""
 
-    described_class: ClassVar[Any]
+    described_class: ClassVar[type]
 
     @model_validator(mode="after")
     def _accepted(self) -> "DescribedSection":
@@ -52,7 +52,7 @@ class DescribedSection(Section):
 def section_of(
     described_class: type,
     tag: str = "",
-    defaults: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, object] | None = None,
     *,
     signal_unit: str = "",
     base: type[Section] = DescribedSection,
@@ -142,7 +142,7 @@ def tag_of(kind: type[Section]) -> str:
     return kind.__name__.removesuffix("Config") if key is None else get_args(kind.model_fields[key].annotation)[0]
 
 
-def kinds_in(annotation: Any) -> dict[str, type[Section]]:
+def kinds_in(annotation: object) -> dict[str, type[Section]]:
     """The kinds of section that a key with this annotation may hold, by name."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return {tag_of(annotation): annotation}

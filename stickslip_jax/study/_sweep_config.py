@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 from difflib import get_close_matches
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
@@ -71,7 +71,7 @@ def _values(name: str, given: object) -> np.ndarray:
     return np.array(rows if several else given, float)
 
 
-def _range(name: str, given: dict[str, Any]) -> np.ndarray:
+def _range(name: str, given: dict[str, object]) -> np.ndarray:
     """The values of ``{ linspace = [from, to, number] }``, or logspace."""
     (kind, limits), *more = given.items() or [("", None)]
     if kind not in _RANGES or more:

@@ -13,14 +13,13 @@ import numpy as np
 from .._statistics.estimate import format_with_error
 from .._statistics.totals import STATISTICS
 from .._status import Status
-from .._sweep.reading import SweepStatus
+from .._sweep.dataset import SweepStatus
 from ._errors import StudyError
 
 if TYPE_CHECKING:
     import xarray
 
 _HEAD_WIDTH = 16
-_UNFINISHED = tuple(status for status in Status if status is not Status.FINISHED)
 
 
 def status_text(folder: Path, status: SweepStatus) -> str:
@@ -30,7 +29,7 @@ def status_text(folder: Path, status: SweepStatus) -> str:
     lines = [
         f"{folder}: {status.complete} of {status.points} points done, {status.samples:,} of {wanted} samples; "
         f"{running}.",
-        *_endings({one: status.endings[one] for one in _UNFINISHED}, sum(status.endings.values())),
+        *_endings(status.endings, sum(status.endings.values())),
         f"Time spent simulating: {status.seconds:.3g} s, summed over threads.",
     ]
     if status.is_finished:
@@ -40,12 +39,12 @@ def status_text(folder: Path, status: SweepStatus) -> str:
     return "\n".join(lines)
 
 
-def _endings(counts: dict[Status, int], samples: int) -> Iterator[str]:
-    for status, count in counts.items():
-        if count:
-            yield (
-                f"NOT FINISHED: {count:,} of {samples:,} samples, because {status.meaning}; they enter no statistic."
-            )
+def _endings(counts: dict[Status, int], samples: int) -> list[str]:
+    return [
+        f"NOT FINISHED: {count:,} of {samples:,} samples, because {status.meaning}; they enter no statistic."
+        for status, count in counts.items()
+        if count and status is not Status.FINISHED
+    ]
 
 
 def chosen_statistics(dataset: "xarray.Dataset", names: Sequence[str] = ()) -> list[str]:
@@ -87,7 +86,7 @@ def sweep_table(dataset: "xarray.Dataset", names: Sequence[str]) -> str:
         pairs = zip(stacked[name], stacked[f"{name}_error"], strict=True)
         columns.append(["-" if math.isnan(value) else format_with_error(value, error) for value, error in pairs])
     every = f", {counts[0]:,} samples each" if counts.min() == counts.max() else ""
-    ending = {one: int(dataset[f"samples_{one.name.lower()}"].sum()) for one in _UNFINISHED}
+    ending = {one: int(dataset[f"samples_{one.name.lower()}"].sum()) for one in Status}
     spent = float(np.nansum(dataset["run_seconds"]))
     return "\n".join(
         [

@@ -6,17 +6,20 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from .._sweep.sweep import Sweep
 from ._errors import StudyError
+from ._options import ExecutorOptions
 from ._run import arguments_of, in_words_of_the_file
 from ._sweep_config import SweepConfig
 
 if TYPE_CHECKING:
+    import distributed
     import xarray
 
 _SECONDS_TO_CONNECT = 10
@@ -25,7 +28,7 @@ _SECONDS_TO_CONNECT = 10
 def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
     """The sweep that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
     run, sweep = config.run, config.sweep
-    over: dict[str | tuple[str, ...], Any] = {}
+    over: dict[str | tuple[str, ...], np.ndarray] = {}
     for names, values in sweep.over.parameter_values().items():
         full = tuple(_full_name(name, run.initial) for name in names)
         over[full if len(full) > 1 else "".join(full)] = values
@@ -75,20 +78,19 @@ def _with_suggestion(said: str) -> str:
     return f"{said.removesuffix('.')}; did you mean {near[0]}?" if near else said
 
 
-def run_stored(
-    sweep: Sweep, folder: Path, *, threads: int | None, workers: int | None, dask: str | None, progress: bool | None
-) -> "xarray.Dataset":
+def run_stored(sweep: Sweep, folder: Path, where: ExecutorOptions) -> "xarray.Dataset":
     """Run what is left of a sweep in `folder`, and return its result.
 
-    Raises SweepError as `Sweep.run` does, and StudyError where no scheduler answers at the address `dask`.
+    Raises SweepError as `Sweep.run` does, and StudyError where no scheduler answers at the address ``where.dask``.
     """
-    with nullcontext() if dask is None else _client(dask) as client, warnings.catch_warnings():
+    with nullcontext() if where.dask is None else _client(where.dask) as client, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "This sweep runs in float32")  # as its file asks
-        return sweep.run(folder, threads=threads, workers=workers, executor=client, progress=progress)
+        progress = False if where.quiet else where.progress
+        return sweep.run(folder, threads=where.threads, workers=where.workers, executor=client, progress=progress)
 
 
 @contextmanager
-def _client(address: str) -> Iterator[Any]:
+def _client(address: str) -> "Iterator[distributed.Client]":
     """A client of the dask scheduler at `address`. Raises StudyError if there is none."""
     if find_spec("distributed") is None:
         raise StudyError("Option --dask needs distributed: pip install 'stickslip_jax[cluster]'.")
@@ -98,11 +100,12 @@ def _client(address: str) -> Iterator[Any]:
             f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} was "
             f"given; {kind}:// needs a client with settings of its own: in Python, sweep.run(executor=client) takes it."
         )
-    distributed = import_module("distributed")
+    from distributed import Client  # noqa: PLC0415 - an extra, loaded when asked for
+
     try:
         # Asked first: the client itself waits for ever where something listens that is no scheduler.
-        asyncio.run(asyncio.wait_for(_identity(distributed, address), _SECONDS_TO_CONNECT))
-        client = distributed.Client(address, timeout=_SECONDS_TO_CONNECT)
+        asyncio.run(asyncio.wait_for(_identity(address), _SECONDS_TO_CONNECT))
+        client = Client(address, timeout=_SECONDS_TO_CONNECT)
     except Exception as error:  # whatever speaks there may answer anything
         reason = " ".join(str(error).split()) or f"none within {_SECONDS_TO_CONNECT} s"
         raise StudyError(
@@ -113,10 +116,11 @@ def _client(address: str) -> Iterator[Any]:
         yield client
 
 
-async def _identity(distributed: Any, address: str) -> Any:
-    """What the scheduler at `address` says of itself. Raises ValueError for something else that speaks there."""
-    async with distributed.rpc(address) as scheduler:
-        found = await scheduler.identity()
+async def _identity(address: str) -> None:
+    """Ask the scheduler at `address` what it is. Raises ValueError for something else that speaks there."""
+    from distributed import rpc  # noqa: PLC0415 - an extra, loaded when asked for
+
+    async with rpc(address) as scheduler:
+        found = await scheduler.identity() or {}
     if "Scheduler" not in str(found["type"]):
         raise ValueError(f"a {found['type']} is there")
-    return found

@@ -9,7 +9,7 @@ from support.faults import assert_same as assert_same_data
 from support.faults import run, sweep_of
 
 import stickslip_jax as ss
-from stickslip_jax._sweep.reading import stored_dataset
+from stickslip_jax._sweep.dataset import stored_dataset
 
 FLIPS = 100
 

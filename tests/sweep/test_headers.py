@@ -10,10 +10,10 @@ from support.faults import assert_same, log_of, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.batches import derivatives_of, head_of, unpacked
+from stickslip_jax._sweep.dataset import status_of, stored_dataset
 from stickslip_jax._sweep.errors import DamagedBatchError
 from stickslip_jax._sweep.header import ID_LENGTH, ForeignBatchError, with_header, without_header
 from stickslip_jax._sweep.manifest import manifest_text
-from stickslip_jax._sweep.reading import status_of, stored_dataset
 from stickslip_jax._sweep.store import Store
 from stickslip_jax._sweep.work import Work
 

@@ -11,7 +11,7 @@ from support.faults import assert_same, files_in, one_sentence, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import manifest
-from stickslip_jax._sweep.reading import status_of, stored_dataset
+from stickslip_jax._sweep.dataset import status_of, stored_dataset
 
 MANIFESTS = ("manifest.json", "manifest-copy.json")
 
@@ -43,7 +43,7 @@ PARTS = [
     ("part", "how"),
     [(part, "missing") for part in PARTS] + [(part, "another kind") for part in PARTS if part != "versions.jax"],
 )
-def test_manifest_with_parts_missing(copied, part, how):
+def test_manifest_with_parts_missing(annotations_unchecked, copied, part, how):
     folder, _ = copied
 
     def spoil(body):
@@ -105,7 +105,7 @@ EDITED = {
 
 
 @pytest.mark.parametrize("name", EDITED)
-def test_edited_manifest(copied, name):
+def test_edited_manifest(annotations_unchecked, copied, name):
     """What is loaded passes the checks that `Sweep` makes."""
     folder, _ = copied
     part, value, said = EDITED[name]

@@ -12,8 +12,8 @@ from support.faults import TESTS, assert_same, log_of, one_sentence, run, sweep_
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import workers
+from stickslip_jax._sweep.dataset import status_of
 from stickslip_jax._sweep.plan import Task
-from stickslip_jax._sweep.reading import status_of
 from stickslip_jax._sweep.workers import Failed, NoMemory, outcome_of, perform_sent, sent
 
 
@@ -147,11 +147,11 @@ import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 from stickslip_jax import SweepError, _compilation_cache
-from stickslip_jax._sweep import processes
+from stickslip_jax._sweep import workers
 from sweep.test_memory import hungry_process
 from support.faults import sweep_of
 _compilation_cache.use()
-processes.perform_in_process = hungry_process
+workers.perform_in_process = hungry_process
 try:
     sweep_of().run(sys.argv[1], workers=2, progress=False)
 except SweepError as error:

@@ -13,7 +13,7 @@ from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import run as run_module
 from stickslip_jax._sweep import store as store_module
 from stickslip_jax._sweep import workers
-from stickslip_jax._sweep.reading import status_of, stored_dataset
+from stickslip_jax._sweep.dataset import status_of, stored_dataset
 
 MANIFESTS = ("manifest.json", "manifest-copy.json")
 
