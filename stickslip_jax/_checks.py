@@ -43,6 +43,14 @@ def numbers(name: str, value: Any, ndim: int | None = None) -> np.ndarray:
     return array
 
 
+def refused(name: str, demand: str, value: object, hint: str = "") -> ValueError:
+    """The error that says what the argument `name` must do, as "be positive", and that `value` was given.
+
+    `hint`: what to do.
+    """
+    return ValueError(f"Argument {name} must {demand}, but {show(value)} was given{f'; {hint}' if hint else ''}.")
+
+
 def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
     """Check that ``value`` is a finite real number, or array of ``ndim`` dimensions (None: any)."""
     if is_traced(value):
@@ -52,7 +60,7 @@ def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
             )
         return
     if not np.all(np.isfinite(numbers(name, value, ndim))):
-        raise ValueError(f"Argument {name} must be finite, but {show(value)} was given.")
+        raise refused(name, "be finite", value)
 
 
 _MOST = 2**28  # numbers in an array made of a range
@@ -189,22 +197,22 @@ def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
 def truth(name: str, value: Any) -> None:
     """Check that ``value`` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"Argument {name} must be True or False, but {show(value)} was given.")
+        raise refused(name, "be True or False", value)
 
 
 def text(name: str, value: Any, or_none: bool = False) -> None:
     """Check that ``value`` is a string, or None where that is allowed."""
     if not (isinstance(value, str) or (or_none and value is None)):
-        raise ValueError(f"Argument {name} must be a string, but {show(value)} was given.")
+        raise refused(name, "be a string", value)
 
 
 def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = None) -> int:
     """Check that ``value`` is a whole number of at least ``minimum``, at most ``maximum``, and return it as an int."""
     whole = isinstance(value, kinds_of_numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
-        raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {show(value)} was given.")
+        raise refused(name, f"be a whole number of at least {minimum}", value)
     if maximum is not None and int(value) > maximum:
-        raise ValueError(f"Argument {name} must be at most {maximum}, but {show(value)} was given.")
+        raise refused(name, f"be at most {maximum}", value)
     return int(value)
 
 
@@ -215,9 +223,7 @@ def entries(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     found = list(value) if listed or is_array else []
     if len(found) != len(meaning):
         count = _COUNTS.get(len(meaning), len(meaning))
-        raise ValueError(
-            f"Argument {name} must be {count} numbers ({', '.join(meaning)}), but {show(value)} was given."
-        )
+        raise refused(name, f"be {count} numbers ({', '.join(meaning)})", value)
     return tuple(found)
 
 
@@ -251,7 +257,7 @@ def chosen(name: str, value: Any, options: Iterable[str]) -> str:
     """Check that ``value`` is one of the words ``options``, and return it."""
     known = tuple(options)
     if not isinstance(value, str) or value not in known:
-        raise ValueError(f"Argument {name} must be one of {', '.join(map(repr, known))}, but {show(value)} was given.")
+        raise refused(name, f"be one of {', '.join(map(repr, known))}", value)
     return value
 
 
@@ -259,7 +265,7 @@ def path(name: str, value: Any, what: str = "the name of a file or folder") -> P
     """Check that ``value`` can be the name of a file or folder, and return it as a path. `what`: what it must be."""
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) and not isinstance(value, type) else None
     if not isinstance(text, str) or not 0 < len(text) <= _LONGEST_NAME or "\0" in text or not _can_be_encoded(text):
-        raise ValueError(f"Argument {name} must be {what}, but {show(value)} was given.")
+        raise refused(name, f"be {what}", value)
     return Path(text)
 
 

@@ -65,7 +65,7 @@ class Quantity:
             values = _checks.numbers(name, value)
             wrong = self.outside(values)
             if not len(values):
-                raise ValueError(f"Argument {name} must be a single real number, but {_checks.show(value)} was given.")
+                raise _checks.refused(name, "be a single real number", value)
             if np.any(wrong):
                 at = int(np.argmax(wrong))
                 self.check(f"{name}[{at}]", values[at].item())
@@ -103,7 +103,7 @@ class Choice:
         """Check `value`, the argument `name`. Raises ValueError for anything but one of the options."""
         if not isinstance(value, str) or value not in self.options:
             options = _checks.one_of(map(repr, self.options))
-            raise ValueError(f"Argument {name} must be {options}, but {_checks.show(value)} was given.")
+            raise _checks.refused(name, f"be {options}", value)
 
 
 def is_distribution(value: Any) -> bool:

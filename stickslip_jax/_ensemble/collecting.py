@@ -50,10 +50,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
         ValueError: For anything else, and for parts that hold the same random samples twice.
     """
     if not isinstance(ensembles, Sequence) or not ensembles or not all(isinstance(one, Ensemble) for one in ensembles):
-        raise ValueError(
-            "Argument ensembles must be a list of results of simulate_ensemble, but "
-            f"{_checks.show(ensembles)} was given."
-        )
+        raise _checks.refused("ensembles", "be a list of results of simulate_ensemble", ensembles)
     for what in ("t1", "keep", "numbering", "dtype"):
         _check_same(what, [getattr(one, what) for one in ensembles])
     _check_same("position", [one.system.stick_position[1::2] for one in ensembles])

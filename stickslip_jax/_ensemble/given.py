@@ -24,9 +24,7 @@ _UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m"
 
 def _check_unit(unit: object) -> None:
     if not isinstance(unit, str) or not _UNIT.fullmatch(unit):
-        raise ValueError(
-            f"Argument position_unit must be a unit such as 'm', 'mm' or 'rad', but {_checks.show(unit)} was given."
-        )
+        raise _checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", unit)
 
 
 def fields_of_simulations(result: object, numbering: Numbering) -> dict[str, Any]:

@@ -46,9 +46,8 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
     try:
         given = {str(name): _column(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)}
     except (AttributeError, KeyError, TypeError, ValueError):
-        raise ValueError(
-            "Argument table must be a pandas DataFrame or a dict of arrays with columns sample, start, and end or "
-            f"duration, but {_checks.show(table)} was given."
+        raise _checks.refused(
+            "table", "be a pandas DataFrame or a dict of arrays with columns sample, start, and end or duration", table
         ) from None
     found, unit = {}, None
     for name, column in given.items():

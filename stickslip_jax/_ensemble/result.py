@@ -190,9 +190,7 @@ class Ensemble(EnsembleData):
             ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
-            raise ValueError(
-                f"Argument number must be below the {self.samples} samples, but {_checks.show(number)} was given."
-            )
+            raise _checks.refused("number", f"be below the {self.samples} samples", number)
         part, number = part_with(self, number)
         given = given_realization(part, number)
         if given is not None:

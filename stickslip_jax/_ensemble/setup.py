@@ -76,10 +76,7 @@ class EnsembleSetup:
                 "given."
             )
         if not (correlation is None or isinstance(correlation, GaussianCopula)):
-            raise ValueError(
-                "Argument correlation must be a GaussianCopula(names, correlation), but "
-                f"{_checks.show(correlation)} was given."
-            )
+            raise _checks.refused("correlation", "be a GaussianCopula(names, correlation)", correlation)
         _checks.chosen("keep", keep, get_args(Keep))
         dtype = working_dtype(stacklevel=5)
         inputs = Inputs.of(model._replace(law=law_of(model.law)), total, key, correlation)

@@ -38,14 +38,9 @@ class WithJumps(Motion):
 
     def __check_init__(self):
         if not isinstance(self.jumps, (PiecewiseConstantLaw, VelocitySteps)):
-            raise ValueError(
-                f"Argument jumps must be a law such as PoissonSwitching, but {_checks.show(self.jumps)} was given."
-            )
+            raise _checks.refused("jumps", "be a law such as PoissonSwitching", self.jumps)
         if not motion_of(self.motion).takes_jumps:
-            raise ValueError(
-                "Argument motion must be a continuous base velocity such as a Harmonic, but "
-                f"{_checks.show(self.motion)} was given."
-            )
+            raise _checks.refused("motion", "be a continuous base velocity such as a Harmonic", self.motion)
 
     @property
     def is_random(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its parts

@@ -56,7 +56,7 @@ class VelocitySteps(Motion):
         for name in ("durations", "velocities"):
             value = getattr(self, name)
             if not isinstance(value, jax.Array):
-                raise ValueError(f"Argument {name} must be an array, but {_checks.show(value)} was given.")
+                raise _checks.refused(name, "be an array", value)
         if self.durations.shape != self.velocities.shape or self.durations.ndim == 0:
             raise ValueError(
                 "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
@@ -66,7 +66,7 @@ class VelocitySteps(Motion):
             return
         durations = np.asarray(self.durations)
         if not np.all(durations >= 0):
-            raise ValueError(f"Argument durations must be zero or positive, but {_checks.show(durations)} was given.")
+            raise _checks.refused("durations", "be zero or positive", durations)
         if np.any((durations[1:] > 0) & (durations[:-1] == 0)):
             raise ValueError(
                 "Argument durations must be 0 in unused intervals at the end only, but an interval of duration 0 has "

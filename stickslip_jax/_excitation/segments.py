@@ -230,9 +230,7 @@ class GivenSegments(SegmentLaw):
             return
         used = np.asarray(self.durations) != 0
         if not np.all(np.asarray(self.durations) >= 0):
-            raise ValueError(
-                f"Argument durations must be zero or positive (in s), but {_checks.show(self.durations)} was given."
-            )
+            raise _checks.refused("durations", "be zero or positive (in s)", self.durations)
         for name in ("values", "slopes"):
             _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
@@ -312,9 +310,7 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
 def checked_capacity(capacity: int) -> int:
     """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
     if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
-        raise ValueError(
-            f"Argument capacity must be at most {LARGEST_CAPACITY}, but {_checks.show(capacity)} was given."
-        )
+        raise _checks.refused("capacity", f"be at most {LARGEST_CAPACITY}", capacity)
     return int(capacity)
 
 

@@ -18,9 +18,8 @@ _ROUND_OFF = 1e-6
 def _as_names(names: object) -> tuple[str, ...]:
     found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes, range)) else ()
     if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
-        raise ValueError(
-            "Argument names must hold two or more different names of random numbers, such as ('mu', 'stiffness'), but "
-            f"{_checks.show(names)} was given."
+        raise _checks.refused(
+            "names", "hold two or more different names of random numbers, such as ('mu', 'stiffness')", names
         )
     return found
 

@@ -56,10 +56,7 @@ class Design:
         numbers = checked_numbers(name, getattr(self, name), uniform=self.u is not None)
         names = None if self.names is None else checked_names(self.names)
         if names is not None and len(names) != numbers.shape[1]:
-            raise ValueError(
-                f"Argument names must hold one name for each of the {numbers.shape[1]} columns of {name}, but "
-                f"{_checks.show(names)} was given."
-            )
+            raise _checks.refused("names", f"hold one name for each of the {numbers.shape[1]} columns of {name}", names)
         realization = checked_realization(self.realization, len(numbers))
         for field, value in ((name, numbers), ("names", names), ("realization", realization)):
             object.__setattr__(self, field, value)
@@ -146,10 +143,7 @@ def checked_names(names: object) -> tuple[str, ...]:
     """`names` as a tuple. Raises ValueError for anything but distinct names, at least one."""
     found = [] if isinstance(names, (str, bytes, range)) or not isinstance(names, Sequence) else list(names)
     if not found or not all(isinstance(name, str) and name for name in found):
-        raise ValueError(
-            "Argument names must be a sequence of names of numbers, such as ['mu', 'stiffness', 'y0[0]'], but "
-            f"{_checks.show(names)} was given."
-        )
+        raise _checks.refused("names", "be a sequence of names of numbers, such as ['mu', 'stiffness', 'y0[0]']", names)
     twice = given_twice(found)
     if twice is not None:
         raise ValueError(f"Argument names must hold every name once, but {twice!r} was given twice.")
@@ -182,10 +176,7 @@ def checked_numbers(name: str, numbers: object, *, uniform: bool) -> np.ndarray:
     except ValueError:
         given = np.empty(0)
     if not given.size:
-        raise ValueError(
-            f"Argument {name} must be an array (samples, numbers) of real numbers, at least one of each, but "
-            f"{_checks.show(numbers)} was given."
-        )
+        raise _checks.refused(name, "be an array (samples, numbers) of real numbers, at least one of each", numbers)
     array = np.array(given, np.float64)
     refuse_first(name, array, ~np.isfinite(array), "finite numbers")
     if uniform:
@@ -210,10 +201,7 @@ def checked_realization(realization: object, samples: int) -> np.ndarray:
     except ValueError:
         array = np.empty(0)
     if array.shape != (samples,) or array.dtype.kind not in "iu":
-        raise ValueError(
-            f"Argument realization must hold a whole number for each of the {samples} samples, but "
-            f"{_checks.show(realization)} was given."
-        )
+        raise _checks.refused("realization", f"hold a whole number for each of the {samples} samples", realization)
     refuse_first("realization", array, (array < 0) | (array >= _MOST_REALIZATIONS), "numbers from 0 to 4294967295")
     array = array.astype(np.int64)
     array.setflags(write=False)

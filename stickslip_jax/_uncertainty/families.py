@@ -236,17 +236,14 @@ class Discrete(RandomNumber):
 
     def check_relations(self) -> None:
         if not _checks.is_traced(self.values) and (len(self.values) == 0 or np.any(np.diff(self.values) <= 0)):
-            raise ValueError(
-                f"Argument values must hold increasing numbers, but {_checks.show(self.values)} was given."
-            )
+            raise _checks.refused("values", "hold increasing numbers", self.values)
         given = self.probabilities
         if given is None or _checks.is_traced(given):
             return
         tolerance = 1e-6 if given.dtype == np.float32 else 1e-9
         if len(given) != len(self.values) or abs(float(np.sum(np.asarray(given, float))) - 1) > tolerance:
-            raise ValueError(
-                f"Argument probabilities must hold one number for each of the {len(self.values)} values, with sum 1, "
-                f"but {_checks.show(given)} was given."
+            raise _checks.refused(
+                "probabilities", f"hold one number for each of the {len(self.values)} values, with sum 1", given
             )
 
     def _cumulative(self, dtype) -> FloatArray:

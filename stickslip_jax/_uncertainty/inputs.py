@@ -360,9 +360,8 @@ def _columns(y0: Any) -> Any:
     Raises ValueError for one distribution, which cannot be that of all coordinates.
     """
     if is_distribution(y0):
-        raise ValueError(
-            "Argument y0 must hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), "
-            f"0.0), but {_checks.show(y0)} was given."
+        raise _checks.refused(
+            "y0", "hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), 0.0)", y0
         )
     if isinstance(y0, (tuple, list)):
         return tuple(y0)

@@ -34,9 +34,7 @@ def parameters_of(where: dict[str, Any], wrt: object) -> tuple[Parameter, ...]:
     """
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
     if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise ValueError(
-            f"Argument wrt must be a parameter's name or several different ones, but {_checks.show(wrt)} was given."
-        )
+        raise _checks.refused("wrt", "be a parameter's name or several different ones", wrt)
     known = [entry for root, tree in where.items() for entry in _numbers(tree, (root,))]
     return tuple(_chosen(name, known) for name in names)
 

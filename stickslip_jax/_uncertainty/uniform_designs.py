@@ -168,9 +168,8 @@ def realizations(realization: Realization, samples: int, more: dict[str, np.ndar
     words = {"own": np.arange(samples), "common": np.zeros(samples, np.int64)} | (more or {})
     if realization not in words:
         options = ", ".join(map(repr, words))
-        raise ValueError(
-            f"Argument realization must be {options} or an array with a whole number for each sample, but "
-            f"{_checks.show(realization)} was given."
+        raise _checks.refused(
+            "realization", f"be {options} or an array with a whole number for each sample", realization
         )
     return words[realization]
 

@@ -64,9 +64,7 @@ def table(
         array: Any = numbers
     else:
         if names is not None:
-            raise ValueError(
-                f"Argument names must be left out where numbers has named columns, but {_checks.show(names)} was given."
-            )
+            raise _checks.refused("names", "be left out where numbers has named columns", names)
         columns = _named_columns("numbers", numbers)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
@@ -83,10 +81,7 @@ def table(
 def _named_columns(argument: str, given: Any) -> dict[str, np.ndarray]:
     """The columns of a dict or DataFrame by name."""
     if not hasattr(given, "items") or not (pairs := list(given.items())):
-        raise ValueError(
-            f"Argument {argument} must be a dict of arrays by name, such as {{'mu': [0.2, 0.5]}}, but "
-            f"{_checks.show(given)} was given."
-        )
+        raise _checks.refused(argument, "be a dict of arrays by name, such as {'mu': [0.2, 0.5]}", given)
     names = [name for name, _ in pairs]
     if not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
         raise ValueError(
@@ -105,9 +100,6 @@ def _column(name: str, given: object) -> np.ndarray:
     except ValueError:
         column = np.empty(0)
     if not column.size:
-        raise ValueError(
-            f"Argument {name} must be a one-dimensional sequence of real numbers, at least one, but "
-            f"{_checks.show(given)} was given."
-        )
+        raise _checks.refused(name, "be a one-dimensional sequence of real numbers, at least one", given)
     refuse_first(name, column, ~np.isfinite(column), "finite numbers")
     return column
