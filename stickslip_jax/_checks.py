@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.core import Tracer
 
 from ._types import AnyArray
@@ -38,9 +39,14 @@ def numbers(name: str, value: Any, ndim: int | None = None) -> np.ndarray:
         random_key = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
         shown = "a random key" if random_key else show(value)
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {shown} was given{_hint(value)}")
-    if ndim is not None and array.ndim != ndim:
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {array.shape} was given.")
+    _check_dimensions(name, array, ndim)
     return array
+
+
+def _check_dimensions(name: str, array: npt.ArrayLike, ndim: int | None) -> None:
+    if ndim is not None and np.ndim(array) != ndim:
+        shape = np.shape(array)
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {shape} was given.")
 
 
 def refused(name: str, demand: str, value: object, hint: str = "") -> ValueError:
@@ -54,12 +60,8 @@ def refused(name: str, demand: str, value: object, hint: str = "") -> ValueError
 def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
     """Check that ``value`` is a finite real number, or array of ``ndim`` dimensions (None: any)."""
     if is_traced(value):
-        if ndim is not None and np.ndim(value) != ndim:
-            raise ValueError(
-                f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given."
-            )
-        return
-    if not np.all(np.isfinite(numbers(name, value, ndim))):
+        _check_dimensions(name, value, ndim)
+    elif not np.all(np.isfinite(numbers(name, value, ndim))):
         raise refused(name, "be finite", value)
 
 
@@ -72,7 +74,7 @@ def _array_of(value: Any) -> np.ndarray | None:
     """`value` as an array of whole or floating-point numbers of at most 64 bits; None for anything else."""
     if value is None or isinstance(value, (bool, str, bytes, type)) or np.ma.is_masked(value):
         return None
-    if _is_long(value):
+    if isinstance(value, range) and value[_MOST:]:
         return None
     listed = value if isinstance(value, (list, tuple)) else ()
     if any(isinstance(one, (bool, np.bool_)) or one is np.ma.masked for one in listed):
@@ -109,11 +111,6 @@ def dimensions(value: Any) -> int:
         return 0
 
 
-def _is_long(value: Any) -> bool:
-    """Whether it is a range of more numbers than anything here holds."""
-    return isinstance(value, range) and bool(value[_MOST:])
-
-
 def bounded(
     name: str,
     value: Any,
@@ -145,10 +142,8 @@ def bounded(
         demand, hint = f"between -{LARGEST} and {LARGEST}", "choose other units"
     else:
         return
-    shown = show(np.asarray(value) if ndim else value)
-    raise ValueError(
-        f"Argument {name} must be {demand}{_unit(unit)}, but {shown} was given{f'; {hint}' if hint else ''}."
-    )
+    in_unit = f" (in {unit})" if unit else ""
+    raise refused(name, f"be {demand}{in_unit}", np.asarray(value) if ndim else value, hint)
 
 
 def _range(value: Any, ndim: int) -> tuple[float, float]:
@@ -241,10 +236,6 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 def _kind(ndim: int | None) -> str:
     kinds = {None: "real numbers", 0: "a single real number", 1: "a one-dimensional sequence of real numbers"}
     return kinds.get(ndim, f"a {ndim}-dimensional array of real numbers")
-
-
-def _unit(unit: str) -> str:
-    return f" (in {unit})" if unit else ""
 
 
 def one_of(names: Iterable[str]) -> str:

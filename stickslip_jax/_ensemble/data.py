@@ -18,6 +18,7 @@ from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._status import Status
 from .._systems.system import System
+from .._types import Array
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Inputs, Model
@@ -122,9 +123,13 @@ class EnsembleData:
     def inputs(self) -> Inputs:
         """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
         samples = self.first_sample + self.samples if self.design is None else self.design
-        key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
         law = self.law if isinstance(self.law, GivenMotions) else law_of(self.law)
-        return Inputs.of(Model(self.system, law, self.y0), samples, key, self.copula)
+        return Inputs.of(Model(self.system, law, self.y0), samples, self._key, self.copula)
+
+    @property
+    def _key(self) -> Array | None:
+        """The key from which all was drawn, None if there was none."""
+        return None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
 
     def finished_sticks(self) -> FlatSticks:
         """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
@@ -153,3 +158,8 @@ class EnsembleData:
     def finished(self) -> int:
         """Number of samples that reached ``t1``."""
         return self.status_counts[Status.FINISHED]
+
+    @property
+    def _unfinished(self) -> dict[Status, int]:
+        """Number of the others by `Status`, where there are any."""
+        return {status: count for status, count in self.status_counts.items() if status and count}

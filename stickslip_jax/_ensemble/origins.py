@@ -98,10 +98,9 @@ def values_of(parts: Sequence[EnsembleData]) -> dict[str, np.ndarray]:
 
 def require_whole(ensemble: EnsembleData) -> None:
     """Raise ValueError unless the base motion and the start of `ensemble` are known."""
-    for what, name in {"law": "base motion", "y0": "initial state"}.items():
-        held = getattr(ensemble, what)
-        for one in held if isinstance(held, tuple) else (held,):
-            require_known(name, one)
+    require_known("base motion", ensemble.law)
+    for value in ensemble.y0:
+        require_known("initial state", value)
 
 
 def given_realization(ensemble: EnsembleData, number: int) -> Realization | None:

@@ -171,10 +171,7 @@ def check_size(rows: int, columns: int, argument: str = "samples") -> None:
 
 def checked_numbers(name: str, numbers: object, *, uniform: bool) -> np.ndarray:
     """`numbers` as a read-only array (samples, numbers) of float64. Raises ValueError for what a design cannot hold."""
-    try:
-        given = _checks.numbers(name, numbers, ndim=2)
-    except ValueError:
-        given = np.empty(0)
+    given = numbers_or_none(name, numbers, ndim=2)
     if not given.size:
         raise _checks.refused(name, "be an array (samples, numbers) of real numbers, at least one of each", numbers)
     array = np.array(given, np.float64)
@@ -183,6 +180,14 @@ def checked_numbers(name: str, numbers: object, *, uniform: bool) -> np.ndarray:
         refuse_first(name, array, ~((array > 0) & (array < 1)), "uniform numbers, above 0 and below 1")
     array.setflags(write=False)
     return array
+
+
+def numbers_or_none(name: str, given: object, ndim: int) -> np.ndarray:
+    """`given` as an array of real numbers, of `ndim` dimensions; an empty one for anything else."""
+    try:
+        return _checks.numbers(name, given, ndim)
+    except ValueError:
+        return np.empty(0)
 
 
 def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) -> None:
@@ -196,10 +201,7 @@ def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) 
 
 def checked_realization(realization: object, samples: int) -> np.ndarray:
     """`realization` as a read-only array (samples,) of int64. Raises ValueError for anything but whole numbers."""
-    try:
-        array = _checks.numbers("realization", realization, ndim=1)
-    except ValueError:
-        array = np.empty(0)
+    array = numbers_or_none("realization", realization, ndim=1)
     if array.shape != (samples,) or array.dtype.kind not in "iu":
         raise _checks.refused("realization", f"hold a whole number for each of the {samples} samples", realization)
     refuse_first("realization", array, (array < 0) | (array >= _MOST_REALIZATIONS), "numbers from 0 to 4294967295")

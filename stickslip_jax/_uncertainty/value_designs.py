@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, refuse_first
+from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, numbers_or_none, refuse_first
 from .uniform_designs import Realization, realizations
 
 
@@ -95,10 +95,7 @@ def _column(name: str, given: object) -> np.ndarray:
     """A column called `name`. Raises ValueError for what holds no numbers, none at all, or too many."""
     if isinstance(given, range):  # which has no numbers yet
         check_size(len(given), 1, name)
-    try:
-        column = _checks.numbers(name, given, ndim=1)
-    except ValueError:
-        column = np.empty(0)
+    column = numbers_or_none(name, given, ndim=1)
     if not column.size:
         raise _checks.refused(name, "be a one-dimensional sequence of real numbers, at least one", given)
     refuse_first(name, column, ~np.isfinite(column), "finite numbers")
