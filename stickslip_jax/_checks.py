@@ -23,12 +23,12 @@ SMALLEST, LARGEST = 1e-100, 1e100
 """Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
 
 
-def is_traced(value: Any) -> bool:
+def is_traced(value: object) -> bool:
     """True while a JAX transformation traces ``value``, so that its number is not known yet."""
     return isinstance(value, Tracer)
 
 
-def numbers(name: str, value: Any, ndim: int | None = None) -> np.ndarray:
+def numbers(name: str, value: object, ndim: int | None = None) -> np.ndarray:
     """`value` as an array of real numbers, of ``ndim`` dimensions (None: any). Raises ValueError for anything else.
 
     Truth values, complex numbers, words, and numbers that only objects can hold are no real numbers here, and neither
@@ -70,7 +70,7 @@ _SINGLE = (int, float, np.generic, np.ndarray, jax.Array, list, tuple)
 """What may be a number for JAX too, and lists, which are none because of their shape."""
 
 
-def _array_of(value: Any) -> np.ndarray | None:
+def _array_of(value: object) -> np.ndarray | None:
     """`value` as an array of whole or floating-point numbers of at most 64 bits; None for anything else."""
     if value is None or isinstance(value, (bool, str, bytes, type)) or np.ma.is_masked(value):
         return None
@@ -88,7 +88,7 @@ def _array_of(value: Any) -> np.ndarray | None:
     return array if is_number and not too_large else None
 
 
-def _hint(value: Any) -> str:
+def _hint(value: object) -> str:
     """The end of the sentence that refuses `value`: what to do, where that is known."""
     if isinstance(value, type):
         return f"; make an object of it: {value.__name__}(...)."
@@ -164,12 +164,12 @@ def non_negative(name: str, value: Any, unit: str = "") -> None:
     bounded(name, value, unit, at_least=0)
 
 
-def jax_array(name: str, values: Any) -> Any:
+def jax_array(name: str, values: object) -> Any:
     """``values`` as an array of JAX, of any dimensions. Raises ValueError for what holds no real numbers."""
     return values if is_traced(values) else jnp.asarray(numbers(name, values))
 
 
-def real_array(name: str, values: Any) -> AnyArray:
+def real_array(name: str, values: object) -> AnyArray:
     """``values`` as a one-dimensional array of JAX or float64 of NumPy. Raises ValueError for anything else."""
     numeric(name, values, ndim=1)
     return values if isinstance(values, jax.Array) else np.asarray(values, float)
@@ -189,13 +189,13 @@ def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
         raise ValueError(f"Argument {name} must increase, but {name}[{at}] = {times[at]} follows {times[at - 1]}.")
 
 
-def truth(name: str, value: Any) -> None:
+def truth(name: str, value: object) -> None:
     """Check that ``value`` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
         raise refused(name, "be True or False", value)
 
 
-def text(name: str, value: Any, or_none: bool = False) -> None:
+def text(name: str, value: object, or_none: bool = False) -> None:
     """Check that ``value`` is a string, or None where that is allowed."""
     if not (isinstance(value, str) or (or_none and value is None)):
         raise refused(name, "be a string", value)
@@ -222,7 +222,7 @@ def entries(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     return tuple(found)
 
 
-def state(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
+def state(name: str, value: object, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     """Check that ``value`` holds finite numbers, one for each part of ``meaning``, and return them."""
     found = entries(name, value, meaning)
     for index, entry in enumerate(found):
@@ -244,7 +244,7 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def chosen(name: str, value: Any, options: Iterable[str]) -> str:
+def chosen(name: str, value: object, options: Iterable[str]) -> str:
     """Check that ``value`` is one of the words ``options``, and return it."""
     known = tuple(options)
     if not isinstance(value, str) or value not in known:
@@ -252,7 +252,7 @@ def chosen(name: str, value: Any, options: Iterable[str]) -> str:
     return value
 
 
-def path(name: str, value: Any, what: str = "the name of a file or folder") -> Path:
+def path(name: str, value: object, what: str = "the name of a file or folder") -> Path:
     """Check that ``value`` can be the name of a file or folder, and return it as a path. `what`: what it must be."""
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) and not isinstance(value, type) else None
     if not isinstance(text, str) or not 0 < len(text) <= _LONGEST_NAME or "\0" in text or not _can_be_encoded(text):
@@ -274,7 +274,7 @@ def _can_be_encoded(text: str) -> bool:
 _SHOWN = 80  # characters
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     """`value` on one line, cut where it is long."""
     if isinstance(value, type):
         return f"the class {value.__name__}"

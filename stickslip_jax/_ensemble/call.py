@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from .._types import Array, InitialState
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Model
-from .data import Keep
+from .data import Fields, Keep
 from .origins import check_extendable
 from .parts import EnsembleAccumulator, Part, prepare
 from .progress import progress_bar
@@ -108,7 +108,7 @@ def simulate_ensemble(
 def _found(
     setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None,
     chunk: int | None, progress: bool | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> Fields:  # fmt: skip
     """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
@@ -137,6 +137,7 @@ def _extended(
     first = ensemble.first_sample + ensemble.samples
     _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
     model = Model(ensemble.system, ensemble.law, ensemble.y0)
+    assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
     setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, ensemble._key, *options)
     accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)

@@ -132,7 +132,7 @@ class Decoder:
         ((kind, parts),) = value.items()
         return {"tuple": tuple, "list": list}[kind](self.decoded(part, checked) for part in parts)
 
-    def _object(self, name: str, fields: dict[str, Any], checked: bool) -> Any:
+    def _object(self, name: str, fields: dict[str, object], checked: bool) -> Any:
         kind = _class_named(name)
         if kind is None:
             raise ValueError(f"it holds a {name}, which this version of stickslip_jax does not know")

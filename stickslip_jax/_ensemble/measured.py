@@ -17,7 +17,7 @@ _MOST_SAMPLES = 10**8
 _ROUNDED = 1e-5  # of the duration of the measurement: by so much columns of few digits may contradict each other
 
 
-def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
+def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
     """The sticks of a table, in order of sample and time, and the unit in the name of its column of positions.
 
     Arguments and errors of `Ensemble.from_sticks`.

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._systems.system import System
 from .data import EnsembleData, GivenMotions, Origin, single
 from .unknown import require_known
 
@@ -17,7 +18,7 @@ Data = TypeVar("Data", bound=EnsembleData)
 class Realization(NamedTuple):
     """What `simulate` takes to repeat a sample: ``simulate(system, base, y0=y0, t1=...)``."""
 
-    system: Any
+    system: System
     base: Any
     y0: tuple[float, ...]
 

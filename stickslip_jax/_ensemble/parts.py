@@ -1,7 +1,7 @@
 """Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
 import os
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._status import Status
 from .._types import DType
-from .data import EnsembleData, Keep, Retained
+from .data import EnsembleData, Fields, Keep, Retained
 
 RETAINED = 1_000_000
 """With ``keep="statistics"``, the most sticks that are retained, those of the first samples: for standard errors and
@@ -153,7 +153,7 @@ class EnsembleAccumulator:
             left = self._space - len(sticks.start) - fits if fits == len(part.results.status) else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
-    def found(self) -> dict[str, Any]:
+    def found(self) -> Fields:
         """The fields of an `Ensemble` that come from the parts, by name."""
         is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
         sticks = FlatSticks.joined(kept) if kept else None

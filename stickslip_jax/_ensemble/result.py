@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -81,7 +81,7 @@ class Ensemble(EnsembleData):
 
     @classmethod
     def from_sticks(
-        cls, table: Any, *, t1: float, samples: int | None = None, position_unit: str | None = None,
+        cls, table: object, *, t1: float, samples: int | None = None, position_unit: str | None = None,
         period: float | None = None, orders: int = 10, count_initial_rest: bool = False,
     ) -> "Ensemble":  # fmt: skip
         """The ensemble of sticks that were measured, or simulated elsewhere: one recording of ``[0, t1]`` each sample.

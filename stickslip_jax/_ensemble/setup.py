@@ -17,11 +17,11 @@ from .._dynamics.regularized.engine import AdaptiveBatch, FixedEngine
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
-from .._types import AnyArray, Array
+from .._types import AnyArray, Array, DType
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Inputs, Model
-from .data import Keep
+from .data import Fields, Keep
 
 MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 
@@ -40,7 +40,7 @@ class EnsembleSetup:
     method: Exact | Regularized
     key_data: Array
     is_random: bool
-    dtype: Any
+    dtype: DType
     t1: float
     numbering: Numbering
     period: float | None  # of the position of sticks
@@ -49,12 +49,12 @@ class EnsembleSetup:
     def checked(
         cls,
         model: Model,
-        t1: Any,
-        samples: Any,
+        t1: float,
+        samples: int | Design,
         first_sample: int,
-        key: Any,
-        correlation: Any,
-        method: Any,
+        key: Array | None,
+        correlation: GaussianCopula | None,
+        method: Exact | Regularized,
         keep: Keep,
         numbering: Numbering,
     ) -> "EnsembleSetup":
@@ -95,7 +95,7 @@ class EnsembleSetup:
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         return cls(engine, places, inputs, method, key_data, random, dtype, float(t1), numbering, period)
 
-    def fields(self) -> dict[str, Any]:
+    def fields(self) -> Fields:
         """The fields of an `Ensemble` that its arguments are."""
         return {
             **self.inputs.model._asdict(),
@@ -124,7 +124,9 @@ class EnsembleSetup:
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own, realization)
 
 
-def _engine_of(inputs: Inputs, first: Model, method: Any, t1: float, dtype: Any) -> tuple[Any, tuple[int, ...], Any]:
+def _engine_of(
+    inputs: Inputs, first: Model, method: Exact | Regularized, t1: float, dtype: DType
+) -> tuple[Any, tuple[int, ...], Exact | Regularized]:
     """The engine of all samples, which of its leaves differ, and the method with every option filled in.
 
     Options that differ from sample to sample stay as they were given. `first`: the model of the first sample.

@@ -14,7 +14,7 @@ from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
 from .._status import Status
 from .._systems.system import Coordinate
-from .data import Retained
+from .data import Fields, Retained
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
@@ -38,7 +38,7 @@ def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
     return path
 
 
-def fields_of_file(path: Path) -> dict[str, Any]:
+def fields_of_file(path: Path) -> Fields:
     """The fields of the `Ensemble` in a file. Raises the errors of `load`."""
     path = path / _STUDY if path.is_dir() else path
     if not path.exists():
@@ -58,7 +58,7 @@ def fields_of_file(path: Path) -> dict[str, Any]:
     return fields_of_dataset(dataset, is_file=True)
 
 
-def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
+def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> Fields:
     """The fields of the `Ensemble` that a data set holds. `is_file`: whether it was read from one, and has a sum.
 
     Raises:
@@ -99,7 +99,7 @@ def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
         ) from None
 
 
-def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
+def _fields(dataset: "xarray.Dataset") -> Fields:
     attributes = dataset.attrs
     decoder = Decoder(dataset[FLOATS].to_numpy(), dataset[INTEGERS].to_numpy())
     state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
@@ -112,7 +112,7 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     keep = str(attributes["keep"])
     if keep not in ("totals", "statistics", "sticks") or (keep == "totals") != (state["accumulator"] is None):
         raise ValueError(f"it kept {_checks.show(keep)}")
-    kept: dict[str, Any] = {"retained": None, "totals": None, "flat_sticks": None}
+    kept: Fields = {"retained": None, "totals": None, "flat_sticks": None}
     if keep == "sticks":
         kept = _every_stick(dataset, state["sticks"], numbering)
     elif keep == "statistics":
@@ -156,7 +156,7 @@ def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
     return sticks
 
 
-def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> dict[str, Any]:
+def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> Fields:
     sticks = _flat_sticks(dataset, "sample")
     if len(found) != len(sticks.count):
         raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")

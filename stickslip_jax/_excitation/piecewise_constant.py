@@ -22,7 +22,7 @@ from .._fields import is_of_package
 from .._types import AnyArray, FloatArray, FloatScalar, Scalar
 from .interval_checks import Each, check_drawn, joined
 from .motion import Motion, Parts
-from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at, known_number
+from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, index_at, known_number
 
 
 def _as_jax(name: str, values: PyTree) -> PyTree:
@@ -172,7 +172,7 @@ class PiecewiseConstantLaw(SegmentLaw):
         _checks.positive("t1", t1, "s")
         if capacity is None:
             capacity = known_number(self.checked_capacity, t1, f"find one with {type(self).__name__}(...).capacity(t1)")
-        checked_capacity(capacity)
+        capacity = _checks.whole_number("capacity", capacity, maximum=LARGEST_CAPACITY)
         durations, velocities = _sample(self, self.key_data(key), capacity, jnp.result_type(float))
         if not is_of_package(self):
             check_drawn(self, "next_interval", "m/s", durations, velocities)

@@ -155,13 +155,14 @@ class SegmentLaw(Checked, Motion):
             return self
         key_data, dtype = self.key_data(key), jnp.result_type(float)
         advice = f"find one with {type(self).__name__}(...).segments(t1)"
-        size = checked_capacity(known_number(self.segments, t1, advice) if capacity is None else capacity)
+        known = known_number(self.segments, t1, advice) if capacity is None else capacity
+        size = _checks.whole_number("capacity", known, maximum=LARGEST_CAPACITY)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             if _lasts(drawn[0], t1):
                 break
-            size *= 2
-            drawn = _sample(self, key_data, checked_capacity(size), dtype)
+            size = _checks.whole_number("capacity", 2 * size, maximum=LARGEST_CAPACITY)
+            drawn = _sample(self, key_data, size, dtype)
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
@@ -305,13 +306,6 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
     for segment in segments:
         value, slope = value + segment.value + segment.slope * (t - segment.begin), slope + segment.slope
     return value, slope
-
-
-def checked_capacity(capacity: int) -> int:
-    """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
-    if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
-        raise _checks.refused("capacity", f"be at most {LARGEST_CAPACITY}", capacity)
-    return int(capacity)
 
 
 def known_number(

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.scipy.special import ndtr, ndtri
 
 from .. import _checks
@@ -53,7 +54,7 @@ class GaussianCopula(eqx.Module):
         _check_correlation("correlation", self.correlation, len(self.names))
 
     @classmethod
-    def from_spearman(cls, names: Sequence[str], matrix: Any) -> "GaussianCopula":
+    def from_spearman(cls, names: Sequence[str], matrix: npt.ArrayLike) -> "GaussianCopula":
         """The copula whose numbers have these rank correlations, whatever their distributions.
 
         - `matrix`: (names, names), Spearman's correlations rho; those of the normal scores are ``2 sin(pi rho / 6)``

@@ -10,11 +10,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from .. import _checks
 from .._fields import Checked, Quantity, described, is_distribution, varies
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, DType
+from .._types import AnyArray, Array, DType, Number
 from .copula import GaussianCopula
 from .design import Design
 from .numbers import Path, matching, number_at, numbers_in, shown, with_numbers
@@ -31,7 +32,7 @@ class Input(NamedTuple):
     """One number that differs from sample to sample: where it stands, and its distribution or array of values."""
 
     path: Path
-    source: Any
+    source: Number
     about: Quantity | None
 
     @property
@@ -144,7 +145,7 @@ class Inputs:
         uniforms = self.uniforms(first, number, dtype)
         return tuple(values(entry, u) for entry, u in zip(self.entries, uniforms, strict=True))
 
-    def with_start(self, y0: tuple[Any, ...]) -> "Inputs":
+    def with_start(self, y0: tuple[Number, ...]) -> "Inputs":
         """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
         return self if self.in_start else dataclasses.replace(self, model=self.model._replace(y0=y0))
 
@@ -187,7 +188,7 @@ class Inputs:
         """Whether sample i uses realisation i of the excitation."""
         return self.design is None or bool(np.all(self.design.realization == np.arange(self.samples)))
 
-    def realizations(self, first: int, number: int, t1: float) -> Any:
+    def realizations(self, first: int, number: int, t1: float) -> PyTree:
         """The realisations of a `SampledLaw` for these samples, stacked; None for other laws."""
         if not self.has_sampled_law:
             return None

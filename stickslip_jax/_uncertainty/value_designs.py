@@ -5,13 +5,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from .. import _checks
 from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, numbers_or_none, refuse_first
 from .uniform_designs import Realization, realizations
 
 
-def grid(values: Mapping[str, Any], *, realization: Realization = "own") -> Design:
+def grid(values: Mapping[str, npt.ArrayLike], *, realization: Realization = "own") -> Design:
     """All combinations of given values: ``grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})`` has six samples.
 
     - `values`: for each number of the system, law or start its values, (values,), in its unit. The last number changes
