@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.core import Tracer
 
 from ._types import AnyArray
@@ -22,12 +23,12 @@ SMALLEST, LARGEST = 1e-100, 1e100
 """Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
 
 
-def is_traced(value: Any) -> bool:
+def is_traced(value: object) -> bool:
     """True while a JAX transformation traces ``value``, so that its number is not known yet."""
     return isinstance(value, Tracer)
 
 
-def numbers(name: str, value: Any, ndim: int | None = None) -> np.ndarray:
+def numbers(name: str, value: object, ndim: int | None = None) -> np.ndarray:
     """`value` as an array of real numbers, of ``ndim`` dimensions (None: any). Raises ValueError for anything else.
 
     Truth values, complex numbers, words, and numbers that only objects can hold are no real numbers here, and neither
@@ -38,21 +39,30 @@ def numbers(name: str, value: Any, ndim: int | None = None) -> np.ndarray:
         random_key = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
         shown = "a random key" if random_key else show(value)
         raise ValueError(f"Argument {name} must be {_kind(ndim)}, but {shown} was given{_hint(value)}")
-    if ndim is not None and array.ndim != ndim:
-        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {array.shape} was given.")
+    _check_dimensions(name, array, ndim)
     return array
+
+
+def _check_dimensions(name: str, array: npt.ArrayLike, ndim: int | None) -> None:
+    if ndim is not None and np.ndim(array) != ndim:
+        shape = np.shape(array)
+        raise ValueError(f"Argument {name} must be {_kind(ndim)}, but an array of shape {shape} was given.")
+
+
+def refused(name: str, demand: str, value: object, hint: str = "") -> ValueError:
+    """The error that says what the argument `name` must do, as "be positive", and that `value` was given.
+
+    `hint`: what to do.
+    """
+    return ValueError(f"Argument {name} must {demand}, but {show(value)} was given{f'; {hint}' if hint else ''}.")
 
 
 def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
     """Check that ``value`` is a finite real number, or array of ``ndim`` dimensions (None: any)."""
     if is_traced(value):
-        if ndim is not None and np.ndim(value) != ndim:
-            raise ValueError(
-                f"Argument {name} must be {_kind(ndim)}, but an array of shape {np.shape(value)} was given."
-            )
-        return
-    if not np.all(np.isfinite(numbers(name, value, ndim))):
-        raise ValueError(f"Argument {name} must be finite, but {show(value)} was given.")
+        _check_dimensions(name, value, ndim)
+    elif not np.all(np.isfinite(numbers(name, value, ndim))):
+        raise refused(name, "be finite", value)
 
 
 _MOST = 2**28  # numbers in an array made of a range
@@ -60,11 +70,11 @@ _SINGLE = (int, float, np.generic, np.ndarray, jax.Array, list, tuple)
 """What may be a number for JAX too, and lists, which are none because of their shape."""
 
 
-def _array_of(value: Any) -> np.ndarray | None:
+def _array_of(value: object) -> np.ndarray | None:
     """`value` as an array of whole or floating-point numbers of at most 64 bits; None for anything else."""
     if value is None or isinstance(value, (bool, str, bytes, type)) or np.ma.is_masked(value):
         return None
-    if _is_long(value):
+    if isinstance(value, range) and value[_MOST:]:
         return None
     listed = value if isinstance(value, (list, tuple)) else ()
     if any(isinstance(one, (bool, np.bool_)) or one is np.ma.masked for one in listed):
@@ -78,7 +88,7 @@ def _array_of(value: Any) -> np.ndarray | None:
     return array if is_number and not too_large else None
 
 
-def _hint(value: Any) -> str:
+def _hint(value: object) -> str:
     """The end of the sentence that refuses `value`: what to do, where that is known."""
     if isinstance(value, type):
         return f"; make an object of it: {value.__name__}(...)."
@@ -99,11 +109,6 @@ def dimensions(value: Any) -> int:
         return np.ndim(value)
     except Exception:  # uneven lists; the object is anybody's
         return 0
-
-
-def _is_long(value: Any) -> bool:
-    """Whether it is a range of more numbers than anything here holds."""
-    return isinstance(value, range) and bool(value[_MOST:])
 
 
 def bounded(
@@ -137,10 +142,8 @@ def bounded(
         demand, hint = f"between -{LARGEST} and {LARGEST}", "choose other units"
     else:
         return
-    shown = show(np.asarray(value) if ndim else value)
-    raise ValueError(
-        f"Argument {name} must be {demand}{_unit(unit)}, but {shown} was given{f'; {hint}' if hint else ''}."
-    )
+    in_unit = f" (in {unit})" if unit else ""
+    raise refused(name, f"be {demand}{in_unit}", np.asarray(value) if ndim else value, hint)
 
 
 def _range(value: Any, ndim: int) -> tuple[float, float]:
@@ -161,12 +164,12 @@ def non_negative(name: str, value: Any, unit: str = "") -> None:
     bounded(name, value, unit, at_least=0)
 
 
-def jax_array(name: str, values: Any) -> Any:
+def jax_array(name: str, values: object) -> Any:
     """``values`` as an array of JAX, of any dimensions. Raises ValueError for what holds no real numbers."""
     return values if is_traced(values) else jnp.asarray(numbers(name, values))
 
 
-def real_array(name: str, values: Any) -> AnyArray:
+def real_array(name: str, values: object) -> AnyArray:
     """``values`` as a one-dimensional array of JAX or float64 of NumPy. Raises ValueError for anything else."""
     numeric(name, values, ndim=1)
     return values if isinstance(values, jax.Array) else np.asarray(values, float)
@@ -186,25 +189,25 @@ def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
         raise ValueError(f"Argument {name} must increase, but {name}[{at}] = {times[at]} follows {times[at - 1]}.")
 
 
-def truth(name: str, value: Any) -> None:
+def truth(name: str, value: object) -> None:
     """Check that ``value`` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"Argument {name} must be True or False, but {show(value)} was given.")
+        raise refused(name, "be True or False", value)
 
 
-def text(name: str, value: Any, or_none: bool = False) -> None:
+def text(name: str, value: object, or_none: bool = False) -> None:
     """Check that ``value`` is a string, or None where that is allowed."""
     if not (isinstance(value, str) or (or_none and value is None)):
-        raise ValueError(f"Argument {name} must be a string, but {show(value)} was given.")
+        raise refused(name, "be a string", value)
 
 
 def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = None) -> int:
     """Check that ``value`` is a whole number of at least ``minimum``, at most ``maximum``, and return it as an int."""
     whole = isinstance(value, kinds_of_numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
-        raise ValueError(f"Argument {name} must be a whole number of at least {minimum}, but {show(value)} was given.")
+        raise refused(name, f"be a whole number of at least {minimum}", value)
     if maximum is not None and int(value) > maximum:
-        raise ValueError(f"Argument {name} must be at most {maximum}, but {show(value)} was given.")
+        raise refused(name, f"be at most {maximum}", value)
     return int(value)
 
 
@@ -215,13 +218,11 @@ def entries(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     found = list(value) if listed or is_array else []
     if len(found) != len(meaning):
         count = _COUNTS.get(len(meaning), len(meaning))
-        raise ValueError(
-            f"Argument {name} must be {count} numbers ({', '.join(meaning)}), but {show(value)} was given."
-        )
+        raise refused(name, f"be {count} numbers ({', '.join(meaning)})", value)
     return tuple(found)
 
 
-def state(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
+def state(name: str, value: object, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     """Check that ``value`` holds finite numbers, one for each part of ``meaning``, and return them."""
     found = entries(name, value, meaning)
     for index, entry in enumerate(found):
@@ -237,29 +238,25 @@ def _kind(ndim: int | None) -> str:
     return kinds.get(ndim, f"a {ndim}-dimensional array of real numbers")
 
 
-def _unit(unit: str) -> str:
-    return f" (in {unit})" if unit else ""
-
-
 def one_of(names: Iterable[str]) -> str:
     """The names as words: "A, B or C"."""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def chosen(name: str, value: Any, options: Iterable[str]) -> str:
+def chosen(name: str, value: object, options: Iterable[str]) -> str:
     """Check that ``value`` is one of the words ``options``, and return it."""
     known = tuple(options)
     if not isinstance(value, str) or value not in known:
-        raise ValueError(f"Argument {name} must be one of {', '.join(map(repr, known))}, but {show(value)} was given.")
+        raise refused(name, f"be one of {', '.join(map(repr, known))}", value)
     return value
 
 
-def path(name: str, value: Any, what: str = "the name of a file or folder") -> Path:
+def path(name: str, value: object, what: str = "the name of a file or folder") -> Path:
     """Check that ``value`` can be the name of a file or folder, and return it as a path. `what`: what it must be."""
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) and not isinstance(value, type) else None
     if not isinstance(text, str) or not 0 < len(text) <= _LONGEST_NAME or "\0" in text or not _can_be_encoded(text):
-        raise ValueError(f"Argument {name} must be {what}, but {show(value)} was given.")
+        raise refused(name, f"be {what}", value)
     return Path(text)
 
 
@@ -277,7 +274,7 @@ def _can_be_encoded(text: str) -> bool:
 _SHOWN = 80  # characters
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     """`value` on one line, cut where it is long."""
     if isinstance(value, type):
         return f"the class {value.__name__}"

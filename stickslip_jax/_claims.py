@@ -6,7 +6,7 @@ the methods it was made of: where a subclass overrides one of them and does not 
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 
 class WithClaims:
@@ -20,7 +20,7 @@ class WithClaims:
     rests_on: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     only_with: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
-    def __init_subclass__(cls, **kwargs: Any):
+    def __init_subclass__(cls, **kwargs: object):
         super().__init_subclass__(**kwargs)
         for claim, methods in cls.rests_on.items():
             above, holders = _above(cls, claim)
@@ -41,6 +41,6 @@ def _above(cls: type, name: str) -> tuple[list[type], list[type]]:
     return list(cls.__mro__[: cls.__mro__.index(holders[0])]), holders
 
 
-def keeps(value: Any, kind: type, *methods: str) -> bool:
+def keeps(value: object, kind: type, *methods: str) -> bool:
     """Whether `value` is of this `kind`, or of a subclass that leaves these `methods` as they are."""
     return isinstance(value, kind) and all(getattr(type(value), name) is getattr(kind, name) for name in methods)

@@ -4,11 +4,11 @@ Its import takes most of a second, and what follows closed forms needs nothing o
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # all names of diffrax, which `__getattr__` gives when the program runs
     from diffrax import *  # noqa: F403  # pyright: ignore[reportWildcardImportFromLibrary]
 else:
 
-    def __getattr__(name: str) -> Any:
+    def __getattr__(name: str) -> object:
         return getattr(import_module("diffrax"), name)

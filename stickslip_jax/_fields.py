@@ -6,10 +6,11 @@ The constructors check their arguments by them, and a study's file takes its key
 import dataclasses
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, ClassVar, get_type_hints
+from typing import ClassVar, get_type_hints
 
 import equinox as eqx
 import numpy as np
+import numpy.typing as npt
 
 from . import _checks
 from ._claims import WithClaims
@@ -56,7 +57,7 @@ class Quantity:
         first, *more = self.meaning.split("; ", 1)
         return "; ".join([", ".join(part for part in (first, self.unit) if part), *more])
 
-    def check(self, name: str, value: Any) -> None:
+    def check(self, name: str, value: object) -> None:
         """Check `value`, the argument `name`. Raises ValueError for anything but a finite number within the bounds."""
         if not self.ndim and is_distribution(value):
             return
@@ -65,7 +66,7 @@ class Quantity:
             values = _checks.numbers(name, value)
             wrong = self.outside(values)
             if not len(values):
-                raise ValueError(f"Argument {name} must be a single real number, but {_checks.show(value)} was given.")
+                raise _checks.refused(name, "be a single real number", value)
             if np.any(wrong):
                 at = int(np.argmax(wrong))
                 self.check(f"{name}[{at}]", values[at].item())
@@ -75,7 +76,7 @@ class Quantity:
             hint=self.hint,
         )  # fmt: skip
 
-    def outside(self, values: Any) -> np.ndarray:
+    def outside(self, values: npt.ArrayLike) -> np.ndarray:
         """Which of the numbers `values` are not finite, or outside the bounds, (values,)."""
         values = np.asarray(values, float)
         wrong = ~(np.abs(values) <= _checks.LARGEST)
@@ -99,21 +100,21 @@ class Choice:
         """The meaning."""
         return self.meaning
 
-    def check(self, name: str, value: Any) -> None:
+    def check(self, name: str, value: object) -> None:
         """Check `value`, the argument `name`. Raises ValueError for anything but one of the options."""
         if not isinstance(value, str) or value not in self.options:
             options = _checks.one_of(map(repr, self.options))
-            raise ValueError(f"Argument {name} must be {options}, but {_checks.show(value)} was given.")
+            raise _checks.refused(name, f"be {options}", value)
 
 
-def is_distribution(value: Any) -> bool:
+def is_distribution(value: object) -> bool:
     """Whether `value` is a distribution: of stickslip_jax, frozen of scipy.stats, or with a method ``sample(key)``."""
     if isinstance(value, type):  # the class of a distribution is none yet
         return False
     return any(callable(getattr(value, name, None)) for name in ("icdf", "ppf", "sample"))
 
 
-def varies(value: Any, about: "Quantity | Choice") -> bool:
+def varies(value: object, about: "Quantity | Choice") -> bool:
     """Whether the field `about` holds more than one number: a distribution, or an array with one for each sample."""
     if isinstance(about, Choice) or about.ndim or _checks.is_traced(value):
         return False
@@ -148,7 +149,7 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool, bool], ..
     return tuple((name, about, fields[name].default is None, random[name]) for name, about in described(kind).items())
 
 
-def modules_in(tree: Any) -> Iterator[eqx.Module]:
+def modules_in(tree: object) -> Iterator[eqx.Module]:
     """All modules in `tree`: it, those in its fields, and so on."""
     if isinstance(tree, eqx.Module):
         yield tree
@@ -159,7 +160,7 @@ def modules_in(tree: Any) -> Iterator[eqx.Module]:
             yield from modules_in(entry)
 
 
-def is_of_package(tree: Any) -> bool:
+def is_of_package(tree: object) -> bool:
     """Whether the class of every module in `tree` is the package's own, and not a user's."""
     return all(type(module).__module__.startswith(f"{PACKAGE}.") for module in modules_in(tree))
 

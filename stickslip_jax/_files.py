@@ -8,7 +8,7 @@ import stat
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from . import _checks
 
@@ -20,7 +20,7 @@ FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 _SIGNATURES = {b"\x89HDF\r\n\x1a\n": "a NetCDF or HDF5 file", b"PAR1": "a parquet table", b"\x89PNG": "a figure"}
 
 
-def file_to_write(path: Any, endings: tuple[str, ...] = (), *, overwrite: bool = False) -> Path:
+def file_to_write(path: object, endings: tuple[str, ...] = (), *, overwrite: bool = False) -> Path:
     """`path` as the name of a file that can be written now.
 
     - `endings`: what the name may end in, in lower case; any if empty. `overwrite`: whether it may replace a file.

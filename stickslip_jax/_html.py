@@ -2,7 +2,6 @@
 
 import html
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 
 def escaped(text: str) -> str:
@@ -29,14 +28,14 @@ def _row(cells: Sequence[str], tag: str) -> str:
 class _Figures:
     """What draws a result small; the package's ``__init__`` sets it, because figures are made of results."""
 
-    draw: Callable[[Any], str] | None = None
+    draw: Callable[[object], str] | None = None
 
 
-def draw_with(draw: Callable[[Any], str]) -> None:
+def draw_with(draw: Callable[[object], str]) -> None:
     """Let `draw` make the small figures: of a result, as HTML."""
     _Figures.draw = staticmethod(draw)
 
 
-def small_figure(result: Any) -> str:
+def small_figure(result: object) -> str:
     """A small figure of a `Simulation`, an `Ensemble` or a `Distribution`, as HTML."""
     return "" if _Figures.draw is None else _Figures.draw(result)

@@ -57,7 +57,7 @@ class WithMethods(eqx.Module):
         # Python's own in C, since Equinox's runs in Python whatever attribute is asked for.
         __getattribute__ = object.__getattribute__
 
-    def __init_subclass__(cls, **kwargs: Any):
+    def __init_subclass__(cls, **kwargs: object):
         super().__init_subclass__(**kwargs)
         for name, value in list(vars(cls).items()):
             if type(value) is types.FunctionType and not (

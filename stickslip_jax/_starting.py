@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import threading
-from typing import Any
 
 _FILES = ("stickslip", "stickslip.exe", "_cli.py")
 _MODULE = "stickslip_jax._cli"
@@ -34,7 +33,7 @@ def _is_command() -> bool:
     return os.path.basename(program) in _FILES
 
 
-def _interrupted(*_: Any) -> None:
+def _interrupted(*_: object) -> None:
     os.write(2, b"stickslip: Interrupted; nothing was begun.\n")
     os._exit(130)
 

@@ -50,27 +50,3 @@ else:  # names alone, for nothing of diffrax is imported before it is used (`_di
     Solver = ForwardRef("AbstractSolver", module="diffrax")
     ExplicitSolver = ForwardRef("AbstractERK", module="diffrax")
     """An explicit Runge-Kutta method, such as ``diffrax.Dopri8()``."""
-
-__all__ = [
-    "AnyArray",
-    "AnyInteger",
-    "Array",
-    "Bool",
-    "BoolArray",
-    "BoolScalar",
-    "DType",
-    "ExplicitSolver",
-    "Float",
-    "FloatArray",
-    "FloatScalar",
-    "InitialState",
-    "Int",
-    "IntArray",
-    "KeyData",
-    "Number",
-    "PyTreeDef",
-    "Scalar",
-    "Solver",
-    "State",
-    "Word",
-]

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from .._types import Array, InitialState
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Model
-from .data import Keep
+from .data import Fields, Keep
 from .origins import check_extendable
 from .parts import EnsembleAccumulator, Part, prepare
 from .progress import progress_bar
@@ -108,7 +108,7 @@ def simulate_ensemble(
 def _found(
     setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None,
     chunk: int | None, progress: bool | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> Fields:  # fmt: skip
     """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
@@ -116,7 +116,10 @@ def _found(
     simulate = _simulator(setup, plan, accumulator)
     _compile(simulate, setup, accumulator.keep)
     compiled = time.perf_counter()
-    _simulate_all(lambda begin, number: simulate(first + begin, number), plan, samples, accumulator, progress)
+    with progress_bar(progress, samples) as bar:
+        for number, part in _in_order(simulate, plan, first, samples):
+            accumulator.add(part)
+            bar.advance(number)
     return {
         **accumulator.found(),
         "threads": min(plan.threads, -(-samples // plan.samples_per_task)),
@@ -133,11 +136,10 @@ def _extended(
     check_extendable(ensemble)
     first = ensemble.first_sample + ensemble.samples
     _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
-    words = ensemble.key_data
-    key = None if words is None else jax.random.wrap_key_data(jnp.array(words, jnp.uint32))
     model = Model(ensemble.system, ensemble.law, ensemble.y0)
+    assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
-    setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, key, *options)
+    setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, ensemble._key, *options)
     accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)
     accumulator.add_ensemble(ensemble)
     found = _found(setup, first, samples, accumulator, threads, chunk, progress)
@@ -161,8 +163,8 @@ def simulate_batch(
     plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)
     accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
     simulate = _simulator(setup, plan, accumulator)
-    for begin in range(0, samples, plan.samples_per_task):
-        accumulator.add(simulate(first + begin, min(plan.samples_per_task, samples - begin)))
+    for begin, number in plan.tasks(first, samples):
+        accumulator.add(simulate(begin, number))
     spent = time.perf_counter() - started
     return Ensemble(
         **setup.fields(), samples=samples, first_sample=first, **accumulator.found(), threads=1, compile_seconds=0.0,
@@ -177,15 +179,6 @@ def _compile(simulate: _Simulate, setup: EnsembleSetup, keep: Keep) -> None:
         simulate(0, 0)
         if prepared is not None:
             prepared.result()
-
-
-def _simulate_all(
-    simulate: _Simulate, plan: "_Plan", samples: int, accumulator: EnsembleAccumulator, progress: bool | None
-) -> None:
-    with progress_bar(progress, samples) as bar:
-        for number, part in _in_order(simulate, plan, samples):
-            accumulator.add(part)
-            bar.advance(number)
 
 
 class _Plan(NamedTuple):
@@ -204,8 +197,7 @@ class _Plan(NamedTuple):
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(_checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
-            rows = -(-chunk // lanes)
-            return cls(lanes, rows, min(chunk, lanes * rows), threads)
+            return cls(lanes, -(-chunk // lanes), chunk, threads)
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)
@@ -219,6 +211,11 @@ class _Plan(NamedTuple):
         """
         most = -(-samples // threads) if chunk is None else _checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
         return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
+
+    def tasks(self, first: int, samples: int) -> list[tuple[int, int]]:
+        """The first sample of each task and their number, for samples `first`, ``first + 1``, ..."""
+        size, end = self.samples_per_task, first + samples
+        return [(begin, min(size, end - begin)) for begin in range(first, end, size)]
 
 
 def _simulator(setup: EnsembleSetup, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
@@ -260,7 +257,7 @@ def _streamer(setup: EnsembleSetup, plan: _Plan) -> _Simulate:
     def simulate(first: int, number: int) -> Part:
         job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
         results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
-        return Part(_first_samples(results, number))
+        return Part(SampleTotals(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results)))
 
     return simulate
 
@@ -306,23 +303,16 @@ def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) 
     return SampleTotals(*(column[:number] for column in ordered))
 
 
-def _first_samples(results: SampleTotals, number: int) -> SampleTotals:
-    """The first `number` samples of `results` (rows, lanes), as NumPy arrays (number,)."""
-    return SampleTotals(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results))
-
-
-def _in_order(simulate: _Simulate, plan: _Plan, samples: int) -> Iterator[tuple[int, Part]]:
+def _in_order(simulate: _Simulate, plan: _Plan, first: int, samples: int) -> Iterator[tuple[int, Part]]:
     """Simulate all tasks in threads, a few at a time, and yield the parts in order of the samples."""
-    tasks = deque(
-        (first, min(plan.samples_per_task, samples - first)) for first in range(0, samples, plan.samples_per_task)
-    )
+    tasks = deque(plan.tasks(first, samples))
     waiting: deque[tuple[int, Future]] = deque()
     with ThreadPoolExecutor(min(plan.threads, len(tasks))) as pool:
         try:
             while tasks or waiting:
                 while tasks and len(waiting) < 2 * plan.threads:
-                    first, number = tasks.popleft()
-                    waiting.append((number, pool.submit(simulate, first, number)))
+                    begin, number = tasks.popleft()
+                    waiting.append((number, pool.submit(simulate, begin, number)))
                 number, future = waiting.popleft()
                 yield number, future.result()
         finally:

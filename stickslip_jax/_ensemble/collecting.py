@@ -3,10 +3,9 @@
 import itertools
 import os
 from collections.abc import Sequence
-from typing import Any
 
 from .. import _checks
-from .data import Origin, same_object
+from .data import Fields, Origin, same_object
 from .origins import origins_of
 from .parts import EnsembleAccumulator
 from .result import Ensemble
@@ -50,10 +49,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
         ValueError: For anything else, and for parts that hold the same random samples twice.
     """
     if not isinstance(ensembles, Sequence) or not ensembles or not all(isinstance(one, Ensemble) for one in ensembles):
-        raise ValueError(
-            "Argument ensembles must be a list of results of simulate_ensemble, but "
-            f"{_checks.show(ensembles)} was given."
-        )
+        raise _checks.refused("ensembles", "be a list of results of simulate_ensemble", ensembles)
     for what in ("t1", "keep", "numbering", "dtype"):
         _check_same(what, [getattr(one, what) for one in ensembles])
     _check_same("position", [one.system.stick_position[1::2] for one in ensembles])
@@ -76,7 +72,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
 _WORDS = {"t1": "duration t1", "position": "unit and period of the position"}
 
 
-def _check_same(what: str, values: list[Any]) -> None:
+def _check_same(what: str, values: Sequence[object]) -> None:
     for number, value in enumerate(values):
         if value != values[0]:
             raise ValueError(
@@ -106,13 +102,13 @@ def _joined(origins: list[Origin]) -> tuple[Origin, ...]:
     return tuple(joined)
 
 
-def _common(origins: tuple[Origin, ...]) -> dict[str, Any]:
+def _common(origins: tuple[Origin, ...]) -> Fields:
     """The fields of an `Ensemble` that its origins give; `Unknown` for what differs among them."""
     first = origins[0]
     samples = sum(origin.samples for origin in origins)
     if len(origins) == 1:
         return {**first._asdict(), "samples": samples, "origins": ()}
-    found: dict[str, Any] = {}
+    found: Fields = {}
     for name in ("system", "law", "method", "y0"):
         values = [getattr(origin, name) for origin in origins]
         same = all(same_object(value, values[0]) for value in values)

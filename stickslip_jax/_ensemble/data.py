@@ -8,7 +8,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+import numpy.typing as npt
+from jaxtyping import Float, PyTree
 
 from .._dynamics.common.engine import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
@@ -18,6 +19,7 @@ from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._status import Status
 from .._systems.system import System
+from .._types import Array, Number
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Inputs, Model
@@ -25,6 +27,9 @@ from .unknown import Unknown
 
 Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
 """What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or also every stick."""
+
+Fields: TypeAlias = dict[str, Any]
+"""Fields of an `Ensemble` by name."""
 
 
 class Retained(NamedTuple):
@@ -37,15 +42,15 @@ class Retained(NamedTuple):
 class Origin(NamedTuple):
     """What one part of a joined ensemble was simulated from; fields as those of `Ensemble`, which they replace."""
 
-    system: Any
+    system: System
     law: Any
-    method: Any
-    y0: tuple[Any, ...]
+    method: Exact | Regularized | Unknown | None
+    y0: tuple[Number, ...]
     key_data: tuple[int, ...] | None
     first_sample: int
     samples: int
-    design: Any = None
-    copula: Any = None
+    design: Design | None = None
+    copula: GaussianCopula | None = None
 
     def follows(self, before: "Origin") -> bool:
         """Whether these are the samples after those of `before`, of the same system, law, method, start and key."""
@@ -60,7 +65,7 @@ class Origin(NamedTuple):
         return alike and self.key_data == other.key_data and all(same_object(*pair) for pair in drawn)
 
 
-def same_object(one: Any, other: Any) -> bool:
+def same_object(one: object, other: object) -> bool:
     """Whether two systems, laws, methods or states have the same class and the same numbers."""
     try:
         return type(one) is type(other) and bool(eqx.tree_equal(one, other))
@@ -71,14 +76,14 @@ def same_object(one: Any, other: Any) -> bool:
 class GivenMotions(eqx.Module):
     """The base motions of all samples, which were given and not drawn: `bases` has a leading axis of samples."""
 
-    bases: Any
+    bases: PyTree
 
-    def base(self, number: int) -> Any:
+    def base(self, number: int) -> PyTree:
         """The base motion of sample `number`."""
         return jax.tree.map(lambda leaf: single(leaf[number]) if np.ndim(leaf) else leaf, self.bases)
 
 
-def single(entry: Any) -> Any:
+def single(entry: npt.ArrayLike) -> Array | int | float | bool:
     """One entry of a batch: a plain number, or an array of JAX."""
     return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
 
@@ -92,7 +97,7 @@ class EnsembleData:
     t1: float
     method: Exact | Regularized | Unknown | None
     numbering: Numbering
-    y0: tuple[Any, ...]
+    y0: tuple[Number, ...]
     samples: int
     key_data: tuple[int, ...] | None
     dtype: str
@@ -122,9 +127,13 @@ class EnsembleData:
     def inputs(self) -> Inputs:
         """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
         samples = self.first_sample + self.samples if self.design is None else self.design
-        key = None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
         law = self.law if isinstance(self.law, GivenMotions) else law_of(self.law)
-        return Inputs.of(Model(self.system, law, self.y0), samples, key, self.copula)
+        return Inputs.of(Model(self.system, law, self.y0), samples, self._key, self.copula)
+
+    @property
+    def _key(self) -> Array | None:
+        """The key from which all was drawn, None if there was none."""
+        return None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
 
     def finished_sticks(self) -> FlatSticks:
         """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.
@@ -153,3 +162,8 @@ class EnsembleData:
     def finished(self) -> int:
         """Number of samples that reached ``t1``."""
         return self.status_counts[Status.FINISHED]
+
+    @property
+    def _unfinished(self) -> dict[Status, int]:
+        """Number of the others by `Status`, where there are any."""
+        return {status: count for status, count in self.status_counts.items() if status and count}

@@ -1,7 +1,8 @@
 """An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (`stored.py`)."""
 
 import json
-from typing import TYPE_CHECKING, Any
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from .slips import flat_slips
 if TYPE_CHECKING:
     import xarray
 
+Variables: TypeAlias = dict[str, Any]
+"""Variables of a data set by name, as `variable` makes them."""
+
 FORMAT, FORMAT_VERSION = "stickslip_jax ensemble", 2
 STATE, FLOATS, INTEGERS = "ensemble_state", "ensemble_state_floats", "ensemble_state_integers"
 SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
@@ -32,7 +36,7 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     Raises:
         ImportError: As `Ensemble.to_xarray`.
     """
-    variables: dict[str, Any] = {}
+    variables: Variables = {}
     if ensemble.flat_sticks is not None and ensemble.totals is not None:
         variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
         variables |= _slips(ensemble) | _totals(ensemble.totals) | _inputs(ensemble)
@@ -42,13 +46,13 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     return labeled_dataset({**variables, **_state(ensemble)}, {}, _provenance(ensemble))
 
 
-def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, Any]]:
+def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, object]]:
     """The encoding that ``to_netcdf`` takes, which makes small what is mostly zeros or repeats itself."""
     names = (FLOATS, INTEGERS, "stick_sample", "stick_order", "slip_sample")
     return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
 
 
-def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> dict[str, Any]:
+def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variables:
     position = ensemble.system.stick_position
     further = {
         f"stick_{name}": variable("stick", getattr(sticks, name), one.label, one.unit or position.unit)
@@ -70,7 +74,7 @@ def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> dict[str
     }
 
 
-def _slips(ensemble: EnsembleData) -> dict[str, Any]:
+def _slips(ensemble: EnsembleData) -> Variables:
     slips, first = flat_slips(ensemble), ensemble.first_sample
     flags, censored = {"flag_values": [0, 1], "flag_meanings": "COMPLETE HORIZON"}, slips.censored.astype(np.int8)
     return {
@@ -81,7 +85,7 @@ def _slips(ensemble: EnsembleData) -> dict[str, Any]:
     }
 
 
-def _totals(totals: SampleTotals) -> dict[str, Any]:
+def _totals(totals: SampleTotals) -> Variables:
     return {
         "slip_count": variable("sample", totals.slips, "number of slips"),
         "stick_time": variable("sample", totals.stick_time, "total stick time", "s"),
@@ -90,13 +94,13 @@ def _totals(totals: SampleTotals) -> dict[str, Any]:
     }
 
 
-def _inputs(ensemble: EnsembleData) -> dict[str, Any]:
+def _inputs(ensemble: EnsembleData) -> Variables:
     """The numbers that differ from sample to sample."""
     known = known_inputs(ensemble).items()
     return {f"input_{name}": variable("sample", column, name, unit or "1") for name, (column, unit) in known}
 
 
-def _retained_totals(retained: Retained) -> dict[str, Any]:
+def _retained_totals(retained: Retained) -> Variables:
     time, _, slips, *_ = retained.totals.T
     sample = SAMPLE["statistics"]
     return {
@@ -105,7 +109,7 @@ def _retained_totals(retained: Retained) -> dict[str, Any]:
     }
 
 
-def _state(ensemble: EnsembleData) -> dict[str, Any]:
+def _state(ensemble: EnsembleData) -> Variables:
     """What else an ensemble is made of: sums of all samples, and numbers of sticks of samples that did not finish."""
     encoder = Encoder()
     state = {
@@ -131,12 +135,12 @@ def _state(ensemble: EnsembleData) -> dict[str, Any]:
     }
 
 
-def _provenance(ensemble: EnsembleData) -> dict[str, Any]:
+def _provenance(ensemble: EnsembleData) -> dict[str, object]:
     """Attributes that say what was simulated, how, and how it ended. Numbers are in SI units."""
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
     encoder = Encoder()
-    attributes: dict[str, Any] = {
+    attributes: dict[str, object] = {
         "source": f"stickslip_jax {__version__}",
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -166,13 +170,13 @@ def _provenance(ensemble: EnsembleData) -> dict[str, Any]:
     return attributes
 
 
-def _readable(encoder: Encoder, value: Any) -> str:
+def _readable(encoder: Encoder, value: object) -> str:
     """An object as JSON that tells its class and numbers; long arrays are only described."""
     parts = [encoder.encoded(part) for part in value] if type(value) is list else encoder.encoded(value)
     return json.dumps(parts)
 
 
-def _method(method: Any) -> dict[str, Any]:
+def _method(method: object) -> dict[str, str | float]:
     """Attributes that state the method and its criterion of a stick, in SI units."""
     if isinstance(method, Exact):
         return {"method": "exact"} if method.step is None else {"method": "exact", "time_step": float(method.step)}
@@ -188,5 +192,5 @@ def _method(method: Any) -> dict[str, Any]:
     return {"method": "regularised", "shape": method.shape, **known}
 
 
-def _flags(codes: Any) -> dict[str, Any]:
+def _flags(codes: type[IntEnum]) -> dict[str, Any]:
     return {"flag_values": [int(code) for code in codes], "flag_meanings": " ".join(code.name for code in codes)}

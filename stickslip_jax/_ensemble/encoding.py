@@ -5,7 +5,6 @@ is written by the name of its class and as it prints, and comes back as `Unknown
 """
 
 import dataclasses
-import json
 import math
 import sys
 from typing import Any
@@ -47,7 +46,6 @@ class Encoder:
 
     def __init__(self) -> None:
         self._parts: dict[str, list[np.ndarray]] = {"floats": [], "integers": []}
-        self._used = {"floats": 0, "integers": 0}
 
     @property
     def floats(self) -> np.ndarray:
@@ -59,11 +57,7 @@ class Encoder:
         """All long arrays of whole numbers and truths, (numbers,), int64."""
         return np.concatenate([np.zeros(0, np.int64), *self._parts["integers"]])
 
-    def text(self, value: Any) -> str:
-        """`value` as JSON; objects of a user's own classes as the name of the class and as they print."""
-        return json.dumps(self.encoded(value))
-
-    def encoded(self, value: Any) -> Any:
+    def encoded(self, value: object) -> object:
         """`value` as JSON takes it; objects of a user's own classes as the name of the class and as they print."""
         if type(value) is tuple:
             return {"tuple": [self.encoded(part) for part in value]}
@@ -73,14 +67,14 @@ class Encoder:
             printed = " ".join(repr(value).split())[:_LONGEST_TEXT]
             return {"class": "Unknown", "fields": {"name": type(value).__name__, "text": printed}}
 
-    def _encoded(self, value: Any) -> Any:
+    def _encoded(self, value: object) -> object:
         if value is None or isinstance(value, (bool, str)) or type(value) is int:
             return value
         if isinstance(value, float) and not isinstance(value, np.generic):
             return value if math.isfinite(value) else {"float": str(value)}
         if isinstance(value, (np.ndarray, np.generic, jax.Array)):
             return self._array(value)
-        if type(value) in (tuple, list):
+        if type(value) is tuple or type(value) is list:
             return {type(value).__name__: [self._encoded(part) for part in value]}
         if _class_named(type(value).__name__) is type(value):
             return {"class": type(value).__name__, "fields": self._fields(value)}
@@ -89,29 +83,25 @@ class Encoder:
             return {"diffrax": name}
         raise NotOursError
 
-    def _fields(self, value: Any) -> dict[str, Any]:
-        if hasattr(value, "_fields"):
-            names = value._fields
-        else:
-            names = [field.name for field in dataclasses.fields(value) if field.init]
+    def _fields(self, value: Any) -> dict[str, object]:
+        names = getattr(value, "_fields", None) or [one.name for one in dataclasses.fields(value) if one.init]
         # Of these the parts may be a user's own, each by itself.
         encoded = self.encoded if isinstance(value, Origin) else self._encoded
         return {name: encoded(getattr(value, name)) for name in names}
 
-    def _array(self, value: Any) -> dict[str, Any]:
+    def _array(self, value: np.ndarray | np.generic | jax.Array) -> dict[str, object]:
         if isinstance(value, jax.Array) and jax.numpy.issubdtype(value.dtype, jax.dtypes.prng_key):
             raise NotOursError
         array = np.asarray(value)
         if array.dtype.kind not in "fiub" or array.dtype == np.uint64:
             raise NotOursError
-        about = {"of": "jax" if isinstance(value, jax.Array) else "numpy", "dtype": str(array.dtype)}
+        about: dict[str, object] = {"of": "jax" if isinstance(value, jax.Array) else "numpy", "dtype": str(array.dtype)}
         about |= {"shape": list(array.shape)}
         if array.size <= _SHORT:
             return about | {"values": [self._encoded(entry) for entry in array.reshape(-1).tolist()]}
         store = "floats" if array.dtype.kind == "f" else "integers"
+        at = sum(part.size for part in self._parts[store])
         self._parts[store].append(array.reshape(-1).astype(np.float64 if store == "floats" else np.int64))
-        at = self._used[store]
-        self._used[store] += array.size
         return about | {store: at}
 
 
@@ -122,12 +112,11 @@ class Decoder:
     floats: np.ndarray
     integers: np.ndarray
 
-    def value(self, text: str) -> Any:
-        """The object in JSON. Raises ValueError, KeyError or TypeError for a text that no `Encoder` wrote."""
-        return self.decoded(json.loads(text))
+    def decoded(self, value: object, checked: bool = True) -> Any:
+        """The object that an `Encoder` made `value` of; `checked`: whether constructors check its numbers.
 
-    def decoded(self, value: Any, checked: bool = True) -> Any:
-        """The object; `checked`: whether constructors check its numbers, which they cannot for a whole batch."""
+        They cannot for a whole batch. Raises ValueError, KeyError or TypeError for what no `Encoder` made.
+        """
         if not isinstance(value, dict):
             return value
         if "class" in value:
@@ -143,7 +132,7 @@ class Decoder:
         ((kind, parts),) = value.items()
         return {"tuple": tuple, "list": list}[kind](self.decoded(part, checked) for part in parts)
 
-    def _object(self, name: str, fields: dict[str, Any], checked: bool) -> Any:
+    def _object(self, name: str, fields: dict[str, object], checked: bool) -> Any:
         kind = _class_named(name)
         if kind is None:
             raise ValueError(f"it holds a {name}, which this version of stickslip_jax does not know")
@@ -155,7 +144,7 @@ class Decoder:
             object.__setattr__(made, key, part)
         return made
 
-    def _array(self, about: dict[str, Any]) -> Any:
+    def _array(self, about: dict[str, Any]) -> np.ndarray | np.generic | jax.Array:
         shape, dtype = tuple(about["shape"]), np.dtype(about["dtype"])
         size = math.prod(shape)
         if dtype.kind not in "fiub" or min(shape, default=0) < 0:
@@ -172,12 +161,10 @@ class Decoder:
         return array if shape else array[()]
 
 
-def _is_default(kind: type, name: str, value: Any) -> bool:
+def _is_default(kind: type, name: str, value: object) -> bool:
     """Whether a field has its default, which then prints as if it had not been given."""
-    defaults = (
-        {field.name: field.default for field in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else {}
-    )
-    default = defaults.get(name, dataclasses.MISSING)
+    field = getattr(kind, "__dataclass_fields__", {}).get(name)
+    default = getattr(field, "default", dataclasses.MISSING)
     return type(value) is type(default) and isinstance(value, (str, int, float)) and value == default
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from .. import _checks
 from .._dynamics.common.engine import SampleTotals
@@ -14,7 +15,7 @@ from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._status import Ending
 from .._systems.system import Coordinate
-from .data import GivenMotions, single
+from .data import Fields, GivenMotions, single
 from .measured import measured_sticks
 from .parts import EnsembleAccumulator, Part
 from .unknown import Unknown, UnknownSystem
@@ -24,12 +25,10 @@ _UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m"
 
 def _check_unit(unit: object) -> None:
     if not isinstance(unit, str) or not _UNIT.fullmatch(unit):
-        raise ValueError(
-            f"Argument position_unit must be a unit such as 'm', 'mm' or 'rad', but {_checks.show(unit)} was given."
-        )
+        raise _checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", unit)
 
 
-def fields_of_simulations(result: object, numbering: Numbering) -> dict[str, Any]:
+def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
     """The fields of the `Ensemble` of a batch of simulations; see `Ensemble.from_simulations`."""
     if not isinstance(result, Simulation) or np.ndim(result.status) != 1:
         shown = f"one of shape {np.shape(result.status)}" if isinstance(result, Simulation) else _checks.show(result)
@@ -65,8 +64,8 @@ def fields_of_simulations(result: object, numbering: Numbering) -> dict[str, Any
 
 
 def fields_of_sticks(
-    table: Any, t1: float, samples: int | None, position_unit: str | None, period: float | None, numbering: Numbering
-) -> dict[str, Any]:
+    table: object, t1: float, samples: int | None, position_unit: str | None, period: float | None, numbering: Numbering
+) -> Fields:
     """The fields of the `Ensemble` of measured sticks; see `Ensemble.from_sticks`."""
     _checks.positive("t1", t1, "s")
     if period is not None:
@@ -99,9 +98,7 @@ def fields_of_sticks(
     }
 
 
-def _summed(
-    results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None
-) -> dict[str, Any]:
+def _summed(results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None) -> Fields:
     """The fields of an `Ensemble` that follow from its sticks, and those that say how long it took."""
     samples = len(results.status)
     # Columns that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
@@ -135,7 +132,7 @@ def _of_batch(result: Simulation) -> tuple[FlatSticks, SampleTotals]:
     return sticks, SampleTotals(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
 
 
-def _shared(part: Any, samples: int) -> Any:
+def _shared(part: PyTree, samples: int) -> PyTree:
     """`part` of a batch with each number that is the same in all simulations put once; the others stay (samples,)."""
 
     def once(leaf: Any) -> Any:
@@ -149,6 +146,6 @@ def _shared(part: Any, samples: int) -> Any:
     return jax.tree.map(once, part)
 
 
-def _varies(base: Any) -> bool:
+def _varies(base: PyTree) -> bool:
     """Whether a batch of base motions holds different ones."""
     return any(np.ndim(leaf) and not np.all(np.asarray(leaf) == np.asarray(leaf)[:1]) for leaf in jax.tree.leaves(base))

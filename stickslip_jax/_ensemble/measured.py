@@ -17,7 +17,7 @@ _MOST_SAMPLES = 10**8
 _ROUNDED = 1e-5  # of the duration of the measurement: by so much columns of few digits may contradict each other
 
 
-def measured_sticks(table: Any, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
+def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
     """The sticks of a table, in order of sample and time, and the unit in the name of its column of positions.
 
     Arguments and errors of `Ensemble.from_sticks`.
@@ -46,9 +46,8 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
     try:
         given = {str(name): _column(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)}
     except (AttributeError, KeyError, TypeError, ValueError):
-        raise ValueError(
-            "Argument table must be a pandas DataFrame or a dict of arrays with columns sample, start, and end or "
-            f"duration, but {_checks.show(table)} was given."
+        raise _checks.refused(
+            "table", "be a pandas DataFrame or a dict of arrays with columns sample, start, and end or duration", table
         ) from None
     found, unit = {}, None
     for name, column in given.items():

@@ -7,7 +7,7 @@ besides, for other programs.
 import hashlib
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -28,7 +28,7 @@ class DamagedFileError(ValueError):
 
 def as_netcdf(
     dataset: "xarray.Dataset",
-    packing: Mapping[Any, Mapping[str, Any]],
+    packing: Mapping[Any, Mapping[str, object]],
     groups: "Mapping[str, xarray.Dataset] | None" = None,
 ) -> memoryview:
     """The bytes of a NetCDF 4 file of a data set, and of others in groups.
@@ -77,9 +77,8 @@ def verified(dataset: "xarray.Dataset", *, is_file: bool = True) -> "xarray.Data
         if is_file:
             raise DamagedFileError("it lacks its check sum")
         return dataset
-    rest = dataset.drop_attrs(deep=False).assign_attrs(
-        {name: value for name, value in dataset.attrs.items() if name != SUM}
-    )
+    rest = dataset.copy(deep=False)
+    del rest.attrs[SUM]
     if sum_of(rest) != stated:
         raise DamagedFileError("its content is not what was written: the check sum is another")
     return rest
@@ -98,13 +97,13 @@ def sum_of(dataset: "xarray.Dataset") -> str:
     return found.hexdigest()
 
 
-def _text(attributes: Mapping[Any, Any]) -> bytes:
+def _text(attributes: Mapping[Hashable, Any]) -> bytes:
     """Attributes as text, lists of one number as the number, which they become in a file."""
     plain = {str(name): np.atleast_1d(np.asarray(value)).tolist() for name, value in attributes.items()}
     return json.dumps(plain, sort_keys=True).encode()
 
 
-def _has_sums(variable: Any) -> bool:
+def _has_sums(variable: "xarray.Variable") -> bool:
     return variable.ndim > 0 and variable.size > 0 and variable.dtype.kind in "biuf"
 
 

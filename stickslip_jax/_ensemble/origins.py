@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._systems.system import System
 from .data import EnsembleData, GivenMotions, Origin, single
 from .unknown import require_known
 
@@ -17,7 +18,7 @@ Data = TypeVar("Data", bound=EnsembleData)
 class Realization(NamedTuple):
     """What `simulate` takes to repeat a sample: ``simulate(system, base, y0=y0, t1=...)``."""
 
-    system: Any
+    system: System
     base: Any
     y0: tuple[float, ...]
 
@@ -98,10 +99,9 @@ def values_of(parts: Sequence[EnsembleData]) -> dict[str, np.ndarray]:
 
 def require_whole(ensemble: EnsembleData) -> None:
     """Raise ValueError unless the base motion and the start of `ensemble` are known."""
-    for what, name in {"law": "base motion", "y0": "initial state"}.items():
-        held = getattr(ensemble, what)
-        for one in held if isinstance(held, tuple) else (held,):
-            require_known(name, one)
+    require_known("base motion", ensemble.law)
+    for value in ensemble.y0:
+        require_known("initial state", value)
 
 
 def given_realization(ensemble: EnsembleData, number: int) -> Realization | None:

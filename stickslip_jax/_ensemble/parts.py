@@ -1,7 +1,7 @@
 """Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
 import os
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from .._numerics.moments import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._status import Status
-from .data import EnsembleData, Keep, Retained
+from .._types import DType
+from .data import EnsembleData, Fields, Keep, Retained
 
 RETAINED = 1_000_000
 """With ``keep="statistics"``, the most sticks that are retained, those of the first samples: for standard errors and
@@ -27,7 +28,7 @@ class Part(NamedTuple):
     results: SampleTotals
     sticks: FlatSticks | None = None
     accumulator: StickAccumulator | None = None
-    rest: tuple[np.ndarray, np.ndarray] | None = None  # `Numbering.rest` of each sample; None: not known
+    rest: tuple[np.ndarray, ...] = ()  # `Numbering.rest` of each sample; empty: not known
 
     @classmethod
     def of(
@@ -49,7 +50,7 @@ class Part(NamedTuple):
             done = StickStream.of(found.only(finished))
         accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
         rest = tuple(_of_finished(column, finished) for column in numbering.rest(done))
-        return cls(results, found or done.in_order() if keep_sticks else None, accumulator, (rest[0], rest[1]))
+        return cls(results, found or done.in_order() if keep_sticks else None, accumulator, rest)
 
 
 def within_period(positions: np.ndarray, period: float) -> np.ndarray:
@@ -67,7 +68,7 @@ def _of_finished(column: np.ndarray, finished: np.ndarray) -> np.ndarray:
     return whole
 
 
-def prepare(dtype: Any) -> None:
+def prepare(dtype: DType) -> None:
     """Compile the loops that collect and count sticks with times of `dtype`, unless they are compiled."""
     sticks = StickCollector()
     sticks.restart(1)
@@ -94,10 +95,8 @@ class EnsembleAccumulator:
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
-        self._space, self._retained_samples = (
-            RETAINED if retained is None else retained,
-            0,
-        )  # number of sticks that still fit
+        self._space = RETAINED if retained is None else retained  # number of sticks that still fit
+        self._retained_samples = 0
 
     @property
     def wants_sticks(self) -> bool:
@@ -124,9 +123,7 @@ class EnsembleAccumulator:
             totals = other.retained.totals
             none = np.zeros(len(totals), int)
             time, sticks, slips, *rest = totals.T
-            self._keep(
-                Part(SampleTotals(sticks, slips, time, none, none), rest=(rest[0], rest[1])), other.retained.sticks
-            )
+            self._keep(Part(SampleTotals(sticks, slips, time, none, none), rest=tuple(rest)), other.retained.sticks)
             # Samples that did not finish took space, too, when they were simulated. Where some that did finish are not
             # retained, there was none left.
             self._retained_samples += other.samples - other.finished
@@ -150,13 +147,13 @@ class EnsembleAccumulator:
             fits = max(fits, min(FEWEST - self._retained_samples, len(sticks.count)))
             self._retained_samples += fits
             results = SampleTotals(*(column[:fits].copy() for column in part.results))
-            rest = None if part.rest is None else (part.rest[0][:fits].copy(), part.rest[1][:fits].copy())
+            rest = tuple(column[:fits].copy() for column in part.rest)
             whole = fits == len(sticks.count)
             self._kept.append(Part(results, sticks if whole else sticks.head(fits), rest=rest))
             left = self._space - len(sticks.start) - fits if fits == len(part.results.status) else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
-    def found(self) -> dict[str, Any]:
+    def found(self) -> Fields:
         """The fields of an `Ensemble` that come from the parts, by name."""
         is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
         sticks = FlatSticks.joined(kept) if kept else None
@@ -166,13 +163,11 @@ class EnsembleAccumulator:
             "near_grazing_samples": self.near_grazing_samples,
             "accumulator": self.accumulator,
             "retained": None if sticks is None else self._retained(sticks),
-            "totals": self._totals() if is_full else None,
+            "totals": SampleTotals(*map(np.concatenate, zip(*(part.results for part in self._kept), strict=True)))
+            if is_full
+            else None,
             "flat_sticks": sticks if is_full else None,
         }
-
-    def _totals(self) -> SampleTotals:
-        """The totals of every kept sample."""
-        return SampleTotals(*map(np.concatenate, zip(*(part.results for part in self._kept), strict=True)))
 
     def _retained(self, sticks: FlatSticks) -> Retained:
         """The sticks and totals of the kept samples that finished."""
@@ -185,7 +180,7 @@ def _totals_of(part: Part) -> np.ndarray:
     results = part.results
     finished = results.status == Status.FINISHED
     none = np.zeros(len(finished))
-    columns = (results.stick_time, results.sticks, results.slips, *((none, none) if part.rest is None else part.rest))
+    columns = (results.stick_time, results.sticks, results.slips, *(part.rest or (none, none)))
     return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
 
 

@@ -17,8 +17,8 @@ class Progress(NamedTuple):
     `advance`: to call with the number of newly finished samples. `note`: with a text to show beside the bar.
     """
 
-    advance: Callable[[int], Any]
-    note: Callable[[str], Any]
+    advance: Callable[[int], object]
+    note: Callable[[str], object]
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def _bar_class(notebook: bool) -> Any:
     return tqdm
 
 
-def _nothing(*_: Any) -> None:
+def _nothing(*_: object) -> None:
     pass
 
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,11 +21,13 @@ from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_
 from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
 from .data import EnsembleData
+from .dataset import dataset_of
 from .given import fields_of_simulations, fields_of_sticks
 from .origins import Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
 from .summary import summary_of
+from .tables import write_slips, write_sticks
 from .unknown import Unknown, UnknownSystem, require_known
 
 if TYPE_CHECKING:
@@ -79,7 +81,7 @@ class Ensemble(EnsembleData):
 
     @classmethod
     def from_sticks(
-        cls, table: Any, *, t1: float, samples: int | None = None, position_unit: str | None = None,
+        cls, table: object, *, t1: float, samples: int | None = None, position_unit: str | None = None,
         period: float | None = None, orders: int = 10, count_initial_rest: bool = False,
     ) -> "Ensemble":  # fmt: skip
         """The ensemble of sticks that were measured, or simulated elsewhere: one recording of ``[0, t1]`` each sample.
@@ -190,9 +192,7 @@ class Ensemble(EnsembleData):
             ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
-            raise ValueError(
-                f"Argument number must be below the {self.samples} samples, but {_checks.show(number)} was given."
-            )
+            raise _checks.refused("number", f"be below the {self.samples} samples", number)
         part, number = part_with(self, number)
         given = given_realization(part, number)
         if given is not None:
@@ -215,8 +215,6 @@ class Ensemble(EnsembleData):
         Raises:
             ImportError: Without the extra ``study``.
         """
-        from .dataset import dataset_of  # noqa: PLC0415 - needs an extra
-
         return dataset_of(self)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -260,8 +258,6 @@ class Ensemble(EnsembleData):
             ImportError: Without the extra ``tables``.
             FileExistsError, FileNotFoundError, OSError: As `save`.
         """
-        from .tables import write_sticks  # noqa: PLC0415 - needs an extra
-
         return write_sticks(self, path, overwrite)
 
     def write_slips(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -269,16 +265,13 @@ class Ensemble(EnsembleData):
 
         `path`, `overwrite`, the value returned and errors as in `write_sticks`.
         """
-        from .tables import write_slips  # noqa: PLC0415 - needs an extra
-
         return write_slips(self, path, overwrite)
 
     def _repr_html_(self) -> str:
         rows = [(name, _brief(getattr(self, name))) for name in ("system", "law", "method")]
         rows += [(of.label, of(self).without_name().replace("+-", "±")) for of in STATISTICS.values()]
-        for status, count in self.status_counts.items():
-            if status and count:
-                rows.append(("NOT FINISHED, in no number above", f"{count:,} samples, because {status.meaning}"))
+        for status, count in self._unfinished.items():
+            rows.append(("NOT FINISHED, in no number above", f"{count:,} samples, because {status.meaning}"))
         if self.near_grazing_samples:
             rows.append(("decided by round-off (near-grazing)", f"{self.near_grazing_samples:,} samples"))
         rows.append(("time", f"{self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile"))
@@ -296,18 +289,16 @@ class Ensemble(EnsembleData):
         ]
         if self.run_seconds:
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
-        failed = {status: count for status, count in self.status_counts.items() if status and count}
+        failed = self._unfinished
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
-        lines += (
-            [f"  near-grazing: {self.near_grazing_samples} samples, in which round-off decided if there was an event"]
-            if self.near_grazing_samples
-            else []
-        )
+        if self.near_grazing_samples:
+            count = self.near_grazing_samples
+            lines.append(f"  near-grazing: {count} samples, in which round-off decided if there was an event")
         return "\n".join(lines if failed else [*lines, "  finished  all samples"])
 
 
-def _brief(module: Any) -> str:
+def _brief(module: object) -> str:
     if isinstance(module, (Unknown, UnknownSystem)):
-        return str(Unknown(module.name, module.text))
+        return str(module)
     text = " ".join(eqx.tree_pformat(module, short_arrays=False).split())
     return text if len(text) <= 110 else text[:107] + "..."

@@ -18,11 +18,11 @@ from .._events.stick_quantities import ALL
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._statistics.accumulator import Numbering
 from .._systems.system import require_system
-from .._types import AnyArray, Array
+from .._types import AnyArray, Array, DType
 from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Inputs, Model
-from .data import Keep
+from .data import Fields, Keep
 
 MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 
@@ -41,7 +41,7 @@ class EnsembleSetup:
     method: Exact | Regularized
     key_data: Array
     is_random: bool
-    dtype: Any
+    dtype: DType
     t1: float
     numbering: Numbering
     period: float | None  # of the position of sticks
@@ -50,12 +50,12 @@ class EnsembleSetup:
     def checked(
         cls,
         model: Model,
-        t1: Any,
-        samples: Any,
+        t1: float,
+        samples: int | Design,
         first_sample: int,
-        key: Any,
-        correlation: Any,
-        method: Any,
+        key: Array | None,
+        correlation: GaussianCopula | None,
+        method: Exact | Regularized,
         keep: Keep,
         numbering: Numbering,
     ) -> "EnsembleSetup":
@@ -77,10 +77,7 @@ class EnsembleSetup:
                 "given."
             )
         if not (correlation is None or isinstance(correlation, GaussianCopula)):
-            raise ValueError(
-                "Argument correlation must be a GaussianCopula(names, correlation), but "
-                f"{_checks.show(correlation)} was given."
-            )
+            raise _checks.refused("correlation", "be a GaussianCopula(names, correlation)", correlation)
         _checks.chosen("keep", keep, get_args(Keep))
         dtype = working_dtype(stacklevel=5)
         inputs = Inputs.of(model._replace(law=law_of(model.law)), total, key, correlation)
@@ -101,7 +98,7 @@ class EnsembleSetup:
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         return cls(engine, places, inputs, method, key_data, random, dtype, float(t1), numbering, period)
 
-    def fields(self) -> dict[str, Any]:
+    def fields(self) -> Fields:
         """The fields of an `Ensemble` that its arguments are."""
         return {
             **self.inputs.model._asdict(),
@@ -130,7 +127,9 @@ class EnsembleSetup:
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own, realization)
 
 
-def _engine_of(inputs: Inputs, first: Model, method: Any, t1: float, dtype: Any) -> tuple[Any, tuple[int, ...], Any]:
+def _engine_of(
+    inputs: Inputs, first: Model, method: Exact | Regularized, t1: float, dtype: DType
+) -> tuple[Any, tuple[int, ...], Exact | Regularized]:
     """The engine of all samples, which of its leaves differ, and the method with every option filled in.
 
     Options that differ from sample to sample stay as they were given. `first`: the model of the first sample.

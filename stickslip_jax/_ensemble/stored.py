@@ -1,7 +1,6 @@
 """Ensembles read from files and data sets, with all that they had when they were stored."""
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
 from .._status import Status
 from .._systems.system import Coordinate
-from .data import Retained
+from .data import Fields, Retained
 from .dataset import FLOATS, FORMAT, FORMAT_VERSION, INTEGERS, SAMPLE, STATE, compression
 from .encoding import Decoder
 from .netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
@@ -40,9 +39,8 @@ def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
     return path
 
 
-def _dataset_in(path: str | os.PathLike[str]) -> "xarray.Dataset":
-    """The data set in a file. Raises the errors of `load`."""
-    path = Path(path)
+def fields_of_file(path: Path) -> Fields:
+    """The fields of the `Ensemble` in a file. Raises the errors of `load`."""
     path = path / _STUDY if path.is_dir() else path
     if not path.exists():
         raise FileNotFoundError(
@@ -58,15 +56,10 @@ def _dataset_in(path: str | os.PathLike[str]) -> "xarray.Dataset":
             f"Argument path must name a file that Ensemble.save or stickslip study wrote, but {str(path)!r} cannot be "
             f"read as such ({_checks.show(str(error))}): it is cut short, damaged, or of another kind."
         ) from None
-    return dataset
+    return fields_of_dataset(dataset, is_file=True)
 
 
-def fields_of_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The fields of the `Ensemble` in a file. Raises the errors of `load`."""
-    return fields_of_dataset(_dataset_in(path), is_file=True)
-
-
-def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
+def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> Fields:
     """The fields of the `Ensemble` that a data set holds. `is_file`: whether it was read from one, and has a sum.
 
     Raises:
@@ -107,19 +100,20 @@ def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> dict[str, Any]:
         ) from None
 
 
-def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
+def _fields(dataset: "xarray.Dataset") -> Fields:
     attributes = dataset.attrs
     decoder = Decoder(dataset[FLOATS].to_numpy(), dataset[INTEGERS].to_numpy())
     state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
     if state["totals"] != TOTALS:
         raise ValueError(f"it sums {state['totals']}")
+    position = Coordinate(*state["position"])
     numbering = Numbering.checked(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
     key_data = attributes.get("key_data")
     counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
     keep = str(attributes["keep"])
     if keep not in ("totals", "statistics", "sticks") or (keep == "totals") != (state["accumulator"] is None):
         raise ValueError(f"it kept {_checks.show(keep)}")
-    kept: dict[str, Any] = {"retained": None, "totals": None, "flat_sticks": None}
+    kept: Fields = {"retained": None, "totals": None, "flat_sticks": None}
     if keep == "sticks":
         kept = _every_stick(dataset, state["sticks"], numbering)
     elif keep == "statistics":
@@ -129,9 +123,9 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     if sum(counts.values()) != int(attributes["samples"]):
         raise ValueError(f"it has {sum(counts.values())} of {attributes['samples']} samples")
     return {
-        "system": _system(state["system"], Coordinate(*state["position"])),
+        "system": _system(state["system"], position),
         **{name: state[name] for name in ("law", "method", "y0", "moments", "accumulator", "design", "copula")},
-        "origins": tuple(_origin(origin, Coordinate(*state["position"])) for origin in state["origins"]),
+        "origins": tuple(one._replace(system=_system(one.system, position)) for one in state["origins"]),
         "t1": float(attributes["t1"]),
         "numbering": numbering,
         "samples": int(attributes["samples"]),
@@ -147,13 +141,9 @@ def _fields(dataset: "xarray.Dataset") -> dict[str, Any]:
     }
 
 
-def _system(system: Any, position: Coordinate) -> Any:
+def _system(system: object, position: Coordinate) -> object:
     """`system`, or what stands for it where it is a user's own."""
     return UnknownSystem(system.name, system.text, position) if isinstance(system, Unknown) else system
-
-
-def _origin(origin: Any, position: Coordinate) -> Any:
-    return origin._replace(system=_system(origin.system, position))
 
 
 def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
@@ -167,13 +157,12 @@ def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
     return sticks
 
 
-def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> dict[str, Any]:
+def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> Fields:
     sticks = _flat_sticks(dataset, "sample")
-    names = {"slips": "slip_count", "stick_time": "stick_time", "status": "status"}
-    names |= {"near_grazing_count": "near_grazing_count"}
     if len(found) != len(sticks.count):
         raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
-    totals = SampleTotals(found, **{name: dataset[of].to_numpy() for name, of in names.items()})
+    names = ("slip_count", "stick_time", "status", "near_grazing_count")
+    totals = SampleTotals(found, *(dataset[name].to_numpy() for name in names))
     finished = np.asarray(totals.status) == Status.FINISHED
     own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
     return {"totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}

@@ -1,6 +1,7 @@
 """Checks of an ensemble that was read: it must be one that a simulation could have given."""
 
 from collections.abc import Mapping
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def _check_kinds(fields: Mapping[str, Any]) -> None:
             raise ValueError(f"its trajectories start at {_checks.show(y0)}")
 
 
-def _check_sums(moments: Any, accumulator: Any, finished: int) -> None:
+def _check_sums(moments: object, accumulator: object, finished: int) -> None:
     d = len(TOTALS)
     if not isinstance(moments, Moments) or np.shape(moments.mean) != (d,) or np.shape(moments.scatter) != (d, d):
         raise ValueError("it lacks the sums of its samples")
@@ -105,7 +106,7 @@ def check_sticks(sticks: FlatSticks, stick_time: np.ndarray, finished: np.ndarra
         raise ValueError("its sticks do not last for its stick times")
 
 
-def _codes(values: np.ndarray, kind: Any, name: str) -> np.ndarray:
+def _codes(values: np.ndarray, kind: type[IntEnum], name: str) -> np.ndarray:
     """`values`, which must be codes of this `kind`."""
     unknown = ~np.isin(values, [int(code) for code in kind])
     if np.any(unknown):

@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -42,7 +41,7 @@ def write_slips(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite:
     return _write({"sample": slips.sample, **times, "is_censored": slips.censored}, path, overwrite)
 
 
-def _write(columns: dict[str, Any], path: str | os.PathLike[str], overwrite: bool) -> Path:
+def _write(columns: dict[str, np.ndarray], path: str | os.PathLike[str], overwrite: bool) -> Path:
     """Write the columns to `path`. Raises the errors of `Ensemble.write_sticks`."""
     path = file_to_write(path, (".csv", ".parquet"), overwrite=overwrite)
     try:

@@ -1,7 +1,7 @@
 """Stand-ins for what an ensemble does not know: the system of measured sticks, an object of a user's own class."""
 
 import dataclasses
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import equinox as eqx
 
@@ -34,6 +34,9 @@ class UnknownSystem(System):
     text: str = eqx.field(static=True)
     position: Coordinate = eqx.field(static=True)
 
+    def __str__(self) -> str:
+        return str(Unknown(self.name, self.text))
+
     @property
     def stick_position(self) -> Coordinate:
         return self.position
@@ -43,33 +46,23 @@ class UnknownSystem(System):
         # As the abscissa of figures, the name goes without " when the stick starts".
         return (self.position._replace(name=self.position.name.removesuffix(" when the stick starts")),)
 
-    def switched_model(self, smooth: Any, solver: Any) -> Any:
-        self._refuse()
-
-    def time_scales(self, excitation: Any, solver: Any) -> Any:
-        self._refuse()
-
     @property
-    def contact_scales(self) -> Any:
+    def contact_scales(self) -> NoReturn:
         self._refuse()
 
-    def check_state(self, y0: Any) -> None:
-        self._refuse()
-
-    def check_excitation(self, excitation: Any) -> None:
-        self._refuse()
-
-    def _refuse(self) -> NoReturn:
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise ValueError(
             "Argument system must be a system that can be simulated, but this one is not known "
-            f"({Unknown(self.name, self.text)}); give the system itself."
+            f"({self}); give the system itself."
         )
 
+    switched_model = time_scales = check_state = check_excitation = _refuse
 
-def require_known(what: str, held: Any) -> None:
+
+def require_known(what: str, held: object) -> None:
     """Raise ValueError if `held`, the ensemble's `what`, is a stand-in."""
     if held is None or isinstance(held, (Unknown, UnknownSystem)):
-        about = "it has none" if held is None else str(Unknown(held.name, held.text))
+        about = "it has none" if held is None else held
         raise ValueError(
             f"This ensemble does not know its {what} ({about}), so nothing can be simulated or drawn again; call "
             "simulate_ensemble with your own objects."

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import _checks
 from .._numerics.random_bits import key_data_of, random_words
-from .._types import Array, KeyData, Scalar
+from .._types import Array, FloatArray, KeyData, Number, Scalar
 from .._uncertainty.sampled_law import SampledLaw, UserLaw
 from .motion import Motion, Parts, Path
 from .piecewise_constant import PiecewiseConstantLaw, VelocitySteps
@@ -38,14 +38,9 @@ class WithJumps(Motion):
 
     def __check_init__(self):
         if not isinstance(self.jumps, (PiecewiseConstantLaw, VelocitySteps)):
-            raise ValueError(
-                f"Argument jumps must be a law such as PoissonSwitching, but {_checks.show(self.jumps)} was given."
-            )
+            raise _checks.refused("jumps", "be a law such as PoissonSwitching", self.jumps)
         if not motion_of(self.motion).takes_jumps:
-            raise ValueError(
-                "Argument motion must be a continuous base velocity such as a Harmonic, but "
-                f"{_checks.show(self.motion)} was given."
-            )
+            raise _checks.refused("motion", "be a continuous base velocity such as a Harmonic", self.motion)
 
     @property
     def is_random(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its parts
@@ -142,10 +137,10 @@ class Excitation(eqx.Module):
 class UserBaseMotion(Protocol):
     """A user-defined base motion: any object with these methods of the time `t` (s)."""
 
-    def velocity(self, t: Any) -> Any:
+    def velocity(self, t: FloatArray) -> Number:
         """The base velocity, m/s."""
 
-    def acceleration(self, t: Any) -> Any:
+    def acceleration(self, t: FloatArray) -> Number:
         """Its time derivative, m/s^2."""
 
 

@@ -95,9 +95,8 @@ class GaussianProcess(RandomSignal):
         with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):  # what is not finite is refused below
             coarse, fine = (np.asarray(self._band(np, rule).variances, float) for rule in _RULES)
         if not (np.all(np.isfinite(fine)) and np.all(fine >= 0) and fine.sum() > 0):
-            raise ValueError(
-                "Argument spectrum must be finite and zero or positive up to the cutoff, and not zero everywhere, but "
-                f"{_checks.show(self.spectrum)} was given."
+            raise _checks.refused(
+                "spectrum", "be finite and zero or positive up to the cutoff, and not zero everywhere", self.spectrum
             )
         if np.abs(fine - coarse).sum() > _LARGEST_ERROR * fine.sum():
             raise ValueError(

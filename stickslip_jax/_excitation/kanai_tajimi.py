@@ -148,8 +148,7 @@ class KanaiTajimi(GroundMotion):
         _checks.positive("t1", t1, "s")
         if points is None:
             points = self._points(t1)
-        if _checks.whole_number("points", points, minimum=2) > LARGEST_CAPACITY:
-            raise ValueError(f"Argument points must be at most {LARGEST_CAPACITY}, but {points} was given.")
+        points = _checks.whole_number("points", points, minimum=2, maximum=LARGEST_CAPACITY)
         return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
 
     def _points(self, t1: Scalar) -> int:

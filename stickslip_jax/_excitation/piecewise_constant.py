@@ -22,7 +22,7 @@ from .._fields import is_of_package
 from .._types import AnyArray, FloatArray, FloatScalar, Scalar
 from .interval_checks import Each, check_drawn, joined
 from .motion import Motion, Parts
-from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, checked_capacity, index_at, known_number
+from .segments import LARGEST_CAPACITY, SegmentLaw, begins_of, index_at, known_number
 
 
 def _as_jax(name: str, values: PyTree) -> PyTree:
@@ -56,7 +56,7 @@ class VelocitySteps(Motion):
         for name in ("durations", "velocities"):
             value = getattr(self, name)
             if not isinstance(value, jax.Array):
-                raise ValueError(f"Argument {name} must be an array, but {_checks.show(value)} was given.")
+                raise _checks.refused(name, "be an array", value)
         if self.durations.shape != self.velocities.shape or self.durations.ndim == 0:
             raise ValueError(
                 "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
@@ -66,7 +66,7 @@ class VelocitySteps(Motion):
             return
         durations = np.asarray(self.durations)
         if not np.all(durations >= 0):
-            raise ValueError(f"Argument durations must be zero or positive, but {_checks.show(durations)} was given.")
+            raise _checks.refused("durations", "be zero or positive", durations)
         if np.any((durations[1:] > 0) & (durations[:-1] == 0)):
             raise ValueError(
                 "Argument durations must be 0 in unused intervals at the end only, but an interval of duration 0 has "
@@ -172,7 +172,7 @@ class PiecewiseConstantLaw(SegmentLaw):
         _checks.positive("t1", t1, "s")
         if capacity is None:
             capacity = known_number(self.checked_capacity, t1, f"find one with {type(self).__name__}(...).capacity(t1)")
-        checked_capacity(capacity)
+        capacity = _checks.whole_number("capacity", capacity, maximum=LARGEST_CAPACITY)
         durations, velocities = _sample(self, self.key_data(key), capacity, jnp.result_type(float))
         if not is_of_package(self):
             check_drawn(self, "next_interval", "m/s", durations, velocities)

@@ -53,10 +53,7 @@ class RandomPhase(RandomSignal):
 
     def check_relations(self) -> None:
         if not isinstance(self.signal, (Harmonic, SumOfHarmonics, SourceVoltage)):
-            raise ValueError(
-                "Argument signal must be a Harmonic, a SumOfHarmonics or a SourceVoltage, but "
-                f"{_checks.show(self.signal)} was given."
-            )
+            raise _checks.refused("signal", "be a Harmonic, a SumOfHarmonics or a SourceVoltage", self.signal)
 
     @property
     def shortest_period(self) -> Scalar | None:

@@ -66,10 +66,7 @@ def read_csv(
     _check_column("value_column", value_column)
     _checks.numeric("scale", scale)
     if delimiter is not None and not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
-        raise ValueError(
-            "Argument delimiter must be a single sign such as ';', or None for white space, but "
-            f"{_checks.show(delimiter)} was given."
-        )
+        raise _checks.refused("delimiter", "be a single sign such as ';', or None for white space", delimiter)
     path = _checks.path("path", path, "the name of a file")
     file = repr(str(path))
     rows = _rows(file, _text(path), delimiter)
@@ -225,10 +222,7 @@ def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
 def _check_column(name: str, column: object) -> None:
     counts = isinstance(column, (int, np.integer)) and not isinstance(column, bool) and column >= 0
     if not isinstance(column, str) and not counts:
-        raise ValueError(
-            f"Argument {name} must be the number of a column, counted from 0, or its name in the header row, but "
-            f"{_checks.show(column)} was given."
-        )
+        raise _checks.refused(name, "be the number of a column, counted from 0, or its name in the header row", column)
 
 
 def _index_of(argument: str, column: int | str, file: str, first_row: Row) -> int:

@@ -155,13 +155,14 @@ class SegmentLaw(Checked, Motion):
             return self
         key_data, dtype = self.key_data(key), jnp.result_type(float)
         advice = f"find one with {type(self).__name__}(...).segments(t1)"
-        size = checked_capacity(known_number(self.segments, t1, advice) if capacity is None else capacity)
+        known = known_number(self.segments, t1, advice) if capacity is None else capacity
+        size = _checks.whole_number("capacity", known, maximum=LARGEST_CAPACITY)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             if _lasts(drawn[0], t1):
                 break
-            size *= 2
-            drawn = _sample(self, key_data, checked_capacity(size), dtype)
+            size = _checks.whole_number("capacity", 2 * size, maximum=LARGEST_CAPACITY)
+            drawn = _sample(self, key_data, size, dtype)
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
@@ -230,9 +231,7 @@ class GivenSegments(SegmentLaw):
             return
         used = np.asarray(self.durations) != 0
         if not np.all(np.asarray(self.durations) >= 0):
-            raise ValueError(
-                f"Argument durations must be zero or positive (in s), but {_checks.show(self.durations)} was given."
-            )
+            raise _checks.refused("durations", "be zero or positive (in s)", self.durations)
         for name in ("values", "slopes"):
             _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
@@ -307,15 +306,6 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
     for segment in segments:
         value, slope = value + segment.value + segment.slope * (t - segment.begin), slope + segment.slope
     return value, slope
-
-
-def checked_capacity(capacity: int) -> int:
-    """`capacity`, checked. Raises ValueError for no whole number, or more segments than 32 bits can number."""
-    if _checks.whole_number("capacity", capacity) > LARGEST_CAPACITY:
-        raise ValueError(
-            f"Argument capacity must be at most {LARGEST_CAPACITY}, but {_checks.show(capacity)} was given."
-        )
-    return int(capacity)
 
 
 def known_number(

@@ -133,9 +133,7 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
         above = np.concatenate([[0.0], np.maximum(middle - shortest, 0)])
         horizon, mean = float(t1), shortest + above.mean()
         if not mean > 0:
-            raise ValueError(
-                f"Argument gap must hold numbers that can be told from 0, but {_checks.show(self.gap)} was given."
-            )
+            raise _checks.refused("gap", "hold numbers that can be told from 0", self.gap)
         rates = np.geomspace(1e-4 / mean, 1e3 * max(1 / mean, 1 / horizon), 200)
         decay = rates * shortest - np.log(np.exp(-rates[:, None] * above[None]).mean(axis=1))
         return math.ceil(float(np.min((rates * horizon - math.log(_CHANCE)) / decay))) + 1
@@ -189,10 +187,7 @@ def _check_values(speed: RandomNumber) -> None:
     if _checks.is_traced(shares):
         return
     if (len(speed.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
-        raise ValueError(
-            f"Argument speed must have two or more values with positive probabilities, but {_checks.show(speed)} was "
-            "given."
-        )
+        raise _checks.refused("speed", "have two or more values with positive probabilities", speed)
 
 
 def _shares(values: Discrete, dtype: DTypeLike) -> Float[Array, " values"]:

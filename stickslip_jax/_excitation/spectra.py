@@ -158,9 +158,7 @@ class TabulatedSpectrum(PowerSpectrum):
                 f"shapes {np.shape(frequencies)} and {np.shape(densities)}."
             )
         if not _checks.is_traced(frequencies) and np.any(np.diff(np.asarray(frequencies)) <= 0):
-            raise ValueError(
-                f"Argument angular_frequencies must increase, but {_checks.show(np.asarray(frequencies))} was given."
-            )
+            raise _checks.refused("angular_frequencies", "increase", np.asarray(frequencies))
 
     def density(self, angular_frequency: Frequencies) -> Frequencies:
         frequencies, densities = self.angular_frequencies, self.densities

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.scipy.special import ndtr, ndtri
 
 from .. import _checks
@@ -18,9 +19,8 @@ _ROUND_OFF = 1e-6
 def _as_names(names: object) -> tuple[str, ...]:
     found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes, range)) else ()
     if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
-        raise ValueError(
-            "Argument names must hold two or more different names of random numbers, such as ('mu', 'stiffness'), but "
-            f"{_checks.show(names)} was given."
+        raise _checks.refused(
+            "names", "hold two or more different names of random numbers, such as ('mu', 'stiffness')", names
         )
     return found
 
@@ -54,7 +54,7 @@ class GaussianCopula(eqx.Module):
         _check_correlation("correlation", self.correlation, len(self.names))
 
     @classmethod
-    def from_spearman(cls, names: Sequence[str], matrix: Any) -> "GaussianCopula":
+    def from_spearman(cls, names: Sequence[str], matrix: npt.ArrayLike) -> "GaussianCopula":
         """The copula whose numbers have these rank correlations, whatever their distributions.
 
         - `matrix`: (names, names), Spearman's correlations rho; those of the normal scores are ``2 sin(pi rho / 6)``

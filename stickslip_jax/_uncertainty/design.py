@@ -56,10 +56,7 @@ class Design:
         numbers = checked_numbers(name, getattr(self, name), uniform=self.u is not None)
         names = None if self.names is None else checked_names(self.names)
         if names is not None and len(names) != numbers.shape[1]:
-            raise ValueError(
-                f"Argument names must hold one name for each of the {numbers.shape[1]} columns of {name}, but "
-                f"{_checks.show(names)} was given."
-            )
+            raise _checks.refused("names", f"hold one name for each of the {numbers.shape[1]} columns of {name}", names)
         realization = checked_realization(self.realization, len(numbers))
         for field, value in ((name, numbers), ("names", names), ("realization", realization)):
             object.__setattr__(self, field, value)
@@ -146,10 +143,7 @@ def checked_names(names: object) -> tuple[str, ...]:
     """`names` as a tuple. Raises ValueError for anything but distinct names, at least one."""
     found = [] if isinstance(names, (str, bytes, range)) or not isinstance(names, Sequence) else list(names)
     if not found or not all(isinstance(name, str) and name for name in found):
-        raise ValueError(
-            "Argument names must be a sequence of names of numbers, such as ['mu', 'stiffness', 'y0[0]'], but "
-            f"{_checks.show(names)} was given."
-        )
+        raise _checks.refused("names", "be a sequence of names of numbers, such as ['mu', 'stiffness', 'y0[0]']", names)
     twice = given_twice(found)
     if twice is not None:
         raise ValueError(f"Argument names must hold every name once, but {twice!r} was given twice.")
@@ -177,21 +171,23 @@ def check_size(rows: int, columns: int, argument: str = "samples") -> None:
 
 def checked_numbers(name: str, numbers: object, *, uniform: bool) -> np.ndarray:
     """`numbers` as a read-only array (samples, numbers) of float64. Raises ValueError for what a design cannot hold."""
-    try:
-        given = _checks.numbers(name, numbers, ndim=2)
-    except ValueError:
-        given = np.empty(0)
+    given = numbers_or_none(name, numbers, ndim=2)
     if not given.size:
-        raise ValueError(
-            f"Argument {name} must be an array (samples, numbers) of real numbers, at least one of each, but "
-            f"{_checks.show(numbers)} was given."
-        )
+        raise _checks.refused(name, "be an array (samples, numbers) of real numbers, at least one of each", numbers)
     array = np.array(given, np.float64)
     refuse_first(name, array, ~np.isfinite(array), "finite numbers")
     if uniform:
         refuse_first(name, array, ~((array > 0) & (array < 1)), "uniform numbers, above 0 and below 1")
     array.setflags(write=False)
     return array
+
+
+def numbers_or_none(name: str, given: object, ndim: int) -> np.ndarray:
+    """`given` as an array of real numbers, of `ndim` dimensions; an empty one for anything else."""
+    try:
+        return _checks.numbers(name, given, ndim)
+    except ValueError:
+        return np.empty(0)
 
 
 def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) -> None:
@@ -205,15 +201,9 @@ def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) 
 
 def checked_realization(realization: object, samples: int) -> np.ndarray:
     """`realization` as a read-only array (samples,) of int64. Raises ValueError for anything but whole numbers."""
-    try:
-        array = _checks.numbers("realization", realization, ndim=1)
-    except ValueError:
-        array = np.empty(0)
+    array = numbers_or_none("realization", realization, ndim=1)
     if array.shape != (samples,) or array.dtype.kind not in "iu":
-        raise ValueError(
-            f"Argument realization must hold a whole number for each of the {samples} samples, but "
-            f"{_checks.show(realization)} was given."
-        )
+        raise _checks.refused("realization", f"hold a whole number for each of the {samples} samples", realization)
     refuse_first("realization", array, (array < 0) | (array >= _MOST_REALIZATIONS), "numbers from 0 to 4294967295")
     array = array.astype(np.int64)
     array.setflags(write=False)

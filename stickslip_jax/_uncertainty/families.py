@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, TypeAlias
 
 import equinox as eqx
 import jax
@@ -14,8 +14,10 @@ from jax.typing import ArrayLike
 
 from .. import _checks
 from .._fields import Quantity
-from .._types import AnyArray, FloatArray, Scalar
+from .._types import AnyArray, Float, FloatArray, Scalar
 from .random_number import RandomNumber, floating
+
+PerValue: TypeAlias = Float[AnyArray, " values"]
 
 _MOST_VARIATION = 1e50  # of the coefficient of variation of a log-normal number: its square is still a number
 
@@ -32,7 +34,7 @@ class Uniform(RandomNumber):
     high: Annotated[Scalar, Quantity(meaning="the highest value")]
 
     def check_relations(self) -> None:
-        _check_order(low=self.low, high=self.high)
+        _check_order(self.low, self.high)
 
     def icdf(self, u: FloatArray) -> FloatArray:
         return self.low + (self.high - self.low) * u
@@ -116,7 +118,7 @@ class Beta(RandomNumber):
     high: Annotated[Scalar, Quantity(meaning="the highest value")] = 1.0
 
     def check_relations(self) -> None:
-        _check_order(low=self.low, high=self.high)
+        _check_order(self.low, self.high)
 
     def icdf(self, u: FloatArray) -> FloatArray:
         # The upper half from the upper end: where the density is infinite there, much lies closer than rounding to 1.
@@ -133,12 +135,12 @@ class Beta(RandomNumber):
         return jnp.where((share > 0.5) | (below < 1e-4), 1 - _beta_share(b, a, below), share)
 
     @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.low, self.high
-
-    @property
     def in_lanes(self) -> bool:
         return False
+
+    @property
+    def support(self) -> tuple[Scalar, Scalar]:
+        return self.low, self.high
 
 
 class Triangular(RandomNumber):
@@ -152,7 +154,7 @@ class Triangular(RandomNumber):
     high: Annotated[Scalar, Quantity(meaning="the highest value")]
 
     def check_relations(self) -> None:
-        _check_order(low=self.low, high=self.high)
+        _check_order(self.low, self.high)
         if any(_checks.is_traced(value) for value in (self.low, self.mode, self.high)):
             return
         if not np.all((self.low <= self.mode) & (self.mode <= self.high)):
@@ -227,26 +229,23 @@ class Discrete(RandomNumber):
     Raises ValueError for values that do not increase, or probabilities that do not fit.
     """
 
-    values: Annotated[Any, Quantity(meaning="the values", ndim=1)] = eqx.field(
+    values: Annotated[PerValue, Quantity(meaning="the values", ndim=1)] = eqx.field(
         converter=partial(_checks.real_array, "values")
     )
-    probabilities: Annotated[Any, Quantity(meaning="of the values; not given: equal", ndim=1, at_least=0)] = eqx.field(
-        default=None, converter=lambda v: None if v is None else _checks.real_array("probabilities", v)
-    )
+    probabilities: Annotated[
+        PerValue | None, Quantity(meaning="of the values; not given: equal", ndim=1, at_least=0)
+    ] = eqx.field(default=None, converter=lambda v: None if v is None else _checks.real_array("probabilities", v))
 
     def check_relations(self) -> None:
         if not _checks.is_traced(self.values) and (len(self.values) == 0 or np.any(np.diff(self.values) <= 0)):
-            raise ValueError(
-                f"Argument values must hold increasing numbers, but {_checks.show(self.values)} was given."
-            )
+            raise _checks.refused("values", "hold increasing numbers", self.values)
         given = self.probabilities
         if given is None or _checks.is_traced(given):
             return
         tolerance = 1e-6 if given.dtype == np.float32 else 1e-9
         if len(given) != len(self.values) or abs(float(np.sum(np.asarray(given, float))) - 1) > tolerance:
-            raise ValueError(
-                f"Argument probabilities must hold one number for each of the {len(self.values)} values, with sum 1, "
-                f"but {_checks.show(given)} was given."
+            raise _checks.refused(
+                "probabilities", f"hold one number for each of the {len(self.values)} values, with sum 1", given
             )
 
     def _cumulative(self, dtype) -> FloatArray:
@@ -276,10 +275,9 @@ class Discrete(RandomNumber):
         return False
 
 
-def _check_order(**limits: Any) -> None:
-    (_, low), (name, high) = limits.items()
+def _check_order(low: Scalar, high: Scalar) -> None:
     if not (_checks.is_traced(low) or _checks.is_traced(high)) and not np.all(low < high):
-        raise ValueError(f"Argument {name} must be above low = {low}, but {high} was given.")
+        raise ValueError(f"Argument high must be above low = {low}, but {high} was given.")
 
 
 def _alike(a: ArrayLike, b: ArrayLike, x: ArrayLike) -> list[FloatArray]:

@@ -3,20 +3,22 @@
 import dataclasses
 import zlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from .. import _checks
 from .._fields import Checked, Quantity, described, is_distribution, varies
 from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, DType
+from .._types import AnyArray, Array, DType, Number
 from .copula import GaussianCopula
 from .design import Design
-from .numbers import Path, matching, number_at, places_in, shown, with_numbers
+from .numbers import Path, matching, number_at, numbers_in, shown, with_numbers
 from .random_number import RandomNumber
 from .realizations import check_realizations
 from .sampled_law import SampledLaw
@@ -30,7 +32,7 @@ class Input(NamedTuple):
     """One number that differs from sample to sample: where it stands, and its distribution or array of values."""
 
     path: Path
-    source: Any
+    source: Number
     about: Quantity | None
 
     @property
@@ -133,7 +135,7 @@ class Inputs:
 
         Beyond the last sample, arrays repeat their last value.
         """
-        samples = np.minimum(np.arange(first, first + number), self.samples - 1)
+        samples = self._repeating_last(first, number)
 
         def values(entry, u):
             if u is None:
@@ -143,20 +145,19 @@ class Inputs:
         uniforms = self.uniforms(first, number, dtype)
         return tuple(values(entry, u) for entry, u in zip(self.entries, uniforms, strict=True))
 
-    def with_start(self, y0: tuple[Any, ...]) -> "Inputs":
+    def with_start(self, y0: tuple[Number, ...]) -> "Inputs":
         """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
         return self if self.in_start else dataclasses.replace(self, model=self.model._replace(y0=y0))
 
     def uniforms(self, first: int, number: int, dtype: DType) -> tuple[Array | None, ...]:
         """The uniform numbers that `drawn` draws from, (number,) each; None for arrays."""
-        random = [place for place, entry in enumerate(self.entries) if entry.is_random]
         found: list[Any] = [None] * len(self.entries)
         if self.design is not None and self.columns:
-            samples = np.minimum(np.arange(first, first + number), self.samples - 1)
+            samples = self._repeating_last(first, number)
             rows, _ = self.design.block(int(samples[0]), int(samples[-1] - samples[0]) + 1, dtype)
             for place, column in zip(self.columns, rows[samples - samples[0]].T, strict=True):
                 found[place] = jnp.asarray(column)
-        own = [place for place in random if found[place] is None]
+        own = [place for place in _random(self.entries) if found[place] is None]
         streams = np.array([self.entries[place].stream for place in own], np.uint32)
         if own:
             drawn = _uniforms(self.key_data, np.uint32(first), streams, number=number, dtype=dtype)
@@ -170,8 +171,12 @@ class Inputs:
 
     def realization_numbers(self, first: int, number: int) -> np.ndarray:
         """Which realisation of the excitation samples ``first .. first + number - 1`` use; the last one repeated."""
-        samples = np.minimum(np.arange(first, first + number), self.samples - 1)
-        return samples.astype(np.uint32) if self.design is None else self.design.realization[samples].astype(np.uint32)
+        samples = self._repeating_last(first, number)
+        return (samples if self.design is None else self.design.realization[samples]).astype(np.uint32)
+
+    def _repeating_last(self, first: int, number: int) -> np.ndarray:
+        """The samples ``first .. first + number - 1``; the last one in place of those beyond it."""
+        return np.minimum(np.arange(first, first + number), self.samples - 1)
 
     @property
     def has_sampled_law(self) -> bool:
@@ -183,7 +188,7 @@ class Inputs:
         """Whether sample i uses realisation i of the excitation."""
         return self.design is None or bool(np.all(self.design.realization == np.arange(self.samples)))
 
-    def realizations(self, first: int, number: int, t1: float) -> Any:
+    def realizations(self, first: int, number: int, t1: float) -> PyTree:
         """The realisations of a `SampledLaw` for these samples, stacked; None for other laws."""
         if not self.has_sampled_law:
             return None
@@ -201,13 +206,11 @@ class Inputs:
 
     def head(self, samples: int) -> Model:
         """The model of the first `samples` samples."""
-        heads = [entry.source if entry.is_random else entry.source[:samples] for entry in self.entries]
-        return self.filled(heads)
+        return self.filled([entry.source if entry.is_random else entry.source[:samples] for entry in self.entries])
 
     def filled(self, values: Any) -> Model:
         """The model with one value for each input."""
-        paths = tuple(entry.path for entry in self.entries)
-        return with_numbers(self.model, paths, values) if paths else self.model
+        return with_numbers(self.model, tuple(entry.path for entry in self.entries), values)
 
     def of_sample(self, number: int, dtype: DType) -> Model:
         """The model of sample `number`, with plain numbers."""
@@ -287,13 +290,11 @@ def _of_distribution(distribution: RandomNumber, u: Array) -> Array:
 _correlated = jax.jit(lambda copula, u: copula.correlated(u))
 
 
-def _uniforms_of(key_data: Array, first: Array, streams: Array, *, number: int, dtype: DType) -> Array:
+@partial(jax.jit, static_argnames=("number", "dtype"))
+def _uniforms(key_data: Array, first: Array, streams: Array, *, number: int, dtype: DType) -> Array:
     """Uniform numbers (streams, number) of samples ``first, first + 1, ...``."""
     own = random_words(key_data, first + jnp.arange(number, dtype=jnp.uint32))
     return jax.vmap(lambda stream: uniform(random_words(own, stream)[0], dtype))(streams)
-
-
-_uniforms = jax.jit(_uniforms_of, static_argnames=("number", "dtype"))
 
 
 def _quantiles(entry: Input, u: Array, keys: Callable[[], Array]) -> AnyArray:
@@ -322,20 +323,25 @@ def _has_quantiles(source: object) -> bool:
 
 def _positions(argument: str, names: tuple[str, ...], entries: tuple[Input, ...]) -> tuple[int, ...]:
     """The entries with these names. Raises ValueError for a name that fits none of them, or several."""
-    paths = [entry.path for entry in entries if entry.is_random]
-    where = [place for place, entry in enumerate(entries) if entry.is_random]
-    return tuple(where[found] for found in (matching(argument, name, paths) for name in names))
+    random = _random(entries)
+    paths = [entries[place].path for place in random]
+    return tuple(random[matching(argument, name, paths)] for name in names)
+
+
+def _random(entries: tuple[Input, ...]) -> tuple[int, ...]:
+    """Which entries are drawn."""
+    return tuple(place for place, entry in enumerate(entries) if entry.is_random)
 
 
 def _columns_of(design: Design, entries: tuple[Input, ...]) -> tuple[int, ...]:
     """The entries that the columns of a design of uniform numbers are for."""
     if design.names is not None:
         return _positions("samples", design.names, entries)
-    random = tuple(place for place, entry in enumerate(entries) if entry.is_random)
+    random = _random(entries)
     if len(random) != design.dimensions:
         raise ValueError(
             f"Argument samples must be a design with one column for each of the {len(random)} random numbers "
-            f"({', '.join(entry.name for entry in entries if entry.is_random)}), but it has {design.dimensions}; "
+            f"({', '.join(entries[place].name for place in random)}), but it has {design.dimensions}; "
             "give it names."
         )
     return random
@@ -346,7 +352,7 @@ def _with_values(model: Model, design: Design) -> Model:
     assert design.values is not None
     if design.names is None:
         raise ValueError("Argument samples must be a design whose values have names of numbers, such as 'mu'.")
-    known = list(places_in(model._asdict()))
+    known = [path for path, _ in numbers_in(model._asdict(), whole=True)]
     paths = tuple(known[matching("samples", name, known)] for name in design.names)
     for path in paths:  # an optional number that is not set has no place in the tree
         if number_at(model, path) is None:
@@ -360,9 +366,8 @@ def _columns(y0: Any) -> Any:
     Raises ValueError for one distribution, which cannot be that of all coordinates.
     """
     if is_distribution(y0):
-        raise ValueError(
-            "Argument y0 must hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), "
-            f"0.0), but {_checks.show(y0)} was given."
+        raise _checks.refused(
+            "y0", "hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), 0.0)", y0
         )
     if isinstance(y0, (tuple, list)):
         return tuple(y0)

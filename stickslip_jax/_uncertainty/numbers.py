@@ -3,7 +3,7 @@
 import dataclasses
 import difflib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,7 +25,7 @@ class Parameter(NamedTuple):
     value: float
 
 
-def parameters_of(where: dict[str, Any], wrt: object) -> tuple[Parameter, ...]:
+def parameters_of(where: Mapping[str, object], wrt: object) -> tuple[Parameter, ...]:
     """The parameters named by `wrt`, a name or several.
 
     `where` holds the objects to search: "system", "law" and "y0". A parameter's name is that of a field, such as "mu"
@@ -34,10 +34,8 @@ def parameters_of(where: dict[str, Any], wrt: object) -> tuple[Parameter, ...]:
     """
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
     if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise ValueError(
-            f"Argument wrt must be a parameter's name or several different ones, but {_checks.show(wrt)} was given."
-        )
-    known = [entry for root, tree in where.items() for entry in _numbers(tree, (root,))]
+        raise _checks.refused("wrt", "be a parameter's name or several different ones", wrt)
+    known = list(numbers_in(where))
     return tuple(_chosen(name, known) for name in names)
 
 
@@ -48,7 +46,7 @@ def number_at(tree: Any, path: Path) -> Any:
     return tree
 
 
-def with_numbers(tree: Any, paths: tuple[Path, ...], values: Any) -> Any:
+def with_numbers(tree: Any, paths: Sequence[Path], values: Any) -> Any:
     """`tree` with the numbers at `paths` replaced, also those that were None."""
     if not paths:
         return tree
@@ -91,7 +89,7 @@ def matching(argument: str, name: str, paths: list[Path]) -> int:
     )
 
 
-def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
+def _chosen(name: str, known: Sequence[tuple[Path, Any]]) -> Parameter:
     path, value = known[matching("wrt", name, [path for path, _ in known])]
     if value is None:
         raise ValueError(
@@ -101,27 +99,23 @@ def _chosen(name: str, known: list[tuple[Path, Any]]) -> Parameter:
     return Parameter(name, path, float(value))
 
 
-def paths_of_numbers(where: dict[str, Any]) -> Iterator[Path]:
+def paths_of_numbers(where: Mapping[str, object]) -> Iterator[Path]:
     """Paths of all numbers, those in distributions too, and of optional numbers that are not set, in the objects by
     name.
     """
-    for root, tree in where.items():
-        for path, _ in _numbers(tree, (root,)):
-            yield path
+    return (path for path, _ in numbers_in(where))
 
 
-def places_in(where: dict[str, Any]) -> Iterator[Path]:
-    """Paths of all numbers, and of the distributions and arrays in place of numbers, in the objects by name."""
-    for root, tree in where.items():
-        for path, _ in _numbers(tree, (root,), whole=True):
-            yield path
-
-
-def _numbers(tree: Any, path: Path, *, whole: bool = False) -> Iterator[tuple[Path, Any]]:
-    """Paths and values of all numbers; None for optional numbers that are not set.
+def numbers_in(where: Mapping[str, object], *, whole: bool = False) -> Iterator[tuple[Path, Any]]:
+    """Paths and values of all numbers in the objects by name; None for optional numbers that are not set.
 
     `whole`: yield a distribution itself, not the numbers in it, and arrays in place of numbers too.
     """
+    for root, tree in where.items():
+        yield from _numbers(tree, (root,), whole)
+
+
+def _numbers(tree: object, path: Path, whole: bool) -> Iterator[tuple[Path, Any]]:
     if whole and is_distribution(tree) and not _is_law(tree):
         yield path, tree
     elif isinstance(tree, eqx.Module):
@@ -132,10 +126,10 @@ def _numbers(tree: Any, path: Path, *, whole: bool = False) -> Iterator[tuple[Pa
                     yield (*path, field.name), None
                 else:
                     inside = field.name in getattr(tree, "own_distributions", ())
-                    yield from _numbers(value, (*path, field.name), whole=whole and not inside)
+                    yield from _numbers(value, (*path, field.name), whole and not inside)
     elif isinstance(tree, (tuple, list)):
         for index, value in enumerate(tree):
-            yield from _numbers(value, (*path, index), whole=whole)
+            yield from _numbers(value, (*path, index), whole)
     elif _is_number(tree) or (whole and isinstance(tree, np.ndarray) and tree.ndim == 1):
         yield path, tree
 

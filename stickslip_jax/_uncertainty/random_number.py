@@ -79,9 +79,8 @@ class Truncated(RandomNumber):
                 f"{_checks.show(self.distribution)} was given; of other distributions give an array of draws."
             )
         if not self.distribution.is_continuous:
-            raise ValueError(
-                f"Argument distribution must be continuous, but {_checks.show(self.distribution)} was given; leave out "
-                "those of its values that are not wanted."
+            raise _checks.refused(
+                "distribution", "be continuous", self.distribution, "leave out those of its values that are not wanted"
             )
         limits = [limit for limit in (self.low, self.high) if limit is not None]
         if any(_checks.is_traced(value) for value in (*limits, *self._shares())):

@@ -1,16 +1,16 @@
 """Checks of the realisations that a law of a user's drew while JAX traced it, when constructors check no numbers."""
 
 import dataclasses
-from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from .._fields import Quantity, described, modules_in
 from .numbers import check_numbers
 
 
-def check_realizations(found: Any, first: int) -> None:
+def check_realizations(found: PyTree, first: int) -> None:
     """Check stacked realisations, those of samples `first`, ``first + 1``, ... Raises ValueError for the first of them
     that its constructors would have refused.
     """
@@ -24,7 +24,7 @@ def check_realizations(found: Any, first: int) -> None:
             ) from error
 
 
-def _suspicious(found: Any) -> np.ndarray:
+def _suspicious(found: PyTree) -> np.ndarray:
     """Which realisations the constructors may refuse, (samples,): looked at all at once."""
     suspicious = np.zeros(len(jax.tree.leaves(found)[0]), bool)
     for module in modules_in(found):

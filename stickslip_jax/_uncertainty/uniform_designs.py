@@ -40,9 +40,7 @@ def random(
 
     Raises ValueError for arguments outside these bounds.
     """
-    names, dimensions = _columns(names, dimensions)
-    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
-    check_size(samples, dimensions)
+    samples, names, dimensions = _shape(samples, names, dimensions)
     cells = _generator(seed).integers(2**52, size=(samples, dimensions))
     u = (cells + 0.5) * 2.0**-52  # the midpoints of equal cells: never 0 or 1
     return Design(kind="random", names=names, u=u, realization=realizations(realization, samples))
@@ -65,9 +63,7 @@ def latin_hypercube(
     """
     from scipy.stats import qmc  # noqa: PLC0415 - loaded when used
 
-    names, dimensions = _columns(names, dimensions)
-    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
-    check_size(samples, dimensions)
+    samples, names, dimensions = _shape(samples, names, dimensions)
     drawn = qmc.LatinHypercube(dimensions, **_by(seed)).random(samples)
     u = np.clip(drawn, 2.0**-54, 1 - 2.0**-53)
     return Design(kind="latin_hypercube", names=names, u=u, realization=realizations(realization, samples))
@@ -96,10 +92,8 @@ def sobol(
     distributions without bounds have no number at 0. Other arguments and errors are those of `random`. Raises
     ValueError unless `samples` is a power of two: only then are the points balanced.
     """
-    names, dimensions = _columns(names, dimensions)
-    samples = _power_of_two("samples", samples)
+    samples, names, dimensions = _shape(_power_of_two("samples", samples), names, dimensions)
     _check_dimensions(dimensions)
-    check_size(samples, dimensions)
     u = _sobol_points(samples, dimensions, scramble, seed)
     return Design(kind="sobol", names=names, u=u, realization=realizations(realization, samples))
 
@@ -165,14 +159,21 @@ def realizations(realization: Realization, samples: int, more: dict[str, np.ndar
     """The realisation of each sample; `more`: what further words mean. Raises ValueError for other words."""
     if not isinstance(realization, str):
         return realization
-    words = {"own": np.arange(samples), "common": np.zeros(samples, np.int64)} | (more or {})
+    words = {"own": np.arange(samples), "common": np.zeros(samples, np.int64), **(more or {})}
     if realization not in words:
         options = ", ".join(map(repr, words))
-        raise ValueError(
-            f"Argument realization must be {options} or an array with a whole number for each sample, but "
-            f"{_checks.show(realization)} was given."
+        raise _checks.refused(
+            "realization", f"be {options} or an array with a whole number for each sample", realization
         )
     return words[realization]
+
+
+def _shape(samples: object, names: object, dimensions: object) -> tuple[int, tuple[str, ...] | None, int]:
+    """The number of rows, and names and number of the columns."""
+    names, dimensions = _columns(names, dimensions)
+    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+    check_size(samples, dimensions)
+    return samples, names, dimensions
 
 
 def _columns(names: object, dimensions: object) -> tuple[tuple[str, ...] | None, int]:
@@ -205,20 +206,20 @@ def _power_of_two(name: str, number: object) -> int:
     return number
 
 
-def _sobol_points(samples: int, dimensions: int, scramble: bool, seed: Seed) -> np.ndarray:
-    from scipy.stats import qmc  # noqa: PLC0415 - loaded when used
-
-    _checks.truth("scramble", scramble)
-    engine = qmc.Sobol(dimensions, scramble=bool(scramble), bits=_BITS, **_by(seed))
-    return engine.random(samples) + 2.0 ** -(_BITS + 1)
-
-
 def _check_dimensions(dimensions: int) -> None:
     if dimensions > _MOST_DIMENSIONS:
         raise ValueError(
             f"Argument dimensions must ask for at most {_MOST_DIMENSIONS} columns of a Sobol' sequence (tables A and B "
             f"take two for each number), but {dimensions} are needed; take fewer, or latin_hypercube or random."
         )
+
+
+def _sobol_points(samples: int, dimensions: int, scramble: bool, seed: Seed) -> np.ndarray:
+    from scipy.stats import qmc  # noqa: PLC0415 - loaded when used
+
+    _checks.truth("scramble", scramble)
+    engine = qmc.Sobol(dimensions, scramble=bool(scramble), bits=_BITS, **_by(seed))
+    return engine.random(samples) + 2.0 ** -(_BITS + 1)
 
 
 def _by(seed: Seed) -> dict[str, Any]:

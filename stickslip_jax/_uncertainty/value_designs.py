@@ -5,13 +5,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from .. import _checks
-from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, refuse_first
+from .design import MOST_SAMPLES, Design, check_size, checked_names, checked_numbers, numbers_or_none, refuse_first
 from .uniform_designs import Realization, realizations
 
 
-def grid(values: Mapping[str, Any], *, realization: Realization = "own") -> Design:
+def grid(values: Mapping[str, npt.ArrayLike], *, realization: Realization = "own") -> Design:
     """All combinations of given values: ``grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})`` has six samples.
 
     - `values`: for each number of the system, law or start its values, (values,), in its unit. The last number changes
@@ -64,9 +65,7 @@ def table(
         array: Any = numbers
     else:
         if names is not None:
-            raise ValueError(
-                f"Argument names must be left out where numbers has named columns, but {_checks.show(names)} was given."
-            )
+            raise _checks.refused("names", "be left out where numbers has named columns", names)
         columns = _named_columns("numbers", numbers)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
@@ -83,10 +82,7 @@ def table(
 def _named_columns(argument: str, given: Any) -> dict[str, np.ndarray]:
     """The columns of a dict or DataFrame by name."""
     if not hasattr(given, "items") or not (pairs := list(given.items())):
-        raise ValueError(
-            f"Argument {argument} must be a dict of arrays by name, such as {{'mu': [0.2, 0.5]}}, but "
-            f"{_checks.show(given)} was given."
-        )
+        raise _checks.refused(argument, "be a dict of arrays by name, such as {'mu': [0.2, 0.5]}", given)
     names = [name for name, _ in pairs]
     if not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
         raise ValueError(
@@ -100,14 +96,8 @@ def _column(name: str, given: object) -> np.ndarray:
     """A column called `name`. Raises ValueError for what holds no numbers, none at all, or too many."""
     if isinstance(given, range):  # which has no numbers yet
         check_size(len(given), 1, name)
-    try:
-        column = _checks.numbers(name, given, ndim=1)
-    except ValueError:
-        column = np.empty(0)
+    column = numbers_or_none(name, given, ndim=1)
     if not column.size:
-        raise ValueError(
-            f"Argument {name} must be a one-dimensional sequence of real numbers, at least one, but "
-            f"{_checks.show(given)} was given."
-        )
+        raise _checks.refused(name, "be a one-dimensional sequence of real numbers, at least one", given)
     refuse_first(name, column, ~np.isfinite(column), "finite numbers")
     return column

@@ -3,6 +3,7 @@
 Every program here needs the package and JAX only, so that it can run on any versions of them.
 """
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -148,12 +149,14 @@ def test_a_solver_may_be_loaded_inside_a_compiled_function():
 
 
 READ_AGAIN = """
+import json
 import numpy as np
 import sys
 from stickslip_jax._ensemble.encoding import Decoder
 
 print(loaded())
-print(*map(Decoder(np.zeros(0), np.zeros(0, int)).value, sys.stdin.read().splitlines()), sep="\\n")
+decoder = Decoder(np.zeros(0), np.zeros(0, int))
+print(*(decoder.decoded(json.loads(line)) for line in sys.stdin), sep="\\n")
 """
 
 
@@ -166,7 +169,7 @@ def test_stored_classes_are_found_though_nobody_has_asked_for_them():
         ss.Exact(solver=diffrax.Tsit5()),
     ]
     encoder = Encoder()
-    lines = "\n".join(encoder.text(value) for value in stored)
+    lines = "\n".join(json.dumps(encoder.encoded(value)) for value in stored)
     assert python(LOADED + READ_AGAIN, lines).splitlines() == ["[]", *map(repr, stored)]
 
 
