@@ -8,15 +8,16 @@ To that derivative each stick and near miss adds an event part for every boundar
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.interval.crossing import Scales, status_of
 from .._dynamics.interval.engine import IntervalEngine
-from .._types import AnyArray, Array, BoolArray, DType, FloatArray, IntArray, Scalar
+from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances
-from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel, zero_with_derivative
+from .kernels import BoundarySums, zero_with_derivative
 from .recording import IntervalRecording
 
 
@@ -41,19 +42,6 @@ class Counted(NamedTuple):
     sticks: AnyArray
     event_parts: tuple[AnyArray, ...]
     in_window: tuple[AnyArray, ...]
-
-
-class BoundarySums(NamedTuple):
-    """Sums over the boundaries so far, for each window: `event_parts` and `in_window` of `Counted`."""
-
-    event_parts: tuple[FloatArray, ...]
-    in_window: tuple[FloatArray, ...]
-
-    @classmethod
-    def start(cls, windows: int, dtype: DType) -> "BoundarySums":
-        """The sums at the beginning of a sample, all zero."""
-        zeros = (jnp.zeros((), dtype),) * windows
-        return cls(zeros, zeros)
 
 
 class _Motion(NamedTuple):
@@ -82,7 +70,7 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[tuple[Array, Array], _Motion]:
         sample, lane = self._recording.begin(key_data, dtype)
-        return sample.key_data, _Motion(lane, BoundarySums.start(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
+        return sample.key_data, _Motion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
 
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
@@ -125,11 +113,6 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact = zero_with_derivative(rate, gap - arrival, distances.exists)
             switch_where = jnp.zeros((), bool)
-        distances = distances.only(~is_fixed, switch_where)
-        bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
-        return BoundarySums(
-            tuple(part + exact + sum_over_boundaries(distances, bandwidth, two_sided_kernel, one_sided_kernel)
-                  for part, bandwidth in zip(sums.event_parts, bandwidths, strict=True)),
-            tuple(number + sum_over_boundaries(distances, bandwidth, inside_window, inside_window)
-                  for number, bandwidth in zip(sums.in_window, bandwidths, strict=True)),
-        )  # fmt: skip
+        sums = sums._replace(event_parts=tuple(part + exact for part in sums.event_parts))
+        distances, bandwidths = distances.only(~is_fixed, switch_where), jnp.asarray(self.bandwidths, arrival.dtype)
+        return jax.tree.map(jnp.add, sums, BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths))
