@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import _checks
 from .._uncertainty.design import Design
-from .conventions import labeled_dataset, variable
+from .conventions import Entries, labeled_dataset, variable
 from .estimate import check_level
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class SobolIndices:
             ImportError: If xarray is not installed.
         """
         last = ("output",) if self.outputs else ()
-        variables: dict[str, Any] = {}
+        variables: Entries = {}
         for name, meaning in (("first", "first-order"), ("total", "total"), ("second", "second-order")):
             if getattr(self, name) is None:
                 continue
@@ -70,7 +70,7 @@ class SobolIndices:
             ):  # fmt: skip
                 values, about = getattr(self, name + suffix), f"{meaning} Sobol' index{what}"
                 variables[name + suffix] = variable((*ends, *inputs, *last), values, about)
-        coordinates: dict[str, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
+        coordinates: Entries = {"factor": list(self.factors), "interval_end": ["low", "high"]}
         if self.second is not None:
             coordinates["other_factor"] = list(self.factors)
         if last:
