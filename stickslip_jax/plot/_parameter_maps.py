@@ -156,20 +156,17 @@ def _draw(ax: Axes, grid: _Map, norm: Normalize, contours: bool, error_share: fl
         _set_axis(axis, edges, is_log)
     ax.set_xlabel(grid.names[0])
     ax.set_ylabel(grid.names[1])
-    if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=1)
+    _style.legend_above(ax, columns=1)
 
 
 def _draw_values(ax: Axes, grid: _Map, norm: Normalize, contours: bool) -> None:
     """The colours, their scale, and lines of equal values."""
     cells = np.ma.masked_invalid(grid.values).T
     mesh = ax.pcolormesh(*grid.edges, cells, cmap="viridis_r", norm=norm, rasterized=True)
-    figure = ax.get_figure(root=True)
-    assert figure is not None
     known = cells.compressed()
     sides = (known.min() < norm.vmin, known.max() > norm.vmax)
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(sides, "neither")
-    bar = figure.colorbar(mesh, ax=ax, label=grid.names[2], extend=extend)
+    bar = _style.figure_of(ax).colorbar(mesh, ax=ax, label=grid.names[2], extend=extend)
     if contours and np.nanmin(grid.values) < np.nanmax(grid.values):
         values, errors = grid.values, grid.errors
         if isinstance(norm, LogNorm):
