@@ -5,12 +5,13 @@ To that derivative each stick and near miss adds an event part for every boundar
 (memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs no kernel.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import PyTree
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.interval.crossing import Scales, status_of
@@ -75,11 +76,11 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
 
-    def draw(self, sample: tuple[Array, Array], number: Array, dtype) -> tuple[Any, BoolArray]:
+    def draw(self, sample: tuple[Array, Array], number: Array, dtype) -> tuple[PyTree, BoolArray]:
         return self.engine.law.draw(sample, number, dtype), number == 0
 
     def step(
-        self, shared: Scales, sample: tuple[Array, Array], motion: _Motion, drawn: tuple[Any, BoolArray]
+        self, shared: Scales, sample: tuple[Array, Array], motion: _Motion, drawn: tuple[PyTree, BoolArray]
     ) -> tuple[_Motion, None]:
         (lane, sums, switches), (drawn, is_first) = motion, drawn
         moved, stick, distances, duration = cross_with_distances(self.engine.law, shared, lane, drawn)
@@ -106,9 +107,9 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
     ) -> BoundarySums:
         """`sums` with what one interval adds; `is_fixed`: whether nothing before the arrival was random."""
         exact, switch_where = jnp.zeros_like(arrival), ~is_fixed
-        law: Any = self.engine.law
-        if law.has_exponential_gaps:
-            rate = jnp.asarray(law.rate, arrival.dtype)
+        law = self.engine.law
+        if law.gap_rate is not None:
+            rate = jnp.asarray(getattr(law, law.gap_rate), arrival.dtype)
             # A gap that ends at the arrival, E / rate with its random number E held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact = zero_with_derivative(rate, gap - arrival, distances.exists)

@@ -52,9 +52,9 @@ def counting_engine(
     def counting(engine):
         if not problem.by_intervals:
             return StepCounting(engine, bandwidths, problem.fixed_start)
-        likelihood = None
-        if engine.law.has_exponential_gaps:
-            likelihood = Likelihood(engine.law.rate, pilot.stick_time, pilot.sticks)
+        law, likelihood = engine.law, None
+        if law.gap_rate is not None:
+            likelihood = Likelihood(getattr(law, law.gap_rate), pilot.stick_time, pilot.sticks)
         return IntervalCounting(engine, bandwidths, likelihood, problem.fixed_start)
 
     return wrapped(problem.engine(), counting)

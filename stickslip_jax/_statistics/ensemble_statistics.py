@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Hashable, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -49,19 +49,18 @@ if TYPE_CHECKING:
     import xarray
 
 
-def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
+def statistics_of_ensemble(ensemble: object) -> "EnsembleStatistics":
     """All statistics of an ensemble that was simulated with ``keep="statistics"`` or ``"sticks"``.
 
     Raises:
         ValueError: For any other argument.
     """
-    ensemble = require_ensemble(ensemble)
-    sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
-    position = ensemble.system.stick_position.unit
+    many = require_ensemble(ensemble)
+    sticks = many.finished_sticks()  # refuses an ensemble that has none
+    position = many.system.stick_position.unit
     return EnsembleStatistics(
-        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering,
-        origin_of(ensemble),
-    )  # fmt: skip
+        many.accumulator, sticks, many.retained.totals, many.t1, position, many.numbering, origin_of(many)
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -358,7 +357,7 @@ class EnsembleStatistics(ByQuantity):
         return np.asarray(getattr(self.sticks, name), np.float64)
 
 
-def _stick_value(argument: str, value: Any) -> tuple[SampledQuantity, int | None]:
+def _stick_value(argument: str, value: object) -> tuple[SampledQuantity, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
     name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
     if not (isinstance(name, str) and name in BY_NAME):
