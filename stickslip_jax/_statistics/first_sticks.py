@@ -57,5 +57,5 @@ def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> 
         filled[mask] = values[at]
         return filled
 
-    numbers = (fill(values, np.nan) for values in (sticks.start, sticks.duration, sticks.position))
-    return FirstSticks(*numbers, fill(sticks.ending, -1), mask)
+    start, duration, position = (fill(values, np.nan) for values in (sticks.start, sticks.duration, sticks.position))
+    return FirstSticks(start, duration, position, fill(sticks.ending, -1), mask)
