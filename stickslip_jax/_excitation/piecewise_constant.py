@@ -115,6 +115,11 @@ class PiecewiseConstantLaw(SegmentLaw):
     rests_on: ClassVar = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
     only_with: ClassVar = {"next_segment": ("next_interval",)}
 
+    @property
+    def gap_rate(self) -> str | None:
+        """The name of the number that is the rate of exponential gaps; None where gaps are others."""
+        return "rate" if self.has_exponential_gaps else None
+
     @abc.abstractmethod
     def next_interval(self, memory: PyTree, drawn: PyTree, dtype: DTypeLike) -> Interval:
         """Duration (s) and velocity (m/s) of an interval, and the memory for the next.

@@ -7,11 +7,12 @@ each interval, when the mass arrives at the base velocity q inside the stick ban
 for any system.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import PyTree
 
 from .._dynamics.interval.arcs import carry_across, excess_of, touch
 from .._dynamics.interval.crossing import Motion, Scales, cross_interval
@@ -96,14 +97,14 @@ class IntervalLane(NamedTuple):
     `cut_velocity`: base velocity during the last interval if a switch of the base cut a stick short there, else 0, m/s.
     """
 
-    memory: Any
+    memory: PyTree
     motion: Motion
     totals: Totals
     cut_velocity: FloatArray
 
 
 def cross_with_distances(
-    law: PiecewiseConstantLaw, scales: Scales, lane: IntervalLane, drawn: Any
+    law: PiecewiseConstantLaw, scales: Scales, lane: IntervalLane, drawn: PyTree
 ) -> tuple[IntervalLane, StickRecord, BoundaryDistances, FloatArray]:
     """Cross the next interval: the lane after it, its stick, its signed distances, its length (s)."""
     memory, motion, totals, cut_velocity = lane

@@ -16,7 +16,7 @@ from . import windows
 from .chunks import Accumulator
 from .differences import differenced, differenced_ensembles
 from .estimate import Estimator, Sensitivities, Sensitivity
-from .estimators import DerivativeColumns, Estimated, counted, recorded
+from .estimators import counted, recorded
 from .nondifferentiable import warn_at_special_speeds, warn_if_grazing
 from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem
@@ -150,7 +150,7 @@ def _corrected(
     if problem.ignores_stick_count and not problem.has_sudden_switches:
         return results
     warn_at_special_speeds(problem, grazing)
-    _warn_of_disagreement(*estimated, results, grazing)
+    _warn_of_disagreement(estimated, results, grazing)
     _warn_of_few(results)
     return results
 
@@ -166,15 +166,12 @@ def _warn_of_few(results: dict[str, Sensitivity]) -> None:
 
 
 def _warn_of_disagreement(
-    accumulator: Accumulator,
-    columns: tuple[DerivativeColumns, ...],
-    results: dict[str, Sensitivity],
-    already_warned: tuple[str, ...],
+    accumulator: Accumulator, results: dict[str, Sensitivity], already_warned: tuple[str, ...]
 ) -> None:
     """RuntimeWarning where windows disagree, except for the parameters `already_warned` of."""
     found = [
         name
-        for name, where, in_window in zip(results, columns, accumulator.in_window, strict=True)
+        for name, where, in_window in zip(results, accumulator.columns, accumulator.in_window, strict=True)
         if name not in already_warned and windows.windows_disagree(accumulator, where, in_window)
     ]
     if found:
@@ -195,21 +192,21 @@ def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: floa
     else:
         estimated = differenced(problem, pilot, steps, with_pathwise=False)
     results = _results(problem, estimated, steps, elasticity, "finite-difference", ())
-    _warn_of_disagreement(*estimated, results, ())
+    _warn_of_disagreement(estimated, results, ())
     return results
 
 
 def _results(
     problem: Problem,
-    estimated: Estimated,
+    accumulator: Accumulator,
     widths: np.ndarray,
     elasticity: bool,
     estimator: Estimator,
     without_derivative: tuple[str, ...],
 ) -> dict[str, Sensitivity]:
     """The results by the names of the parameters; NaN by those `without_derivative`."""
-    results, (accumulator, columns) = {}, estimated
-    for parameter, where, in_window in zip(problem.parameters, columns, accumulator.in_window, strict=True):
+    results, by_parameter = {}, zip(problem.parameters, accumulator.columns, accumulator.in_window, strict=True)
+    for parameter, where, in_window in by_parameter:
         found, chosen = windows.estimate(accumulator, where, in_window, parameter.value if elasticity else None)
         if parameter.name in without_derivative:
             found = found._replace(derivative=math.nan, standard_error=math.nan)

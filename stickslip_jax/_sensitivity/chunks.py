@@ -16,7 +16,7 @@ from .._numerics.moments import Moments
 from .._status import Status
 from .._types import AnyArray, Array, DType, IntArray
 from .._uncertainty.numbers import Path, number_at, with_numbers
-from .sequences import BufferSizes, Features, features_of, record_sequences
+from .sequences import BufferSizes, Features, RecordedCounts, features_of, record_sequences
 from .statistic import StickStatistic
 
 _Value = TypeVar("_Value")
@@ -42,14 +42,26 @@ class Rows(NamedTuple):
         return np.concatenate([self.parts, *columns], axis=1)
 
 
-class Accumulator(NamedTuple):
-    """Sums over the finished samples: moments of the columns, for each half of the samples (every other one).
+class DerivativeColumns(NamedTuple):
+    """First columns of the derivatives of numerator and denominator by one parameter, and of their pathwise parts.
 
-    `in_window`: how many distances were inside each window.
+    `derivative` has one entry per window, the widest first.
+    """
+
+    derivative: tuple[int, ...]
+    pathwise: int
+
+
+class Accumulator(NamedTuple):
+    """Sums over the finished samples: moments of `Rows.columns`, for each half of the samples (every other one).
+
+    - `in_window`: how many distances were inside each window.
+    - `pathwise`: for each parameter, the path whose pathwise part is that of its derivative; empty: its own path.
     """
 
     halves: tuple[Moments, Moments]
     in_window: Float[np.ndarray, "parameters windows"]
+    pathwise: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, rows: Rows) -> "Accumulator":
@@ -58,6 +70,19 @@ class Accumulator(NamedTuple):
         columns = rows.columns
         first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
         return cls((first, second), rows.in_window[:, done].sum(axis=1))
+
+    @property
+    def columns(self) -> tuple[DerivativeColumns, ...]:
+        """Where the derivatives by each parameter stand in the moments. The first paths are those of the parameters."""
+        parameters, windows = self.in_window.shape
+        paths = (len(self.halves[0].mean) - 2) // (2 * windows + 2)
+        return tuple(
+            DerivativeColumns(
+                tuple(2 + 2 * (index * windows + window) for window in range(windows)),
+                2 + 2 * (paths * windows + pathwise),
+            )
+            for index, pathwise in enumerate(self.pathwise or range(parameters))
+        )
 
     @property
     def moments(self) -> Moments:
@@ -121,14 +146,6 @@ def _count(
     return (time, sticks), slopes, status
 
 
-class RecordedCounts(NamedTuple):
-    """Of every lane's sample: status, and how many slots its sticks and its candidates would need."""
-
-    status: Int[AnyArray, " lanes"]
-    sticks: Int[AnyArray, " lanes"]
-    candidates: Int[AnyArray, " lanes"]
-
-
 def _sequence(
     statistic: StickStatistic,
     job: Job,
@@ -147,8 +164,7 @@ def _sequence(
     def run(values):
         varied = job._replace(engine=with_numbers(job.engine, paths, values))
         recorded = record_sequences(varied, lanes=lanes, buffer=buffer, dtype=dtype)
-        features = features_of(statistic, varied.engine, recorded, bandwidths)
-        return features, RecordedCounts(recorded.status, recorded.sticks, recorded.candidates)
+        return features_of(statistic, varied.engine, recorded, bandwidths), recorded.counts
 
     return derivatives_of(run, job.engine, paths, dtype)
 
@@ -158,8 +174,7 @@ def _values(
 ) -> tuple[Float[Array, "lanes 2"], RecordedCounts]:
     """Parts of the statistic, and the counts of each lane. `buffer.candidates` must be 0."""
     recorded = record_sequences(job, lanes=lanes, buffer=buffer, dtype=dtype)
-    parts = features_of(statistic, job.engine, recorded, np.zeros(0)).parts
-    return parts, RecordedCounts(recorded.status, recorded.sticks, recorded.candidates)
+    return features_of(statistic, job.engine, recorded, np.zeros(0)).parts, recorded.counts
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")

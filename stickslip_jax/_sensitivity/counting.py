@@ -5,18 +5,20 @@ To that derivative each stick and near miss adds an event part for every boundar
 (memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs no kernel.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import PyTree
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.interval.crossing import Scales, status_of
 from .._dynamics.interval.engine import IntervalEngine
-from .._types import AnyArray, Array, BoolArray, DType, FloatArray, IntArray, Scalar
+from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances
-from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel, zero_with_derivative
+from .kernels import BoundarySums, zero_with_derivative
 from .recording import IntervalRecording
 
 
@@ -41,19 +43,6 @@ class Counted(NamedTuple):
     sticks: AnyArray
     event_parts: tuple[AnyArray, ...]
     in_window: tuple[AnyArray, ...]
-
-
-class BoundarySums(NamedTuple):
-    """Sums over the boundaries so far, for each window: `event_parts` and `in_window` of `Counted`."""
-
-    event_parts: tuple[FloatArray, ...]
-    in_window: tuple[FloatArray, ...]
-
-    @classmethod
-    def start(cls, windows: int, dtype: DType) -> "BoundarySums":
-        """The sums at the beginning of a sample, all zero."""
-        zeros = (jnp.zeros((), dtype),) * windows
-        return cls(zeros, zeros)
 
 
 class _Motion(NamedTuple):
@@ -82,16 +71,16 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[tuple[Array, Array], _Motion]:
         sample, lane = self._recording.begin(key_data, dtype)
-        return sample.key_data, _Motion(lane, BoundarySums.start(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
+        return sample.key_data, _Motion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
 
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
 
-    def draw(self, sample: tuple[Array, Array], number: Array, dtype) -> tuple[Any, BoolArray]:
+    def draw(self, sample: tuple[Array, Array], number: Array, dtype) -> tuple[PyTree, BoolArray]:
         return self.engine.law.draw(sample, number, dtype), number == 0
 
     def step(
-        self, shared: Scales, sample: tuple[Array, Array], motion: _Motion, drawn: tuple[Any, BoolArray]
+        self, shared: Scales, sample: tuple[Array, Array], motion: _Motion, drawn: tuple[PyTree, BoolArray]
     ) -> tuple[_Motion, None]:
         (lane, sums, switches), (drawn, is_first) = motion, drawn
         moved, stick, distances, duration = cross_with_distances(self.engine.law, shared, lane, drawn)
@@ -118,18 +107,13 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
     ) -> BoundarySums:
         """`sums` with what one interval adds; `is_fixed`: whether nothing before the arrival was random."""
         exact, switch_where = jnp.zeros_like(arrival), ~is_fixed
-        law: Any = self.engine.law
-        if law.has_exponential_gaps:
-            rate = jnp.asarray(law.rate, arrival.dtype)
+        law = self.engine.law
+        if law.gap_rate is not None:
+            rate = jnp.asarray(getattr(law, law.gap_rate), arrival.dtype)
             # A gap that ends at the arrival, E / rate with its random number E held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact = zero_with_derivative(rate, gap - arrival, distances.exists)
             switch_where = jnp.zeros((), bool)
-        distances = distances.only(~is_fixed, switch_where)
-        bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
-        return BoundarySums(
-            tuple(part + exact + sum_over_boundaries(distances, bandwidth, two_sided_kernel, one_sided_kernel)
-                  for part, bandwidth in zip(sums.event_parts, bandwidths, strict=True)),
-            tuple(number + sum_over_boundaries(distances, bandwidth, inside_window, inside_window)
-                  for number, bandwidth in zip(sums.in_window, bandwidths, strict=True)),
-        )  # fmt: skip
+        sums = sums._replace(event_parts=tuple(part + exact for part in sums.event_parts))
+        distances, bandwidths = distances.only(~is_fixed, switch_where), jnp.asarray(self.bandwidths, arrival.dtype)
+        return jax.tree.map(jnp.add, sums, BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths))

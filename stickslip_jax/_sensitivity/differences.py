@@ -23,12 +23,12 @@ from .._statistics.accumulator import Numbering
 from .._types import AnyArray, DType
 from .._uncertainty.inputs import Model
 from .._uncertainty.numbers import Parameter, Path, check_numbers, with_numbers
-from .chunks import RecordedCounts, Rows, run_chunks, units_of, value_chunk
-from .estimators import Estimated, columns_of, counter, counting_engine, flat, recorder, with_buffer, wrapped_paths
+from .chunks import Accumulator, Rows, run_chunks, units_of, value_chunk
+from .estimators import counter, counting_engine, flat, recorder, with_buffer, wrapped_paths
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
 from .random_inputs import RandomEngine, wrapped
 from .recording import recording
-from .sequences import BufferSizes
+from .sequences import BufferSizes, RecordedCounts
 from .statistic import OfTotals, StickSequence, StickStatistic
 
 _ALL = Numbering(1, True)  # counts a stick that begins at t = 0, as the statistics do
@@ -52,7 +52,7 @@ _Pairs: TypeAlias = list[tuple[float, list[_ValuesOf]]]
 """The difference's half-width and the values at both ends, for all parameters and steps."""
 
 
-def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool) -> Estimated:
+def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool) -> Accumulator:
     """Derivatives by all parameters as central differences of every trajectory, ``(f(p + s) - f(p - s)) / (2 s)``.
 
     `steps`: s, relative to the parameter's size. Both ends use the same random numbers. In place of the distances
@@ -68,7 +68,7 @@ def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise
     return _differences(problem, partial(values, engine), pairs, per_task, pathwise if with_pathwise else None)
 
 
-def differenced_ensembles(problem: Problem, steps: np.ndarray) -> Estimated:
+def differenced_ensembles(problem: Problem, steps: np.ndarray) -> Accumulator:
     """As `differenced`, of whole ensembles: of regularised dynamics."""
     model = problem.model
     assert model is not None
@@ -99,7 +99,7 @@ def _ends_of(tree: _Tree, path: Path, parameter: Parameter, length: float) -> li
 
 def _differences(
     problem: Problem, centre: _ValuesOf, pairs: _Pairs, per_task: int, pathwise_of: _Pathwise | None
-) -> Estimated:
+) -> Accumulator:
     """Moments of the parts and their differences."""
     parameters = len(problem.parameters)
     steps = len(pairs) // parameters
@@ -118,8 +118,7 @@ def _differences(
         differs = np.moveaxis(np.reshape(differs, shape), 2, 1).astype(float)
         return Rows(np.max([status, *statuses], axis=0), parts, slopes, pathwise, differs)
 
-    accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
-    return accumulator, columns_of(parameters, steps, parameters)
+    return run_chunks(simulate, problem.samples, per_task, problem.threads)
 
 
 # The values of an engine's samples; the largest number of samples of a task; the pathwise derivatives.
@@ -131,7 +130,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
     statistic = problem.statistic
     assert isinstance(statistic, OfTotals)
     lanes, rows, per_task = lanes_and_rows(problem)
-    _, count = counter(problem, counting_engine(problem, pilot, np.zeros(0)), wrapped_paths(problem))
+    count = counter(problem, counting_engine(problem, pilot, np.zeros(0)), wrapped_paths(problem))
 
     def values(engine: Engine, first: int, number: int) -> _Values:
         job = _drawn(problem.job(engine, first, lanes * rows, -(-number // lanes)))

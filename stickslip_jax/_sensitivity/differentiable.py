@@ -18,7 +18,7 @@ from .._status import Status
 from .._systems.system import System
 from .._types import Array, FloatArray, InitialState
 from .._uncertainty.numbers import with_numbers
-from .estimators import counting_engine, score_path, wrapped_paths
+from .estimators import counting_engine, score_paths, wrapped_paths
 from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem, buffer_sizes_for
 from .random_inputs import wrapped
@@ -135,7 +135,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Me
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = wrapped_paths(problem)
     own = problem.own_leaves(0, rows * _LANES)
-    by = tuple(score_path(engine, path) or path for path in paths)
+    by = score_paths(engine, paths)
     by_score = tuple(other for path, other in zip(paths, by, strict=True) if other != path)
 
     def means(values: Array, varied: Array | None = None) -> Array:
@@ -170,8 +170,9 @@ def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _M
             job = Job(here, problem.key_data, first, np.int32(1), mine)
             recorded = record_sequences(job, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
             features = features_of(problem.statistic, here, recorded, bandwidths)
-            done = (recorded.status == Status.FINISHED)[:, None]
-            lost = jnp.any((recorded.sticks >= buffer.slots) | (recorded.candidates > buffer.candidates))
+            status, sticks, candidates = recorded.counts
+            done = (status == Status.FINISHED)[:, None]
+            lost = jnp.any((sticks >= buffer.slots) | (candidates > buffer.candidates))
             parts = jnp.where(done, features.parts + features.event_parts[:, 0], 0)
             return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from .._status import Status
 from .._systems.built_in import is_built_in
 from .._types import AnyArray
 from .._uncertainty.numbers import Path
-from .chunks import Accumulator, RecordedCounts, Rows, count_chunk, run_chunks, sequence_chunk, units_of
+from .chunks import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of
 from .counting import IntervalCounting, Likelihood
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
 from .random_inputs import RandomEngine, single_engine, wrapped, wrapped_path
 from .recording import recording
-from .sequences import BufferSizes, Features
+from .sequences import BufferSizes, Features, RecordedCounts
 from .statistic import OfTotals
 from .step_counting import StepCounting
 
@@ -25,55 +25,20 @@ _MOST_TRIES = 6  # with larger and larger buffers of a realisation
 _Result = TypeVar("_Result")
 
 
-class DerivativeColumns(NamedTuple):
-    """First columns of the derivatives of numerator and denominator by one parameter, and of their pathwise parts.
-
-    `derivative` has one entry per window, the widest first.
-    """
-
-    derivative: tuple[int, ...]
-    pathwise: int
-
-
-Estimated: TypeAlias = tuple[Accumulator, tuple[DerivativeColumns, ...]]
-"""Sums over all samples, and where the derivatives by each parameter stand in them."""
-
-
-def columns_of(
-    parameters: int, windows: int, paths: int, pathwise: list[int] | None = None
-) -> tuple[DerivativeColumns, ...]:
-    """Columns of the parameters in rows of parts (2,), derivatives (paths, windows, 2), pathwise parts (paths, 2).
-
-    The first paths are those of the parameters; `pathwise`: for each parameter, the path whose pathwise part to use.
-    """
-    return tuple(
-        DerivativeColumns(
-            tuple(2 + 2 * (index * windows + window) for window in range(windows)),
-            2 + 2 * (paths * windows + (index if pathwise is None else pathwise[index])),
-        )
-        for index in range(parameters)
-    )
-
-
-def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Estimated:
+def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Accumulator:
     """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part."""
     engine = counting_engine(problem, pilot, bandwidths)
-    paths, number = list(wrapped_paths(problem)), len(problem.parameters)
-    pathwise = list(range(number))
-    for index, path in enumerate(paths[:number]):
-        score = score_path(engine, path)
-        if score is not None:  # its derivative comes from the likelihood; the pathwise one is found beside it
-            paths[index] = score
-            pathwise[index] = len(paths)
-            paths.append(path)
-    per_task, count = counter(problem, engine, tuple(paths))
+    paths = wrapped_paths(problem)
+    # The derivative by a rate comes from the likelihood; its pathwise part is found beside it.
+    every = tuple(dict.fromkeys((*score_paths(engine, paths), *paths)))
+    count = counter(problem, engine, every)
 
     def simulate(first: int, samples: int) -> Rows:
         rows = count(first, samples)
-        return rows._replace(in_window=rows.in_window[:number])
+        return rows._replace(in_window=rows.in_window[: len(paths)])
 
-    accumulator = run_chunks(simulate, problem.samples, per_task, problem.threads)
-    return accumulator, columns_of(number, max(1, len(bandwidths)), len(paths), pathwise)
+    accumulator = run_chunks(simulate, problem.samples, lanes_and_rows(problem)[2], problem.threads)
+    return accumulator._replace(pathwise=tuple(every.index(path) for path in paths))
 
 
 def counting_engine(
@@ -87,23 +52,21 @@ def counting_engine(
     def counting(engine):
         if not problem.by_intervals:
             return StepCounting(engine, bandwidths, problem.fixed_start)
-        likelihood = None
-        if engine.law.has_exponential_gaps:
-            likelihood = Likelihood(engine.law.rate, pilot.stick_time, pilot.sticks)
+        law, likelihood = engine.law, None
+        if law.gap_rate is not None:
+            likelihood = Likelihood(getattr(law, law.gap_rate), pilot.stick_time, pilot.sticks)
         return IntervalCounting(engine, bandwidths, likelihood, problem.fixed_start)
 
     return wrapped(problem.engine(), counting)
 
 
-def score_path(engine: Engine, path: Path) -> Path | None:
-    """The path of the rate that the likelihood of a Poisson base knows, where `path` is that of the base's rate."""
-    outer, inner = path[:-3], path[-3:]
-    counting = single_engine(engine)
-    if inner != ("engine", "law", "rate") or outer not in ((), ("template",)):
-        return None
+def score_paths(engine: Engine, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The `paths`, but where one is that of the rate of the base's gaps, that of the rate the likelihood knows."""
+    counting, outer = single_engine(engine), ("template",) if isinstance(engine, RandomEngine) else ()
     if not isinstance(counting, IntervalCounting) or counting.likelihood is None:
-        return None
-    return (*outer, "likelihood", "rate")
+        return paths
+    rate = (*outer, "engine", "law", counting.engine.law.gap_rate)
+    return tuple((*outer, "likelihood", "rate") if path == rate else path for path in paths)
 
 
 def wrapped_paths(problem: Problem) -> tuple[Path, ...]:
@@ -111,10 +74,10 @@ def wrapped_paths(problem: Problem) -> tuple[Path, ...]:
     return tuple(map(wrapped_path, problem.paths()))
 
 
-def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> tuple[int, Callable[[int, int], Rows]]:
-    """The largest number of samples of a task, and a function of a task's first sample and number of samples."""
+def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> Callable[[int, int], Rows]:
+    """A function of a task's first sample and number of samples, with derivatives by the numbers at `paths`."""
     assert isinstance(problem.statistic, OfTotals)
-    lanes, rows, per_task = lanes_and_rows(problem)
+    lanes, rows, _ = lanes_and_rows(problem)
     weights = problem.statistic.weights(problem.t1)
     units = units_of(engine, paths)[:, None]
 
@@ -137,12 +100,12 @@ def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> tuple[
         parts = totals @ weights[:, :2].T + weights[:, 2]
         return Rows(flat(status, number).astype(int), parts, slopes, pathwise, in_window)
 
-    return per_task, count
+    return count
 
 
-def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Estimated:
+def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Accumulator:
     """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth."""
-    parameters, units = len(problem.parameters), units_of(problem.engine(), problem.paths())[:, None, None]
+    units = units_of(problem.engine(), problem.paths())[:, None, None]
     record = recorder(problem, buffer_sizes_for(problem, pilot), bandwidths)
 
     def simulate(first: int, number: int) -> Rows:
@@ -152,8 +115,7 @@ def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Estimate
         parts, in_window = np.asarray(features.parts, float)[:number], np.asarray(slopes.in_window, float)[:, :number]
         return Rows(np.asarray(status)[:number], parts, derivatives, pathwise / units, in_window)
 
-    accumulator = run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
-    return accumulator, columns_of(parameters, len(bandwidths), parameters)
+    return run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
 
 
 def recorder(

@@ -9,14 +9,14 @@ of the Greeks for options with discontinuous payoffs").
 """
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import BoolArray, FloatArray
-from .boundaries import BoundaryDistances
+from .._types import BoolArray, DType, FloatArray
+from .boundaries import SignedDistance
 
 Kernel: TypeAlias = Callable[[FloatArray, FloatArray, BoolArray], FloatArray]
 """A function of distance, bandwidth and where the distance is active."""
@@ -67,10 +67,29 @@ def zero_with_derivative(weight: FloatArray, distance: FloatArray, where: BoolAr
     return jnp.where(where, lax.stop_gradient(weight), 0) * (distance - lax.stop_gradient(distance))
 
 
-def sum_over_boundaries(
-    distances: BoundaryDistances, bandwidth: FloatArray, two_sided: Kernel, one_sided: Kernel
-) -> FloatArray:
-    """The sum over all `distances`: their event part with the kernels, their number with `inside_window` twice."""
-    found = [two_sided(distance.value, bandwidth, distance.is_active) for distance in distances.two_sided]
-    found += [one_sided(distance.value, bandwidth, distance.is_active) for distance in distances.one_sided]
-    return sum(found[1:], found[0])
+class BoundarySums(NamedTuple):
+    """Sums over boundaries for each window: zeros whose derivatives are event parts, or count distances inside it."""
+
+    event_parts: tuple[FloatArray, ...]
+    in_window: tuple[FloatArray, ...]
+
+    @classmethod
+    def none(cls, windows: int, dtype: DType) -> "BoundarySums":
+        """The sums over no boundaries."""
+        zeros = (jnp.zeros((), dtype),) * windows
+        return cls(zeros, zeros)
+
+    @classmethod
+    def over(
+        cls, two_sided: tuple[SignedDistance, ...], one_sided: tuple[SignedDistance, ...], bandwidths: FloatArray
+    ) -> "BoundarySums":
+        """The sums over distances known on both sides of 0, and over those known only while positive."""
+
+        def of(bandwidth: FloatArray, kernels: tuple[Kernel, Kernel]) -> FloatArray:
+            found = [kernels[0](distance.value, bandwidth, distance.is_active) for distance in two_sided]
+            found += [kernels[1](distance.value, bandwidth, distance.is_active) for distance in one_sided]
+            return sum(found[1:], found[0])
+
+        # A Python loop: jax 0.10.2 cannot vmap over the windows where this is differentiated inside a loop.
+        both = (two_sided_kernel, one_sided_kernel), (inside_window, inside_window)
+        return cls(*(tuple(of(bandwidth, kernels) for bandwidth in bandwidths) for kernels in both))

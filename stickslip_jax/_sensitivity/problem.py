@@ -118,9 +118,10 @@ class Problem(NamedTuple):
         random = self.random
         if random is not None and random.inputs.has_sampled_law:
             return False
-        in_rate = any(one.path[:2] == ("law", "rate") and len(one.path) > 2 for one in self.parameters)
-        if in_rate and self.by_intervals and self.is_counted and not self.ignores_stick_count:
-            return False  # the likelihood of the number of switches knows one rate of all samples
+        if self.by_intervals and self.is_counted and not self.ignores_stick_count:
+            assert isinstance(self.law, PiecewiseConstantLaw)
+            if any(one.path[:2] == ("law", self.law.gap_rate) and len(one.path) > 2 for one in self.parameters):
+                return False  # the likelihood of the number of switches knows one rate of all samples
         if random is None or random.only_in_start:
             return random is None or random.in_lanes
         return random.in_lanes and (self.by_intervals or (self.is_counted and self.ignores_stick_count))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.method import Exact, Regularized
@@ -44,10 +45,10 @@ class RandomEngine(VaryingEngine):
         """The engine without sources, and the leaves at all places."""
         return dataclasses.replace(self, sources=(None,) * len(self.sources)), self.columns(own)
 
-    def after_block(self, samples: Any, motions: Any, records: Any) -> Any:
+    def after_block(self, samples: PyTree, motions: PyTree, records: PyTree) -> PyTree:
         return self.template.after_block(self.constants(samples), motions, records)
 
-    def distances(self, samples: Any, candidates: Any) -> BoundaryDistances:
+    def distances(self, samples: PyTree, candidates: PyTree) -> BoundaryDistances:
         """As `StepRecording.distances`."""
         return self.template.distances(self.constants(samples), candidates)
 
@@ -124,7 +125,7 @@ def single_engine(engine: Engine) -> Any:
     return engine.template if isinstance(engine, RandomEngine) else engine
 
 
-def constants_of(engine: Engine, sample: Any) -> Any:
+def constants_of(engine: Engine, sample: PyTree) -> PyTree:
     """The constants of samples as the `single_engine` knows them."""
     return engine.constants(sample) if isinstance(engine, RandomEngine) else sample
 

@@ -1,10 +1,11 @@
 """Engines that record, beside the sticks, the candidates: intervals or steps that may be close to a boundary."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.segments import SegmentLaws
@@ -62,11 +63,11 @@ class IntervalRecording(Engine[Scales, IntervalSample, IntervalLane, Trace, IntA
     def shared(self, dtype) -> Scales:
         return scales_of(self.engine.system, self.engine.t1, dtype)
 
-    def draw(self, sample: IntervalSample, number: Array, dtype) -> Any:
+    def draw(self, sample: IntervalSample, number: Array, dtype) -> PyTree:
         return self.engine.law.draw(sample.key_data, number, dtype)
 
     def step(
-        self, shared: Scales, sample: IntervalSample, motion: IntervalLane, drawn: Any
+        self, shared: Scales, sample: IntervalSample, motion: IntervalLane, drawn: PyTree
     ) -> tuple[IntervalLane, Trace]:
         moved, stick, distances, _ = cross_with_distances(self.engine.law, shared, motion, drawn)
         if not self.with_distances:

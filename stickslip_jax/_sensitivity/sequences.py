@@ -18,8 +18,8 @@ from jaxtyping import Float, Int
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.lanes import Job, follow_block, lanes_at_start
 from .._types import AnyArray, Array, BoolArray, DType, FloatArray, IntArray
-from .boundaries import BoundaryDistances, vanishes_from_start
-from .kernels import inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel
+from .boundaries import BoundaryDistances, SignedDistance, vanishes_from_start
+from .kernels import BoundarySums
 from .random_inputs import constants_of, single_engine, wrapped
 from .statistic import StickSequence, StickStatistic
 
@@ -35,6 +35,14 @@ class BufferSizes(NamedTuple):
     candidates: int
 
 
+class RecordedCounts(NamedTuple):
+    """Of every lane's sample: status, and how many slots its sticks and its candidates would need."""
+
+    status: Int[AnyArray, " lanes"]
+    sticks: Int[AnyArray, " lanes"]
+    candidates: Int[AnyArray, " lanes"]
+
+
 class LaneSticks(NamedTuple):
     """The sticks of each lane's sample in order of time, 0 in spare slots."""
 
@@ -42,9 +50,7 @@ class LaneSticks(NamedTuple):
     end: Float[Array, "slots lanes"]
     ending: Int[Array, "slots lanes"]
     deterministic_until: Float[Array, " lanes"]  # when the first random thing happens, s
-    status: Int[Array, " lanes"]
-    sticks: Int[Array, " lanes"]  # how many slots would be needed
-    candidates: Int[Array, " lanes"]
+    counts: RecordedCounts
     distances: BoundaryDistances | None  # (candidates, lanes); none is active in spare slots
 
 
@@ -98,7 +104,8 @@ def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType)
     start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
     ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
     status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion), jnp.int32)
-    return LaneSticks(start, end, ending, deterministic_until, status, sticks_found, candidates_found, distances)
+    counts = RecordedCounts(status, sticks_found, candidates_found)
+    return LaneSticks(start, end, ending, deterministic_until, counts, distances)
 
 
 def _gathered(exists: BoolArray, columns: _Tree, slots: int) -> tuple[_Tree, BoolArray, IntArray]:
@@ -169,15 +176,11 @@ def _events(
     at_boundaries = jax.vmap(jump_at)(time, distances.exists, distances.is_slip)
     at_start = _jump_of_stick(parts, fixed, fixed.start[0], True)
 
-    def window(bandwidth):
-        weights = sum_over_boundaries(distances, bandwidth, two_sided_kernel, one_sided_kernel)
-        first = one_sided_kernel(sticks.duration[0], bandwidth, from_start) * at_start
-        inside = jnp.sum(sum_over_boundaries(distances, bandwidth, inside_window, inside_window))
-        inside = inside + inside_window(sticks.duration[0], bandwidth, from_start)
-        return jnp.sum(weights[:, None] * at_boundaries, axis=0) + first, inside
-
-    # A Python loop: jax 0.10.2 cannot vmap over the windows where this is differentiated inside a loop.
-    event_parts, in_window = zip(*(window(bandwidth) for bandwidth in bandwidths), strict=True)
+    sums = BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths)
+    first = BoundarySums.over((), (SignedDistance(sticks.duration[0], from_start),), bandwidths)
+    event_parts = [jnp.sum(weights[:, None] * at_boundaries, axis=0) + weight * at_start
+                   for weights, weight in zip(sums.event_parts, first.event_parts, strict=True)]  # fmt: skip
+    in_window = [jnp.sum(number) + one for number, one in zip(sums.in_window, first.in_window, strict=True)]
     return jnp.stack(event_parts), jnp.stack(in_window)
 
 

@@ -15,9 +15,9 @@ from .._dynamics.common.engine import Engine
 from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
 from .._events.sticks import StickRecord
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray
-from .boundaries import vanishes_from_start
-from .counting import BoundarySums, Counted
-from .kernels import Kernel, inside_window, one_sided_kernel, sum_over_boundaries, two_sided_kernel
+from .boundaries import SignedDistance, vanishes_from_start
+from .counting import Counted
+from .kernels import BoundarySums
 from .recording import StepMotion, StepRecording, StepSample, Trace
 
 
@@ -45,7 +45,7 @@ class StepCounting(Engine[SwitchedShared, StepSample, _Motion, Trace, Counted]):
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, _Motion]:
         sample, motion = self._recording.begin(key_data, dtype)
-        return sample, _Motion(motion, BoundarySums.start(len(self.bandwidths), dtype))
+        return sample, _Motion(motion, BoundarySums.none(len(self.bandwidths), dtype))
 
     def shared(self, dtype) -> SwitchedShared:
         return self.engine.shared(dtype)
@@ -85,15 +85,8 @@ class StepCounting(Engine[SwitchedShared, StepSample, _Motion, Trace, Counted]):
             distances = self._recording.distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
             # Before anything random happens no distance has a density, except that to the base's first change.
             distances = distances.only(exists & (distances.time >= deterministic_until), exists)
-
-            def add(kept: tuple[Array, ...], two_sided: Kernel, one_sided: Kernel) -> tuple[Array, ...]:
-                return tuple(_put(so_far, lane, sum_over_boundaries(distances, bandwidth, two_sided, one_sided))
-                             for so_far, bandwidth in zip(kept, bandwidths, strict=True))  # fmt: skip
-
-            return done + lanes, BoundarySums(
-                add(sums.event_parts, two_sided_kernel, one_sided_kernel),
-                add(sums.in_window, inside_window, inside_window),
-            )
+            more = BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths)
+            return done + lanes, jax.tree.map(lambda so_far, new: _put(so_far, lane, new), sums, more)
 
         return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), sums))[1]
 
@@ -105,12 +98,8 @@ def _with_first_sticks(
 
     def add(sums, stick):
         may_vanish = vanishes_from_start(stick.start, stick.ending, samples.deterministic_until)
-        duration = stick.end - stick.start
-        more = (
-            tuple(kernel(duration, bandwidth, may_vanish) for bandwidth in bandwidths)
-            for kernel in (one_sided_kernel, inside_window)
-        )
-        return jax.tree.map(jnp.add, sums, BoundarySums(*more)), None
+        duration = SignedDistance(stick.end - stick.start, may_vanish)
+        return jax.tree.map(jnp.add, sums, BoundarySums.over((), (duration,), bandwidths)), None
 
     return lax.scan(add, sums, sticks)[0]
 

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .._numerics.moments import Moments
-from .chunks import Accumulator
+from .chunks import Accumulator, DerivativeColumns
 from .estimate import Gradient, gradient_of_ratio
-from .estimators import DerivativeColumns
 
 _InWindow: TypeAlias = Float[np.ndarray, " windows"]
 """How many sticks each window holds."""

@@ -5,7 +5,6 @@ scipy, end at 0.25 and 0.001; here the p-value is computed from the limiting dis
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy import optimize
@@ -65,7 +64,7 @@ def limit_tail(x: float, degrees: int) -> float:
         return degrees / 2 * (1 / c + 2 * math.pi * math.tan(math.pi * q / 2) / q) - x - 1 / c
 
     # The parabola crosses the axis where the integrand is smallest there, so that little cancels.
-    saddle: Any = optimize.brentq(slope, 1e-6, 1 - 1e-12)
+    saddle = np.asarray(optimize.brentq(slope, 1e-6, 1 - 1e-12), float).item()
     root, step = math.sqrt(1 - saddle), math.sqrt((50 + 2 * degrees) / x) / 400
     one_step = root - 1j * step * np.arange(401)
     s = 1 - one_step**2

@@ -1,23 +1,20 @@
 """Confidence intervals by resampling whole samples, for skewed statistics where Student's t is too crude."""
 
-import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from .. import _checks
 from .._numerics.moments import Moments
-from .estimate import Estimate, check_level, estimate_by
-from .source import EnsembleLike, require_ensemble, require_statistic
+from .estimate import check_level
+from .source import EnsembleLike, Statistic, by_totals
 
 _AT_ONCE = 2**22  # random weights: 32 MB
 
 
 def bootstrap_interval(
     ensemble: EnsembleLike,
-    statistic: Callable[[Any], Estimate],
+    statistic: Statistic,
     *,
     level: float = 0.9,
     resamples: int = 2000,
@@ -44,21 +41,18 @@ def bootstrap_interval(
     """
     check_level(level)
     _checks.whole_number("resamples", resamples, minimum=100, maximum=10**7)
-    ensemble = require_ensemble(ensemble)
-    ensemble.finished_sticks()  # refuses an ensemble that has none
-    require_statistic(statistic)
-    totals, whole = ensemble.retained.totals, estimate_by(statistic, ensemble)
+    totals, whole, estimate_from = by_totals(ensemble, statistic)
     number = len(totals)
     if number < 2 or not whole.standard_error > 0:
         return math.nan, math.nan
-    center = statistic(dataclasses.replace(ensemble, moments=Moments.of(totals))).value
+    center = estimate_from(Moments.of(totals)).value
     rng = np.random.default_rng(_checks.whole_number("seed", seed, minimum=0))
     at_once = max(1, _AT_ONCE // number)
     scores = np.empty(resamples)
     for first in range(0, resamples, at_once):
         weights = rng.multinomial(number, np.full(number, 1 / number), size=min(at_once, resamples - first))
         for index, moments in enumerate(_weighted_moments(totals, weights), first):
-            one = statistic(dataclasses.replace(ensemble, moments=moments))
+            one = estimate_from(moments)
             scores[index] = (one.value - center) / one.standard_error if one.standard_error > 0 else math.nan
     if not np.any(np.isfinite(scores)):  # all samples are the same
         return math.nan, math.nan

@@ -6,7 +6,6 @@ the error (the linearised, "sandwich" error of a ratio of totals; Cochran, Sampl
 """
 
 import math
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -60,8 +59,3 @@ class Clusters:
         share = total / len(self.values)
         spread = square - 2 * share * product + share**2 * (each @ each)  # sum of (c - share n)^2, whose mean is 0
         return np.sqrt(np.maximum(spread, 0) / (self.realizations - 1)) * self.scale
-
-    @cached_property
-    def ordered(self) -> np.ndarray:
-        """The values in increasing order."""
-        return np.sort(self.values)

@@ -8,16 +8,16 @@ depends on what happened earlier, not on its own duration.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .. import _checks
-from .._events.sticks import NUMBERS
+from .._events.sticks import FlatSticks
 from .._status import Ending
 from .quantities import DURATION, SLIP_DURATION, SLIP_START, TESTED
-from .source import StickSource
+from .source import StickSource, WithNumberedSticks
 
 
 class Sequences(NamedTuple):
@@ -64,18 +64,18 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
         )
     if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
         _checks.numeric("starts_before", starts_before)
-    sticks = _sticks_of(source)
-    interval = _INTERVALS.get(quantity, _at_start)(sticks, quantity)
-    longest = np.max(interval.length, initial=0.0)
-    before = sticks.horizon - longest if starts_before is None else float(starts_before)
+    given = _sticks_of(source)
+    sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
+    interval = _INTERVALS[quantity](sticks) if quantity in _INTERVALS else _at_start(sticks, quantity)
+    longest, horizon = np.max(interval.length, initial=0.0), _horizon(sticks)
+    before = horizon - longest if starts_before is None else float(starts_before)
     used = interval.complete & (interval.begin < before)
     values = interval.values[used]
     if not np.all(np.isfinite(values)):
         raise ValueError(f"Argument source must have finite {plural(quantity)}, but some are NaN or infinite.")
-    scale = sticks.horizon if quantity in _INTERVALS else np.max(np.abs(values), initial=0.0)
-    values = _rounded(values, scale * sticks.epsilon)
-    samples = len(sticks.count)
-    count = np.bincount(np.repeat(np.arange(samples), sticks.count)[used], minlength=samples)
+    scale = horizon if quantity in _INTERVALS else np.max(np.abs(values), initial=0.0)
+    values = _rounded(values, scale * float(np.finfo(given.numbers.dtype).eps))
+    count = np.bincount(sticks.sample[used], minlength=len(sticks.count))
     remark = f"Used {len(values)} {plural(quantity)}"
     if left := int(interval.exists.sum()) - len(values):
         late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "
@@ -89,43 +89,28 @@ def plural(quantity: str) -> str:
     return f"values of the {label}" if label.endswith("the stick") else f"{label}s"
 
 
-class _Sticks(NamedTuple):
-    """The sticks of all samples, times as float64.
-
-    `flat`: as they were given. `horizon`: the end of the last stick, s. `epsilon`: relative rounding error of times.
-    """
-
-    flat: Any
-    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
-    start: np.ndarray
-    end: np.ndarray
-    ending: np.ndarray
-    horizon: float
-    epsilon: float
-
-
-def _sticks_of(source: Any) -> _Sticks:
+def _sticks_of(source: StickSource) -> FlatSticks:
     """The numbered sticks of an ensemble's finished samples, or `source` itself if it is `FlatSticks`."""
-    flat: Any = source.numbered_sticks() if hasattr(source, "numbered_sticks") else source
-    names = (*NUMBERS, "ending")
-    if not all(hasattr(flat, name) for name in ("count", *names)):
+    sticks = source.numbered_sticks() if isinstance(source, WithNumberedSticks) else source
+    if not isinstance(sticks, FlatSticks):
         raise ValueError(
             "Argument source must be the result of simulate_ensemble or its flat_sticks, "
             f"but {type(source).__name__} was given."
         )
-    count = np.asarray(flat.count).astype(np.int64)
-    start, end, ending = (np.asarray(getattr(flat, name)) for name in ("start", "end", "ending"))
-    shapes = [np.shape(getattr(flat, name)) for name in names]
-    if any(shape != (count.sum(),) for shape in shapes):
+    shapes = [np.shape(column) for column in (*sticks.numbers, sticks.ending)]
+    if any(shape != (sticks.count.sum(),) for shape in shapes):
         raise ValueError(
-            f"Argument source must have as many sticks as its counts add up to, {count.sum()}, "
+            f"Argument source must have as many sticks as its counts add up to, {sticks.count.sum()}, "
             f"but arrays of shapes {', '.join(map(str, shapes))} were given."
         )
-    epsilon = float(np.finfo(np.result_type(start, np.float32)).eps)
-    start, end = start.astype(np.float64), end.astype(np.float64)
-    if not (np.all(np.isfinite(start)) and np.all(np.isfinite(end))):
+    if not (np.all(np.isfinite(sticks.start)) and np.all(np.isfinite(sticks.end))):
         raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
-    return _Sticks(flat, count, start, end, ending, float(np.max(end, initial=0.0)), epsilon)
+    return sticks
+
+
+def _horizon(sticks: FlatSticks) -> float:
+    """The end of the last stick of all, s."""
+    return float(np.max(sticks.end, initial=0.0))
 
 
 def _rounded(values: np.ndarray, error: float) -> np.ndarray:
@@ -139,40 +124,39 @@ def _rounded(values: np.ndarray, error: float) -> np.ndarray:
     return grid * np.round(values / grid)
 
 
-def _durations(sticks: _Sticks, quantity: str) -> _Intervals:
+def _durations(sticks: FlatSticks) -> _Intervals:
     """The duration of each stick, known from that stick."""
-    length = sticks.end - sticks.start
+    length = sticks.duration
     everything = np.ones(len(length), bool)
     return _Intervals(sticks.start, length, everything, sticks.ending != Ending.HORIZON, length)
 
 
-def _slips(sticks: _Sticks, quantity: str) -> _Intervals:
+def _slips(sticks: FlatSticks) -> _Intervals:
     """The duration of the slip after each stick, known from that slip.
 
     The slip after the last stick of a sample is cut; there is none if that stick itself was cut.
     """
     is_last = np.zeros(len(sticks.start), bool)
-    is_last[(np.cumsum(sticks.count) - 1)[sticks.count > 0]] = True
-    stop = np.where(is_last, sticks.horizon, np.append(sticks.start[1:], 0.0))
+    is_last[(sticks.first + sticks.count - 1)[sticks.count > 0]] = True
+    stop = np.where(is_last, _horizon(sticks), np.append(sticks.start[1:], 0.0))
     exists = ~(is_last & (sticks.ending == Ending.HORIZON))
     length = np.where(exists, stop - sticks.end, 0.0)
     return _Intervals(sticks.end, length, exists, ~is_last, length)
 
 
-def _slip_starts(sticks: _Sticks, quantity: str) -> _Intervals:
+def _slip_starts(sticks: FlatSticks) -> _Intervals:
     """The instant at which the slip after each stick begins, known from that stick."""
-    known = _durations(sticks, quantity)
+    known = _durations(sticks)
     return known._replace(exists=known.complete, values=sticks.end)
 
 
-def _at_start(sticks: _Sticks, quantity: str) -> _Intervals:
+def _at_start(sticks: FlatSticks, quantity: str) -> _Intervals:
     """A quantity such as the position, known when the stick starts: from the slip before, which may be cut."""
     is_first = np.zeros(len(sticks.start), bool)
-    is_first[(np.cumsum(sticks.count) - sticks.count)[sticks.count > 0]] = True
+    is_first[sticks.first[sticks.count > 0]] = True
     begin = np.where(is_first, 0.0, np.append(0.0, sticks.end[:-1]))
     everything = np.ones(len(begin), bool)
-    values = np.asarray(getattr(sticks.flat, quantity)).astype(np.float64)
-    return _Intervals(begin, _slips(sticks, quantity).length, everything, everything, values)
+    return _Intervals(begin, _slips(sticks).length, everything, everything, getattr(sticks, quantity))
 
 
 _INTERVALS = {DURATION.name: _durations, SLIP_START.name: _slip_starts, SLIP_DURATION.name: _slips}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 if TYPE_CHECKING:
     import xarray
 
-Variables: TypeAlias = Mapping[Any, Any]
+Entries: TypeAlias = dict[str, Any]
 """Variables or coordinates by name, as xarray takes them."""
 
 
@@ -17,7 +17,7 @@ def variable(
     return dimensions, values, {"long_name": long_name, "units": unit, **attributes}
 
 
-def labeled_dataset(variables: Variables, coordinates: Variables, attributes: Mapping[str, object]) -> "xarray.Dataset":
+def labeled_dataset(variables: Entries, coordinates: Entries, attributes: Mapping[str, object]) -> "xarray.Dataset":
     """The data set of these variables.
 
     Raises:

@@ -2,17 +2,15 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .. import _checks
 from .._numerics.moments import Moments
-from .estimate import Estimate, check_level, estimate_by
+from .estimate import Estimate, check_level
 from .quantities import StickValue
-from .source import EnsembleLike, require_ensemble, require_statistic
+from .source import EnsembleLike, Statistic, by_totals, require_ensemble
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,7 +61,7 @@ class Convergence:
         return f"Convergence of the {self.final}, over {self.numbers[0]} to {self.numbers[-1]} samples"
 
 
-def convergence(ensemble: EnsembleLike, statistic: Callable[[Any], Estimate], points: int = 40) -> Convergence:
+def convergence(ensemble: EnsembleLike, statistic: Statistic, points: int = 40) -> Convergence:
     """How the estimate of `statistic` converges as the number of samples grows.
 
     Args:
@@ -76,19 +74,15 @@ def convergence(ensemble: EnsembleLike, statistic: Callable[[Any], Estimate], po
     Raises:
         ValueError: For other arguments and for an ensemble of fewer than 2 retained samples.
     """
-    ensemble = require_ensemble(ensemble)
-    ensemble.finished_sticks()  # refuses an ensemble that has none
-    require_statistic(statistic)
-    totals = ensemble.retained.totals
+    totals, final, estimate_from = by_totals(ensemble, statistic)
     if len(totals) < 2:
         raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(totals)}.")
     _checks.whole_number("points", points, minimum=2, maximum=10**6)
     numbers = np.unique(np.geomspace(2, len(totals), points).round().astype(int))
-    final = estimate_by(statistic, ensemble)
     estimates, moments, done = [], Moments.of(totals[:0]), 0
     for number in numbers:
         moments, done = moments.merge(Moments.of(totals[done:number])), number
-        estimates.append(statistic(dataclasses.replace(ensemble, moments=moments)))
+        estimates.append(estimate_from(moments))
     values, errors = (np.array([getattr(one, what) for one in estimates]) for what in ("value", "standard_error"))
     return Convergence(final.name, final.unit, numbers, values, errors, final)
 

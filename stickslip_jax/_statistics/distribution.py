@@ -49,7 +49,7 @@ class Distribution:
     independent, not the values of one sample; they are measured on the retained samples. Numbers are NaN where there
     is no value, and errors where there is only one sample.
 
-    - `name`, `unit`: of the quantity. `smallest`, `largest`: of all values.
+    - `name`, `unit`: of the quantity.
     - `sums`, `bins`: power sums (of vectors of length 1) and finest histogram of all values. `clusters`: the retained
       values.
     - `round_off`: values closer than this may be equal. `is_whole`: whether the values are whole numbers.
@@ -58,10 +58,7 @@ class Distribution:
 
     name: str
     unit: str
-    number: int
     samples: int
-    smallest: float
-    largest: float
     sums: PowerSums
     bins: DyadicCounts
     clusters: Clusters
@@ -70,21 +67,32 @@ class Distribution:
     origin: Hashable = dataclasses.field(default_factory=object)
 
     @property
+    def number(self) -> int:
+        """Number of values."""
+        return int(self.sums.number)
+
+    @property
+    def smallest(self) -> float:
+        """The smallest value, in `unit`."""
+        return float(self.sums.smallest[0]) if self.number else math.nan
+
+    @property
+    def largest(self) -> float:
+        """The largest value, in `unit`."""
+        return float(self.sums.largest[0]) if self.number else math.nan
+
+    @property
     def mean(self) -> Estimate:
         """The mean of all values."""
-        if self.number == 0:
-            return self._estimate("mean", math.nan, math.nan)
         value = float(self.sums.mean[0])
         return self._estimate("mean", value, self.clusters.error(self.clusters.values - value))
 
     @property
     def variance(self) -> Estimate:
         """The variance of all values (over ``number - 1``), unit squared."""
-        value = float(self.sums.variance[0])
-        if math.isnan(value):
-            return self._estimate("variance", value, value, self._power(2))
-        deviation = self.clusters.values - self.sums.mean[0]
-        return self._estimate("variance", value, self.clusters.error(deviation**2 - value), self._power(2))
+        value, deviation = float(self.sums.variance[0]), self.clusters.values - self.sums.mean[0]
+        unit = self.unit if self.unit == "1" else f"{self.unit}^2"
+        return self._estimate("variance", value, self.clusters.error(deviation**2 - value), unit)
 
     @property
     def standard_deviation(self) -> Estimate:
@@ -154,8 +162,7 @@ class Distribution:
             ValueError: Unless `bins` is None, a whole number of at least 1, or bins that hold all values.
         """
         edges, counts = self._joined(bins)
-        place = np.searchsorted(edges, self.clusters.values, side="right") - 1
-        error = self.clusters.errors_of_shares(place, len(counts))
+        error = self.clusters.errors_of_shares(bin_of(self.clusters.values, edges), len(counts))
         width = np.diff(edges)
         return Histogram(edges, counts, counts / max(self.number, 1) / width, error / width, self.number, self.unit)
 
@@ -225,8 +232,7 @@ class Distribution:
         """Minus the logarithm of the share of each retained value's bin, (retained,), and its mean over all values."""
         share = counts / self.number
         each = -np.log(np.where(counts > 0, share, 1.0))
-        place = np.searchsorted(edges, self.clusters.values, side="right") - 1
-        return each[place], float(share @ each)
+        return each[bin_of(self.clusters.values, edges)], float(share @ each)
 
     def _joined(self, bins: int | CommonBins | None) -> tuple[np.ndarray, np.ndarray]:
         """Edges and counts of at most `bins` bins of equal width, or of the given ones, joined from the finest."""
@@ -242,12 +248,8 @@ class Distribution:
         bins = _checks.whole_number("bins", bins, maximum=_MOST_BINS)
         if self.number == 0:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
-        fine = self.bins.counts
-        together = joined_bins(len(fine), bins)
-        segments = -(-len(fine) // together)
-        counts = np.add.reduceat(fine, np.arange(0, len(fine), together))
-        numbers = self.bins.first[0] + together * np.arange(segments + 1)
-        return numbers * math.ldexp(1.0, self.bins.exponent[0]), counts
+        (edges,), counts = joined(self.bins, bins)
+        return edges, counts
 
     def _value_at(self, share: float) -> float:
         counts, edges = self.bins.counts, self.bins.edges()
@@ -260,10 +262,10 @@ class Distribution:
         value = edges[place] + inside * (edges[place + 1] - edges[place])
         return float(np.clip(value, self.smallest, self.largest))
 
-    def _power(self, power: int) -> str:
-        return self.unit if self.unit == "1" else f"{self.unit}^{power}"
-
     def _estimate(self, name: str, value: float, error: float, unit: str | None = None) -> Estimate:
+        """An estimate, which is not known where there is no value."""
+        if self.number == 0:
+            value, error = math.nan, math.nan
         unit = self.unit if unit is None else unit
         return Estimate(f"{name} of {self.name}", value, error, unit, self.samples, self.origin)
 
@@ -288,6 +290,22 @@ class Distribution:
         lines = [f"{self.name}: {self.number:,} values in {self.samples:,} samples"]
         lines += [f"  {name}: {number}" for name, number in self._told()]
         return "\n".join([*lines, f"  from {self.smallest:.6g} to {self.largest:.6g} {self.unit}".removesuffix(" 1")])
+
+
+def joined(fine: DyadicCounts, most: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """The edges along each axis, and the counts, of at most `most` bins of equal width along it, joined from `fine`."""
+    counts, edges = fine.counts, []
+    for axis, size in enumerate(fine.counts.shape):
+        together = joined_bins(size, most)
+        counts = np.add.reduceat(counts, np.arange(0, size, together), axis=axis)
+        numbers = fine.first[axis] + together * np.arange(counts.shape[axis] + 1)
+        edges.append(numbers * math.ldexp(1.0, fine.exponent[axis]))
+    return edges, counts
+
+
+def bin_of(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """The bin of each value between increasing `edges`, a value on an edge in the bin above; -1 below all bins."""
+    return np.searchsorted(edges, values, side="right") - 1
 
 
 def default_bins(is_whole: bool) -> int:

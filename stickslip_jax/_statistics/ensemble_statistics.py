@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Hashable, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +19,7 @@ from .accumulator import Numbering, StickAccumulator
 from .clusters import Clusters
 from .distribution import Distribution
 from .estimate import Estimate
-from .joint import JointDistribution, pearson_of
+from .joint import JointDistribution
 from .labeled import dataset_of_statistics
 from .orders import NAMES, ByQuantity, OrderStatistics
 from .quantities import (
@@ -30,8 +30,11 @@ from .quantities import (
     SAMPLE_QUANTITIES,
     SLIP_AFTER,
     SLIP_AFTER_START,
+    SLIP_COUNT,
     SLIP_DURATION,
     SLIP_QUANTITIES,
+    STICK_COUNT,
+    STICK_FRACTION,
     STICK_QUANTITIES,
     STREAMED_PAIRS,
     SampledQuantity,
@@ -46,19 +49,18 @@ if TYPE_CHECKING:
     import xarray
 
 
-def statistics_of_ensemble(ensemble: Any) -> "EnsembleStatistics":
+def statistics_of_ensemble(ensemble: object) -> "EnsembleStatistics":
     """All statistics of an ensemble that was simulated with ``keep="statistics"`` or ``"sticks"``.
 
     Raises:
         ValueError: For any other argument.
     """
-    ensemble = require_ensemble(ensemble)
-    sticks = ensemble.finished_sticks()  # refuses an ensemble that has none
-    position = ensemble.system.stick_position.unit
+    many = require_ensemble(ensemble)
+    sticks = many.finished_sticks()  # refuses an ensemble that has none
+    position = many.system.stick_position.unit
     return EnsembleStatistics(
-        ensemble.accumulator, sticks, ensemble.retained.totals, ensemble.t1, position, ensemble.numbering,
-        origin_of(ensemble),
-    )  # fmt: skip
+        many.accumulator, sticks, many.retained.totals, many.t1, position, many.numbering, origin_of(many)
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -149,24 +151,23 @@ class EnsembleStatistics(ByQuantity):
     @cached_property
     def stick_count(self) -> Distribution:
         """Number of sticks of each sample."""
-        return self._of_samples("stick_count")
+        return self._of_samples(STICK_COUNT, self._total("stick_count"))
 
     @cached_property
     def slip_count(self) -> Distribution:
         """Number of slips of each sample."""
-        return self._of_samples("slip_count")
+        return self._of_samples(SLIP_COUNT, self._total("slip_count"))
 
     @cached_property
     def stick_fraction(self) -> Distribution:
         """Share of ``[0, t1]`` that each sample spends sticking."""
-        return self._of_samples("stick_fraction")
+        return self._of_samples(STICK_FRACTION, self._total("stick_time") / self.t1)
 
     @cached_property
     def own_mean_duration(self) -> Distribution:
         """The mean stick duration of each sample that has sticks, s. Its mean is the mean of realisation means."""
-        names = ("stick_time", "stick_count", "rest_time", "rest_count")
-        time, count, rest_time, rest_count = (self.totals[:, TOTALS.index(name)] for name in names)
-        time, count = time - rest_time, count - rest_count
+        time = self._total("stick_time") - self._total("rest_time")
+        count = self._total("stick_count") - self._total("rest_count")
         has = count > 0
         clusters = self._clusters(time[has] / count[has], np.flatnonzero(has))
         accumulator = self.accumulator
@@ -305,31 +306,24 @@ class EnsembleStatistics(ByQuantity):
                 tables.append((caption, (body, "samples that have it", *heads), rows))
         return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
 
-    def __repr__(self) -> str:
-        return repr(self._summary)
-
-    def _repr_html_(self) -> str:
-        return self._summary._repr_html_()
-
     def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:
         """Histogram and correlation of a pair and whether they were summed over all samples."""
         if (x, y) == FIRST_TWO:
-            return self.accumulator.first_two_bins, pearson_of(self.accumulator.first_two, 0, 1), True
+            return self.accumulator.first_two_bins, float(self.accumulator.first_two.correlation[0, 1]), True
         if (x, y) in STREAMED_PAIRS:
-            columns = (NAMES.index(x), NAMES.index(y))
             bins = self.accumulator.pair_bins[STREAMED_PAIRS.index((x, y))]
-            return bins, pearson_of(self.accumulator.sticks, *columns), True
+            return bins, float(self.accumulator.sticks.correlation[NAMES.index(x), NAMES.index(y)]), True
         return None, None, False
 
-    def _of_samples(self, name: str) -> Distribution:
-        index = [quantity.name for quantity in SAMPLE_QUANTITIES].index(name)
-        if name == "stick_fraction":
-            values = self.totals[:, TOTALS.index("stick_time")] / self.t1
-        else:
-            values = self.totals[:, TOTALS.index(name)]
-        clusters = self._clusters(values, np.arange(len(values)))
+    def _total(self, name: str) -> np.ndarray:
+        """One of the `TOTALS` of each retained sample."""
+        return self.totals[:, TOTALS.index(name)]
+
+    def _of_samples(self, quantity: SampledQuantity, values: np.ndarray) -> Distribution:
+        """The distribution of one of the `SAMPLE_QUANTITIES`, which has these `values` in the retained samples."""
+        index, clusters = SAMPLE_QUANTITIES.index(quantity), self._clusters(values, np.arange(len(values)))
         bins = self.accumulator.sample_bins[index]
-        return self._distribution(SAMPLE_QUANTITIES[index], self.accumulator.samples, bins, clusters, index=index)
+        return self._distribution(quantity, self.accumulator.samples, bins, clusters, index=index)
 
     def _distribution(
         self, quantity: SampledQuantity, sums: PowerSums, bins: DyadicCounts, clusters: Clusters, *, index: int = 0,
@@ -340,14 +334,9 @@ class EnsembleStatistics(ByQuantity):
         own = PowerSums(
             sums.number, sums.mean[one], sums.scatter[one, one], sums.third[one], sums.smallest[one], sums.largest[one]
         )
-        number = int(sums.number)
-        ends = (float(own.smallest[0]), float(own.largest[0])) if number else (np.nan, np.nan)
-        round_off = self._round_off(np.asarray(ends) if number else np.zeros(0))
         label, unit = label or quantity.label, self.unit_of(quantity)
-        whole = quantity.is_whole
-        return Distribution(
-            label, unit, number, self.samples, *ends, own, bins, clusters, round_off, whole, self.origin
-        )
+        round_off = self._round_off(np.concatenate([own.smallest, own.largest]) if sums.number else np.zeros(0))
+        return Distribution(label, unit, self.samples, own, bins, clusters, round_off, quantity.is_whole, self.origin)
 
     def _round_off(self, values: np.ndarray) -> float:
         """Differences up to this may be round-off: times are differences of instants up to ``t1``."""
@@ -368,7 +357,7 @@ class EnsembleStatistics(ByQuantity):
         return np.asarray(getattr(self.sticks, name), np.float64)
 
 
-def _stick_value(argument: str, value: Any) -> tuple[SampledQuantity, int | None]:
+def _stick_value(argument: str, value: object) -> tuple[SampledQuantity, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
     name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
     if not (isinstance(name, str) and name in BY_NAME):

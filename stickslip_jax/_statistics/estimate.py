@@ -5,7 +5,7 @@ import html
 import math
 import operator
 from collections.abc import Callable, Hashable, Mapping
-from typing import Any, NamedTuple, SupportsFloat, TypeGuard
+from typing import NamedTuple, SupportsFloat, TypeGuard
 
 import numpy as np
 
@@ -149,17 +149,6 @@ class Estimate:
         return f"{format_with_error(self.value, self.standard_error)}{unit}"
 
 
-def estimate_by(statistic: Callable[[Any], object], ensemble: object) -> Estimate:
-    """What `statistic` estimates. Raises ValueError if that is no `Estimate`."""
-    found = statistic(ensemble)
-    if not isinstance(found, Estimate):
-        raise ValueError(
-            "Argument statistic must be a function that returns an Estimate, such as stick_fraction or "
-            f"mean_stick_duration, but it returned {_checks.show(found)}."
-        )
-    return found
-
-
 def check_level(level: float) -> None:
     """Raise ValueError unless ``0 < level < 1``."""
     _checks.numeric("level", level)
@@ -177,13 +166,14 @@ def format_with_error(value: float, error: float) -> str:
     return f"{value:.{decimals}f} +- {error:.{decimals}f}"
 
 
-def _is_number(other: Any) -> TypeGuard[SupportsFloat]:
+def _is_number(other: object) -> TypeGuard[SupportsFloat]:
     """Whether an estimate can be computed with `other`: an estimate, or a real number that JAX does not trace."""
     if isinstance(other, Estimate):
         return True
-    if isinstance(other, (bool, str, bytes)) or other is None or _checks.is_traced(other) or np.ndim(other) > 0:
+    if isinstance(other, (bool, str, bytes)) or other is None or _checks.is_traced(other):
         return False
-    return np.asarray(other).dtype.kind in "iuf"
+    array = np.asarray(other)
+    return array.ndim == 0 and array.dtype.kind in "iuf"
 
 
 def _inside(other: SupportsFloat) -> str:

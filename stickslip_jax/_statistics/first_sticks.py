@@ -57,11 +57,5 @@ def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> 
         filled[mask] = values[at]
         return filled
 
-    duration = sticks.end - sticks.start
-    return FirstSticks(
-        fill(sticks.start, np.nan),
-        fill(duration, np.nan),
-        fill(sticks.position, np.nan),
-        fill(sticks.ending, -1),
-        mask,
-    )
+    start, duration, position = (fill(values, np.nan) for values in (sticks.start, sticks.duration, sticks.position))
+    return FirstSticks(start, duration, position, fill(sticks.ending, -1), mask)

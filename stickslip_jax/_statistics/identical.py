@@ -134,7 +134,6 @@ def _pair(a: int, b: int, first: np.ndarray, second: np.ndarray) -> HypothesisTe
     with warnings.catch_warnings():
         # Where round-off takes an exact p-value above 1, scipy warns and takes the limiting one, also about 1.
         warnings.simplefilter("ignore", RuntimeWarning)
-        found: Any = stats.ks_2samp(first, second, method=method)
-    distance, sizes = float(found.statistic), (len(first), len(second))
-    name = f"Kolmogorov-Smirnov, orders {a} and {b}"
-    return HypothesisTest(name, distance, float(found.pvalue), distance, "distance", sizes=sizes)
+        distance, p_value = np.asarray(stats.ks_2samp(first, second, method=method), float).tolist()
+    name, sizes = f"Kolmogorov-Smirnov, orders {a} and {b}", (len(first), len(second))
+    return HypothesisTest(name, distance, p_value, distance, "distance", sizes=sizes)

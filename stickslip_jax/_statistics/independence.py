@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -133,7 +133,7 @@ class _Pairs(NamedTuple):
 
 
 def _pairs(
-    source: StickSource, quantities: tuple[Any, Any], lag: int, first: int, starts_before: float | None
+    source: StickSource, quantities: tuple[str, str], lag: int, first: int, starts_before: float | None
 ) -> tuple[_Pairs, tuple[str, ...], int]:
     """The pairs, remarks on the values that were used and left out, and the number of those that were used."""
     alike = quantities[0] == quantities[1]
@@ -165,9 +165,8 @@ def _spearman(early: np.ndarray, late: np.ndarray, names: str) -> HypothesisTest
     name, sizes = f"Spearman, {names}", (len(early),)
     if reason := _too_few(early, late):
         return HypothesisTest(name, sizes=sizes, reason=reason)
-    found: Any = stats.spearmanr(early, late)
-    correlation = float(found.statistic)
-    return HypothesisTest(name, correlation, float(found.pvalue), correlation, "rank correlation", sizes=sizes)
+    correlation, p_value = np.asarray(stats.spearmanr(early, late), float).tolist()
+    return HypothesisTest(name, correlation, p_value, correlation, "rank correlation", sizes=sizes)
 
 
 def _chi_square(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> HypothesisTest:
@@ -179,9 +178,9 @@ def _chi_square(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) ->
     name = f"Chi-square, {shape} quantile bins"
     if min(table.shape) < 2:
         return HypothesisTest(name, sizes=sizes, reason=f"a cell would expect fewer than {FEWEST_EXPECTED}")
-    found: Any = stats.chi2_contingency(table, correction=False)
-    cramer = math.sqrt(found.statistic / (table.sum() * (min(table.shape) - 1)))
-    return HypothesisTest(name, float(found.statistic), float(found.pvalue), cramer, "Cramer's V", sizes=sizes)
+    statistic, p_value = np.asarray(stats.chi2_contingency(table, correction=False)[:2], float).tolist()
+    cramer = math.sqrt(statistic / (table.sum() * (min(table.shape) - 1)))
+    return HypothesisTest(name, statistic, p_value, cramer, "Cramer's V", sizes=sizes)
 
 
 def _table(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> np.ndarray:

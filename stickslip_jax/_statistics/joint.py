@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .. import _checks
-from .._numerics.dyadic import DyadicCounts, joined_bins
+from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .atoms import Atoms, atoms_of
 from .clusters import Clusters
+from .distribution import bin_of, joined
 from .estimate import Estimate
 
 _MOST_BINS = 128
@@ -99,8 +100,7 @@ class JointDistribution:
 
     def share_of_atoms(self, bins: int) -> Float[np.ndarray, "x_bins y_bins"]:
         """The share of the retained pairs of each cell of ``histogram(bins)`` that are atoms."""
-        x_edges, y_edges, counts = self._joined(self._checked(bins))
-        cell, inside = self._cells(x_edges, y_edges)
+        _, counts, cell, inside = self._binned(bins)
         every, atoms = (
             np.bincount(cell[chosen], minlength=counts.size) for chosen in (inside, inside & self.atoms.of_pair)
         )
@@ -120,8 +120,7 @@ class JointDistribution:
         Raises:
             ValueError: Unless `bins` is a whole number from 1 to 128.
         """
-        x_edges, y_edges, counts = self._joined(self._checked(bins))
-        cell, _ = self._cells(x_edges, y_edges)
+        (x_edges, y_edges), counts, cell, _ = self._binned(bins)
         errors = self.x.errors_of_shares(cell, counts.size).reshape(counts.shape)
         area = np.diff(x_edges)[:, None] * np.diff(y_edges)
         density = counts / max(counts.sum(), 1) / area
@@ -134,7 +133,7 @@ class JointDistribution:
         """Pearson's correlation coefficient."""
         value = self.streamed_correlation
         if value is None:
-            value = pearson_of(PowerSums.of(self.x.values, self.y.values), 0, 1)
+            value = float(PowerSums.of(self.x.values, self.y.values).correlation[0, 1])
         if math.isnan(value) or self.retained < 2:
             return self._estimate("Pearson correlation", value, math.nan)
         x, y = (_standardized(column.values) for column in (self.x, self.y))
@@ -165,7 +164,7 @@ class JointDistribution:
         Raises:
             ValueError: As `histogram`.
         """
-        x_edges, y_edges, counts = self._joined(self._checked(bins))
+        _, counts, cell, inside = self._binned(bins)
         name = f"mutual information in {counts.shape[0]} x {counts.shape[1]} bins"
         if counts.sum() == 0:
             return self._estimate(name, math.nan, math.nan, "nat")
@@ -173,7 +172,6 @@ class JointDistribution:
         product = share.sum(axis=1, keepdims=True) * share.sum(axis=0)
         gain = np.log(np.where(share > 0, share, 1.0) / np.where(share > 0, product, 1.0))
         value = float((share * gain).sum())
-        cell, inside = self._cells(x_edges, y_edges)
         return self._estimate(name, value, self.x.error(np.where(inside, gain.reshape(-1)[cell] - value, 0)), "nat")
 
     def conditional_mean(self, bins: int = 20) -> ConditionalMeans:
@@ -186,7 +184,7 @@ class JointDistribution:
         x, y = self.x.values, self.y.values
         span = (x.min(), x.max()) if len(x) else (0.0, 1.0)
         edges = np.linspace(span[0], span[1] if span[1] > span[0] else span[0] + 1, bins + 1)
-        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
+        place = np.clip(bin_of(x, edges), 0, bins - 1)
         counts = np.bincount(place, minlength=bins)
         filled = counts > 0
         mean = np.full(bins, np.nan)
@@ -204,33 +202,21 @@ class JointDistribution:
         Raises:
             ValueError: As `histogram`.
         """
-        x_edges, y_edges, counts = self._joined(self._checked(bins))
-        return self._cells(x_edges, y_edges)[0], counts.size
+        _, counts, cell, _ = self._binned(bins)
+        return cell, counts.size
 
-    def _checked(self, bins: int) -> int:
-        if _checks.whole_number("bins", bins) > _MOST_BINS:
-            raise ValueError(f"Argument bins must be at most {_MOST_BINS}, but {_checks.show(bins)} was given.")
-        return int(bins)
-
-    def _joined(self, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Edges along x and y, and counts, of at most `bins` bins along each axis, joined from the finest ones."""
-        counts, edges = self._fine.counts, []
-        if counts.size == 0:
-            return np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.zeros((1, 1), np.int64)
-        for axis in (0, 1):
-            size = counts.shape[axis]
-            together = joined_bins(size, bins)
-            counts = np.add.reduceat(counts, np.arange(0, size, together), axis=axis)
-            numbers = self._fine.first[axis] + together * np.arange(counts.shape[axis] + 1)
-            edges.append(numbers * math.ldexp(1.0, self._fine.exponent[axis]))
-        return *edges, counts
-
-    def _cells(self, x_edges: np.ndarray, y_edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The index of each retained pair's cell, 0 if it lies in none, and whether it lies in one."""
-        x = np.searchsorted(x_edges, self.x.values, side="right") - 1
-        y = np.searchsorted(y_edges, self.y.values, side="right") - 1
-        inside = (x >= 0) & (x < len(x_edges) - 1) & (y >= 0) & (y < len(y_edges) - 1)
-        return np.where(inside, x * (len(y_edges) - 1) + y, 0), inside
+    def _binned(self, bins: int) -> tuple[list[np.ndarray], np.ndarray, np.ndarray, np.ndarray]:
+        """At most `bins` bins along x and y: their edges, the counts of the cells, the cell of each retained pair (0 if
+        it lies in none), and whether it lies in one.
+        """
+        bins = _checks.whole_number("bins", bins, maximum=_MOST_BINS)
+        if self._fine.counts.size == 0:
+            edges, counts = [np.array([0.0, 1.0])] * 2, np.zeros((1, 1), np.int64)
+        else:
+            edges, counts = joined(self._fine, bins)
+        x, y = (bin_of(own.values, ends) for own, ends in zip((self.x, self.y), edges, strict=True))
+        inside = (x >= 0) & (x < counts.shape[0]) & (y >= 0) & (y < counts.shape[1])
+        return edges, counts, np.where(inside, x * counts.shape[1] + y, 0), inside
 
     def _estimate(self, name: str, value: float, error: float, unit: str = "1") -> Estimate:
         samples = self.x.of_all
@@ -242,11 +228,6 @@ class JointDistribution:
         lines = [f"{self.names[0]} and {self.names[1]}: {self.number:,} pairs"]
         shown = (self.correlation, self.rank_correlation, self.mutual_information())
         return "\n".join([*lines, *(f"  {one.name.partition(' of ')[0]}: {one.without_name()}" for one in shown)])
-
-
-def pearson_of(sums: PowerSums, x: int, y: int) -> float:
-    """Pearson's correlation of the components `x` and `y` of vectors; NaN where one does not vary."""
-    return float(sums.correlation[x, y])
 
 
 def _standardized(values: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Statistics of the i-th stick, or of the i-th slip, of each sample."""
 
+import abc
 import dataclasses
 import math
 from collections.abc import Hashable, Mapping
@@ -12,10 +13,21 @@ from .summary import Summary, summary_of_distributions
 NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
-class ByQuantity:
+class ByQuantity(abc.ABC):
     """Gives the distribution of each quantity of sticks, or of slips, as an attribute of its name without "slip_"."""
 
     distributions: Mapping[str, Distribution]
+
+    @property
+    @abc.abstractmethod
+    def _summary(self) -> Summary:
+        """The tables that show it."""
+
+    def __repr__(self) -> str:
+        return repr(self._summary)
+
+    def _repr_html_(self) -> str:
+        return self._summary._repr_html_()
 
     def __getattr__(self, name: str) -> Distribution:
         if name in NAMES:
@@ -53,12 +65,6 @@ class OrderStatistics(ByQuantity):
         error = math.sqrt(share * (1 - share) / (samples - 1)) if samples > 1 else math.nan
         label = f"share of samples that have a {ordinal(number)} {body}"
         return cls(number, Estimate(label, share, error, "1", samples, origin), distributions)
-
-    def __repr__(self) -> str:
-        return repr(self._summary)
-
-    def _repr_html_(self) -> str:
-        return self._summary._repr_html_()
 
     @property
     def _summary(self) -> Summary:

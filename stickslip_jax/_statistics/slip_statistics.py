@@ -1,7 +1,6 @@
 """The statistics of the slips of an ensemble: when they begin and how long they last, of all and by order."""
 
 import dataclasses
-import math
 from collections.abc import Hashable
 from functools import cached_property
 
@@ -14,13 +13,13 @@ from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .clusters import Clusters
 from .distribution import BINS, Distribution
-from .orders import OrderStatistics
-from .quantities import SLIP_DURATION, SLIP_QUANTITIES, SLIP_START, SampledQuantity
+from .orders import ByQuantity, OrderStatistics
+from .quantities import SLIP_QUANTITIES, SampledQuantity
 from .summary import Summary, summary_of_distributions
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class SlipStatistics:
+class SlipStatistics(ByQuantity):
     """Statistics of the slips of the retained samples, those cut by the horizon with the part before it.
 
     `start`, `duration`: each the `Distribution` over all slips, s. `order(i)`: of the i-th slip of each sample. The
@@ -35,14 +34,10 @@ class SlipStatistics:
     origin: Hashable
 
     @cached_property
-    def start(self) -> Distribution:
-        """When the slips begin, s."""
-        return self._distribution(SLIP_START, SLIP_START.label, np.ones(len(self._slips.start), bool))
-
-    @cached_property
-    def duration(self) -> Distribution:
-        """How long the slips last, s."""
-        return self._distribution(SLIP_DURATION, SLIP_DURATION.label, np.ones(len(self._slips.start), bool))
+    def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
+        """The distribution over all slips of each of the `SLIP_QUANTITIES`, by name."""
+        every = np.ones(len(self._slips.start), bool)
+        return {one.name: self._distribution(one, one.label, every) for one in SLIP_QUANTITIES}
 
     def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
@@ -58,21 +53,14 @@ class SlipStatistics:
         """The distribution of a quantity of the `chosen` slips."""
         column = getattr(self._slips, quantity.name.removeprefix("slip_"))
         values, samples = np.asarray(column, np.float64)[chosen], len(self.sticks.count)
-        ends = (float(values.min()), float(values.max())) if len(values) else (math.nan, math.nan)
         assert quantity.unit is not None
         return Distribution(
-            label, quantity.unit, len(values), samples, *ends, PowerSums.of(values), DyadicCounts.of(values, BINS),
+            label, quantity.unit, samples, PowerSums.of(values), DyadicCounts.of(values, BINS),
             Clusters(values, self._slips.sample[chosen], samples, samples),
             4 * float(np.finfo(column.dtype).eps) * self.t1, quantity.is_whole, self.origin,
         )  # fmt: skip
 
-    def __repr__(self) -> str:
-        return repr(self._summary)
-
-    def _repr_html_(self) -> str:
-        return self._summary._repr_html_()
-
     @property
     def _summary(self) -> Summary:
         title = f"Slips of {len(self.sticks.count):,} samples on [0, {self.t1:g}] s"
-        return summary_of_distributions(title, [self.start, self.duration])
+        return summary_of_distributions(title, list(self.distributions.values()))

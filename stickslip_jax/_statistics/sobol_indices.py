@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from itertools import combinations
+from types import EllipsisType
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 
 from .. import _checks
 from .._uncertainty.design import Design
-from .conventions import labeled_dataset, variable
+from .conventions import Entries, labeled_dataset, variable
 from .estimate import check_level
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class SobolIndices:
             ImportError: If xarray is not installed.
         """
         last = ("output",) if self.outputs else ()
-        variables: dict[str, Any] = {}
+        variables: Entries = {}
         for name, meaning in (("first", "first-order"), ("total", "total"), ("second", "second-order")):
             if getattr(self, name) is None:
                 continue
@@ -70,7 +71,7 @@ class SobolIndices:
             ):  # fmt: skip
                 values, about = getattr(self, name + suffix), f"{meaning} Sobol' index{what}"
                 variables[name + suffix] = variable((*ends, *inputs, *last), values, about)
-        coordinates: dict[str, Any] = {"factor": list(self.factors), "interval_end": ["low", "high"]}
+        coordinates: Entries = {"factor": list(self.factors), "interval_end": ["low", "high"]}
         if self.second is not None:
             coordinates["other_factor"] = list(self.factors)
         if last:
@@ -91,24 +92,23 @@ class SobolIndices:
             lines.append(f"and {len(self.outputs) - _SHOWN} more outputs")
         return "\n".join(lines)
 
-    def _table(self, of: Any) -> list[str]:
+    def _table(self, of: EllipsisType | tuple[EllipsisType, int]) -> list[str]:
         """The lines that show one output; `of`: its place in the last dimension."""
         pairs = list(combinations(range(len(self.factors)), 2)) if self.second is not None else []
         labels = [*self.factors, *(f"{self.factors[i]}, {self.factors[j]}" for i, j in pairs)]
         width = max(len(label) for label in labels)
 
-        def cell(index: Any, interval: Any, at: Any) -> str:
-            (low, high), value = interval[of][(slice(None), *at)], index[of][at]
+        def cell(kind: str, at: tuple[int, ...]) -> str:
+            (low, high), value = getattr(self, f"{kind}_interval")[of][(slice(None), *at)], getattr(self, kind)[of][at]
             return f"{value:7.4f} [{low:7.4f}, {high:7.4f}]"
 
         lines = [f"{'':{width}}  {'first-order':26}  total"]
         for at, name in enumerate(self.factors):
-            first = cell(self.first, self.first_interval, (at,))
-            lines.append(f"{name:{width}}  {first}  {cell(self.total, self.total_interval, (at,))}")
+            lines.append(f"{name:{width}}  {cell('first', (at,))}  {cell('total', (at,))}")
         if pairs:
             lines.append(f"{'':{width}}  second-order")
             for label, pair in zip(labels[len(self.factors) :], pairs, strict=True):
-                lines.append(f"{label:{width}}  {cell(self.second, self.second_interval, pair)}")
+                lines.append(f"{label:{width}}  {cell('second', pair)}")
         return lines
 
 
@@ -239,7 +239,8 @@ def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None,
     if isinstance(outputs, Mapping) or (hasattr(outputs, "items") and hasattr(outputs, "columns")):
         pairs = list(outputs.items())
         names = tuple(str(name) for name, _ in pairs)
-        given = np.stack([np.asarray(one) for _, one in pairs], axis=1) if _stackable(pairs) else None
+        shapes = {np.shape(one) for _, one in pairs}
+        given = np.stack([np.asarray(one) for _, one in pairs], axis=1) if [len(one) for one in shapes] == [1] else None
     try:
         is_yes_or_no = isinstance(given, (np.ndarray, jax.Array)) and given.dtype == bool
         array = np.asarray(given) if is_yes_or_no else _checks.numbers("outputs", given)
@@ -262,7 +263,3 @@ def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None,
     if names is None and array.ndim == 2:
         names = tuple(f"output {index}" for index in range(array.shape[1]))
     return names, table
-
-
-def _stackable(pairs: list[tuple[Any, Any]]) -> bool:
-    return bool(pairs) and all(np.ndim(one) == 1 for _, one in pairs) and len({len(one) for _, one in pairs}) == 1

@@ -48,16 +48,8 @@ def summary_of_distributions(title: str, distributions: Sequence[Distribution]) 
 
 def _row(of: Distribution) -> tuple[str, ...]:
     unit = "" if of.unit == "1" else f" ({of.unit})"
-    numbers = (
-        of.mean,
-        of.standard_deviation,
-        of.quantile(0.05),
-        of.median,
-        of.quantile(0.95),
-        of.skewness,
-        of.entropy(),
-    )
-    return (f"{of.name}{unit}", shown(numbers[0]), *(_value(one) for one in numbers[1:]), f"{of.number:,}")
+    others = (of.standard_deviation, of.quantile(0.05), of.median, of.quantile(0.95), of.skewness, of.entropy())
+    return (f"{of.name}{unit}", shown(of.mean), *map(_value, others), f"{of.number:,}")
 
 
 def shown(estimate: Estimate) -> str:

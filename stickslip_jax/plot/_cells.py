@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _checks
+from .._statistics.distribution import bin_of
 from .._statistics.joint import JointDistribution
 from . import _parts
 from ._stick_positions import PlacedSticks
@@ -60,8 +61,8 @@ def cells_of_pairs(joint: JointDistribution, bins: int) -> Cells:
     for axis, own in ((0, joint.x), (1, joint.y)):
         width = np.diff(edges[axis])
         share = drawn.counts.sum(axis=1 - axis) / max(drawn.number, 1)
-        place = np.searchsorted(edges[axis], own.values, side="right") - 1
-        sides.append(Side(share / width, own.errors_of_shares(place, len(width)) / width))
+        errors = own.errors_of_shares(bin_of(own.values, edges[axis]), len(width))
+        sides.append(Side(share / width, errors / width))
     atoms = joint.share_of_atoms(bins)
     density = np.ma.masked_where((drawn.counts == 0) | (atoms == 1), drawn.density * (1 - atoms))
     label = _parts.counted(drawn.number, "pair") if drawn.number else "no pairs"

@@ -41,8 +41,7 @@ def convergence(result: Convergence | HistogramConvergence, *, level: float = 0.
         _draw_estimates(ax, result, level)
     else:
         _draw_distances(ax, result)
-    if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=1)
+    _style.legend_above(ax, columns=1)
     return ax
 
 

@@ -196,8 +196,7 @@ def _draw_all(
         _style.log_axis(axis)
     if any(np.any(np.isfinite(one.low)) for one in curves.curves):
         _explain(ax, uncertainty, level)
-    if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=2)
+    _style.legend_above(ax, columns=2)
 
 
 def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: bool) -> bool:

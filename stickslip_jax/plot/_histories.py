@@ -1,15 +1,18 @@
 """The state and what drives it against time."""
 
+from collections.abc import Callable
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
 from .._excitation.ground import GroundMotion
+from .._excitation.voltage import SourceVoltage
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
-from ._excitations import drive_of
-from ._trajectory import Phase, check_simulation, check_window, joined, phases_of, values_of
+from ._trajectory import Phase, check_simulation, check_window, ground_acceleration, joined, phases_of, values_of
 from ._types import SeveralAxes, Window
 
 _LONG = 12  # letters: after a longer name the symbol goes into a second line
@@ -50,7 +53,7 @@ def time_history(
     window = check_window(window, float(result.t1))
     coordinates = result.system.coordinates
     whose = "\nrelative to ground" if isinstance(result.base, GroundMotion) else ""
-    names, drive = tuple(coordinate.name for coordinate in coordinates), drive_of(result)
+    names, (drive_label, drive) = tuple(coordinate.name for coordinate in coordinates), _drive_of(result)
     if drive is not None and (axes is None or len(_style.axes_in(axes)) == len(names) + 1):
         names = (*names, "excitation")
     panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
@@ -63,12 +66,21 @@ def time_history(
         panels[number].set_ylabel(_label(coordinate, result.system.sticks_at_base_velocity and number == 1) + whose)
     if drive is not None and len(panels) > len(coordinates):
         times = np.concatenate([phase.times for phase in phases])
-        panels[-1].plot(times, np.asarray(drive.value(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
-        panels[-1].set_ylabel(drive.label)
+        panels[-1].plot(times, np.asarray(drive(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
+        panels[-1].set_ylabel(drive_label)
     for panel in panels:
         _style.time_axis(panel, window)
     _style.legend_above(*panels, columns=4)
     return panels
+
+
+def _drive_of(one: Simulation) -> tuple[str, Callable[[jax.Array], jax.Array] | None]:
+    """What drives the system besides the velocity of its base: the name of its axis, and its value; None if nothing."""
+    if isinstance(one.base, SourceVoltage):
+        return "voltage (V)", one.base.value
+    if isinstance(one.base, GroundMotion) and (acceleration := ground_acceleration(one.base)) is not None:
+        return "ground\nacceleration (m/s$^2$)", acceleration
+    return "force (N)", getattr(getattr(one.system, "force", None), "value", None)
 
 
 def _label(coordinate: Coordinate, holds_base: bool) -> str:

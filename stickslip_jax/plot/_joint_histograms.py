@@ -116,9 +116,7 @@ def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
         norm = LogNorm() if log else Normalize(vmin=0)
         mesh = main.pcolormesh(*cells.edges, cells.density.T, cmap="viridis_r", norm=norm, rasterized=True)
         main.plot([], [], ls="none", marker="s", color=mesh.cmap(0.5), label=cells.label)
-        figure = main.get_figure(root=True)
-        assert figure is not None
-        figure.colorbar(mesh, ax=list(panels), label=_parts.density_label(*cells.units))
+        _style.figure_of(main).colorbar(mesh, ax=list(panels), label=_parts.density_label(*cells.units))
     for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
         label = _parts.density_label(cells.units[axis]).replace(" density", "\ndensity")
         ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
@@ -156,8 +154,7 @@ def _finished(panels: tuple[Axes, ...], cells: Cells) -> tuple[Axes, ...]:
         right.set_ylim(main.get_ylim())
         above.set_ylim(bottom=0)
         right.set_xlim(left=0)
-    if _parts.has_labels(main):
-        _style.legend_above(*others[:1], main, columns=1)
+    _style.legend_above(*others[:1], main, columns=1)
     return panels
 
 

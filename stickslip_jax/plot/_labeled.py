@@ -1,12 +1,16 @@
 """What figures read from labelled arrays of xarray: values, their standard errors, coordinates, names and units."""
 
 import sys
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 import numpy as np
 
 from .. import _checks
 from . import _parts
+from ._types import LabeledData
+
+if TYPE_CHECKING:
+    import xarray
 
 
 class Labeled(NamedTuple):
@@ -24,13 +28,15 @@ class Labeled(NamedTuple):
     units: tuple[str, ...]
 
 
-def is_labeled(value: object) -> bool:
+def is_labeled(value: object) -> TypeGuard[LabeledData]:
     """Whether `value` is a DataArray or Dataset of xarray, which need not be installed."""
     xarray = sys.modules.get("xarray")
     return xarray is not None and isinstance(value, (xarray.DataArray, xarray.Dataset))
 
 
-def labeled(data: Any, name: Any, errors: Any, dimensions: tuple[int, ...], along: str | None = None) -> Labeled:
+def labeled(
+    data: LabeledData, name: object, errors: object, dimensions: tuple[int, ...], along: str | None = None
+) -> Labeled:
     """Read a DataArray, or the variable `name` of a Dataset.
 
     - `errors`: its standard errors, an array of its shape; of a Dataset the name of a variable, by default that named
@@ -71,7 +77,7 @@ def labeled(data: Any, name: Any, errors: Any, dimensions: tuple[int, ...], alon
     )
 
 
-def _variables(data: Any, name: Any, errors: Any) -> tuple[Any, Any]:
+def _variables(data: Any, name: object, errors: object) -> "tuple[xarray.DataArray, object]":
     """The array of values, and that of errors or None."""
     if not hasattr(data, "data_vars"):
         if name is not None:
@@ -93,10 +99,10 @@ def _variables(data: Any, name: Any, errors: Any) -> tuple[Any, Any]:
     return data[name], data[errors] if isinstance(errors, str) else errors
 
 
-def _unit(one: Any) -> str:
+def _unit(one: "xarray.DataArray") -> str:
     return str(one.attrs.get("units", "")) or "1"
 
 
-def _label(one: Any) -> str:
+def _label(one: "xarray.DataArray") -> str:
     name = one.attrs.get("long_name", one.name)
     return _parts.quantity_label("" if name is None else str(name), _unit(one))

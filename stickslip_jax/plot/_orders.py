@@ -8,6 +8,7 @@ from .._ensemble.result import Ensemble
 from .._statistics.estimate import check_level
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
 from . import _parts, _style
+from ._sticks import require_ensemble
 
 _BOTTOM = 0.3  # of the height of the axes, for the shares
 
@@ -32,7 +33,7 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     Raises:
         ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
-    _parts.require("result", result, Ensemble, "the result of simulate_ensemble")
+    require_ensemble(result)
     of_slips = [one.name for one in SLIP_QUANTITIES]
     names = [*(one.name for one in STICK_QUANTITIES), *of_slips]
     if not (isinstance(quantity, str) and quantity in names):

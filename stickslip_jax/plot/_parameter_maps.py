@@ -1,7 +1,7 @@
 """A quantity over two parameters, as a map."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +13,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from .. import _checks
 from . import _parts, _style
-from ._labeled import Labeled, is_labeled, labeled
+from ._labeled import is_labeled, labeled
 from ._types import LabeledData, Numbers
 
 _GRAY = "#DDDDDD"
@@ -95,38 +95,33 @@ class _Map(NamedTuple):
 
 
 def _map_of(
-    x: Any, y: Any, values: Any, errors: Any, given: tuple[str | None, str | None, str | None], logs: tuple[bool, bool]
+    x: object, y: object, values: object, errors: object, given: tuple[str | None, ...], logs: tuple[bool, bool]
 ) -> _Map:
     """The map to draw, checked; `given`: names of the axes and of the values."""
     names = given
     if is_labeled(x):
-        found = _read(x, y, values, errors)
-        (x, y), values, errors = found.coordinates, found.values, found.errors
-        known = (found.axis_labels[0], found.axis_labels[1], found.label)
-        names = tuple(one if own is None else own for own, one in zip(given, known, strict=True))
+        if values is not None:
+            raise ValueError(
+                "Argument values must be left out with a labelled array, which holds them, but "
+                f"{_checks.show(values)} was given."
+            )
+        values, errors, (x, y), axis_labels, label, _ = labeled(x, y, errors, (2,))
+        names = tuple(one if own is None else own for own, one in zip(given, (*axis_labels, label), strict=True))
     for name, text in zip(("xlabel", "ylabel", "label"), names, strict=True):
         _checks.text(name, text)
-    x, y, values = _checked(x, y, values)
-    for name, centers, is_log in (("x", x, logs[0]), ("y", y, logs[1])):
+    across, up, array = _checked(x, y, values)
+    for name, centers, is_log in (("x", across, logs[0]), ("y", up, logs[1])):
         if is_log and centers[0] <= 0:
             raise ValueError(
                 f"Argument {name} must hold positive numbers on a logarithmic axis, but {centers[0]:g} is the first."
             )
-    errors = None if errors is None else _parts.checked_errors(errors, values)
-    edges, (across, up, colors) = (_edges(x, logs[0]), _edges(y, logs[1])), map(str, names)
-    return _Map((x, y), edges, logs, values, errors, (across, up, colors))
+    spread = None if errors is None else _parts.checked_errors(errors, array)
+    xlabel, ylabel, label = map(str, names)
+    edges = _edges(across, logs[0]), _edges(up, logs[1])
+    return _Map((across, up), edges, logs, array, spread, (xlabel, ylabel, label))
 
 
-def _read(x: Any, y: Any, values: Any, errors: Any) -> Labeled:
-    if values is not None:
-        raise ValueError(
-            "Argument values must be left out with a labelled array, which holds them, but "
-            f"{_checks.show(values)} was given."
-        )
-    return labeled(x, y, errors, (2,))
-
-
-def _norm(limits: Any, log: bool) -> Normalize:
+def _norm(limits: tuple[float | int, float | int] | None, log: bool) -> Normalize:
     """How values become colours."""
     kind = LogNorm if log else Normalize
     if limits is None:
@@ -156,20 +151,17 @@ def _draw(ax: Axes, grid: _Map, norm: Normalize, contours: bool, error_share: fl
         _set_axis(axis, edges, is_log)
     ax.set_xlabel(grid.names[0])
     ax.set_ylabel(grid.names[1])
-    if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=1)
+    _style.legend_above(ax, columns=1)
 
 
 def _draw_values(ax: Axes, grid: _Map, norm: Normalize, contours: bool) -> None:
     """The colours, their scale, and lines of equal values."""
     cells = np.ma.masked_invalid(grid.values).T
     mesh = ax.pcolormesh(*grid.edges, cells, cmap="viridis_r", norm=norm, rasterized=True)
-    figure = ax.get_figure(root=True)
-    assert figure is not None
     known = cells.compressed()
     sides = (known.min() < norm.vmin, known.max() > norm.vmax)
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(sides, "neither")
-    bar = figure.colorbar(mesh, ax=ax, label=grid.names[2], extend=extend)
+    bar = _style.figure_of(ax).colorbar(mesh, ax=ax, label=grid.names[2], extend=extend)
     if contours and np.nanmin(grid.values) < np.nanmax(grid.values):
         values, errors = grid.values, grid.errors
         if isinstance(norm, LogNorm):
@@ -214,21 +206,23 @@ def _slope(values: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.where(np.isnan(both), np.where(np.isnan(after), here - before, after - here), both))
 
 
-def _checked(x: Any, y: Any, values: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _checked(x: object, y: object, values: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The three arrays as floats. Raises ValueError for unsuitable ones."""
     for name, given in (("x", x), ("y", y)):
         _checks.numeric(name, given, ndim=1)
-        if len(given) < 2 or np.any(np.diff(np.asarray(given, float)) <= 0):
+        steps = np.diff(np.asarray(given, float))
+        if not len(steps) or np.any(steps <= 0):
             raise ValueError(
                 f"Argument {name} must hold two or more increasing numbers, but {_checks.show(given)} was given."
             )
+    across, up = np.asarray(x, float), np.asarray(y, float)
     array = _parts.numbers_or_gaps("values", values, 2)
-    if array.shape != (len(x), len(y)):
+    if array.shape != (len(across), len(up)):
         raise ValueError(
-            f"Argument values must have the shape (len(x), len(y)) = ({len(x)}, {len(y)}), but an array of shape "
+            f"Argument values must have the shape (len(x), len(y)) = ({len(across)}, {len(up)}), but an array of shape "
             f"{array.shape} was given."
         )
-    return np.asarray(x, float), np.asarray(y, float), array
+    return across, up, array
 
 
 def _edges(centers: np.ndarray, is_log: bool) -> np.ndarray:

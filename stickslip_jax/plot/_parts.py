@@ -15,15 +15,6 @@ ERROR_LOOK = {"color": _style.MASS, "elinewidth": 0.9, "capsize": 0}
 """How error bars look."""
 
 
-def require(name: str, value: object, kind: type, where: str) -> None:
-    """Raise ValueError unless the argument `name` is of this `kind`; `where` says in the message where there is one."""
-    if not isinstance(value, kind):
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise ValueError(
-            f"Argument {name} must be {article} {kind.__name__}, but {_checks.show(value)} was given; give {where}."
-        )
-
-
 def numbers_or_gaps(name: str, given: object, ndim: int) -> np.ndarray:
     """The argument `name` as an array of `ndim` dimensions, in which NaN is a gap. Raises ValueError for others."""
     finite = given
@@ -93,11 +84,6 @@ def whole_numbers(axis: Axis) -> None:
 def note(ax: Axes, text: str) -> None:
     """Write into empty axes why there is nothing to draw."""
     ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
-
-
-def has_labels(ax: Axes) -> bool:
-    """Whether there is anything to show in a legend."""
-    return bool(ax.get_legend_handles_labels()[1])
 
 
 def draw_histogram(

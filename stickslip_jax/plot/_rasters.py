@@ -7,6 +7,7 @@ from matplotlib.collections import PolyCollection
 from .. import _checks
 from .._ensemble.result import Ensemble
 from . import _parts, _style
+from ._sticks import require_ensemble
 from ._trajectory import check_window
 from ._types import Window
 
@@ -31,7 +32,7 @@ def stick_raster(result: Ensemble, *, samples: int = 100, window: Window | None 
     Raises:
         ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
-    _parts.require("result", result, Ensemble, "the result of simulate_ensemble")
+    require_ensemble(result)
     _checks.whole_number("samples", samples)
     begin, end = check_window(window, result.t1)
     every = result.finished_sticks()
@@ -54,6 +55,5 @@ def stick_raster(result: Ensemble, *, samples: int = 100, window: Window | None 
     _parts.whole_numbers(ax.yaxis)
     ax.set_xlabel("time $t$ (s)")
     ax.set_ylabel("realisation" if result.finished == result.samples else "realisation (of those that finished)")
-    if number:
-        _style.legend_above(ax, columns=1)
+    _style.legend_above(ax, columns=1)
     return ax

@@ -35,8 +35,7 @@ def save(
             "Argument axes must be a matplotlib Axes or hold several, as the figures here return them, but "
             f"{_checks.show(axes)} was given."
         )
-    figure = found[0].get_figure(root=True)
-    assert figure is not None
+    figure = _style.figure_of(found[0])
     try:
         known = tuple(f".{name}" for name in figure.canvas.get_supported_filetypes())
         path = file_to_write(path, known, overwrite=overwrite)

@@ -27,7 +27,12 @@ def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, 
     Raises:
         ValueError: For arguments of another kind, and if statistics or parameters differ.
     """
-    points = _checked_curve(results)
+    points = _checked(results)
+    parameters = {point.parameter for point in points}
+    if len(parameters) > 1:
+        raise ValueError(
+            f"Argument results must be of one parameter, but those of {', '.join(sorted(parameters))} were given."
+        )
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     values = np.array([point.parameter_value for point in points])
     order = np.argsort(values, kind="stable")
@@ -35,17 +40,9 @@ def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, 
         np.array([getattr(point, name) for point in points])[order]
         for name in ("derivative", "standard_error", "pathwise")
     )
-    values, half_width = values[order], _INTERVAL * errors
-    color = _style.SERIES[0]
-    ax.fill_between(
-        values,
-        derivatives - half_width,
-        derivatives + half_width,
-        color=color,
-        alpha=0.25,
-        lw=0,
-        label="95 % band",
-    )
+    values, color = values[order], _style.SERIES[0]
+    low, high = derivatives - _INTERVAL * errors, derivatives + _INTERVAL * errors
+    ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label="95 % band")
     ax.plot(values, derivatives, color=color, lw=_style.SLIP_WIDTH, marker="o", ms=3.5, label="corrected")
     if pathwise and np.any(np.isfinite(paths)):
         ax.plot(values, paths, color=_style.SERIES[4], lw=_style.SLIP_WIDTH, ls="--", label="pathwise part alone")
@@ -99,17 +96,6 @@ def _checked(results: Sequence[Sensitivity]) -> list[Sensitivity]:
             "Argument results must be of one statistic, and all elasticities or all derivatives, but they differ."
         )
     return found
-
-
-def _checked_curve(results: Sequence[Sensitivity]) -> list[Sensitivity]:
-    """The same, of one parameter."""
-    points = _checked(results)
-    if len({point.parameter for point in points}) > 1:
-        raise ValueError(
-            "Argument results must be of one parameter, but those of "
-            f"{', '.join(sorted({point.parameter for point in points}))} were given."
-        )
-    return points
 
 
 def _title(one: Sensitivity) -> str:

@@ -71,8 +71,7 @@ def stick_fraction_curve(
     ax.plot(values[known], mean[known], color=color, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
     ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
     ax.set_ylabel("stick fraction $T_s$ (%)")
-    if _parts.has_labels(ax):
-        _style.legend_above(ax, columns=2, lines_first=True)
+    _style.legend_above(ax, columns=2, lines_first=True)
     return ax
 
 

@@ -32,6 +32,15 @@ class CompleteSticks(NamedTuple):
         return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
 
 
+def require_ensemble(result: Ensemble) -> None:
+    """Raise ValueError unless `result` is an ensemble."""
+    if not isinstance(result, Ensemble):
+        raise ValueError(
+            f"Argument result must be an Ensemble, but {_checks.show(result)} was given; give the result of "
+            "simulate_ensemble."
+        )
+
+
 def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteSticks:
     """The complete sticks of a `Simulation`, one or a batch, of an `Ensemble`, those that it kept, or of `FirstSticks`.
 

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.typing import ColorType
@@ -85,6 +86,13 @@ def log_axis(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def figure_of(ax: Axes) -> Figure:
+    """The figure that holds `ax`, whatever subfigures there are between them."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
+
+
 def axes_in(axes: SeveralAxes | None) -> tuple[Axes, ...]:
     """The matplotlib Axes that `axes` holds, none of them if anything else is among them."""
     if isinstance(axes, np.ndarray) and axes.ndim != 1:
@@ -116,7 +124,9 @@ def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tu
 
 
 def legend_above(ax: Axes, *others: Axes, columns: int = 3, lines_first: bool = False) -> None:
-    """Put one legend for `ax` and `others` above `ax`, where it hides no data; each label is listed once.
+    """Put one legend for `ax` and `others`, if anything has a label, above `ax`, where it hides no data.
+
+    Each label is listed once.
 
     `lines_first`: whether lines come before areas, so that of two columns each holds one kind.
     """
@@ -124,6 +134,8 @@ def legend_above(ax: Axes, *others: Axes, columns: int = 3, lines_first: bool = 
     for one in (ax, *others):
         for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
+    if not handles:
+        return
     if lines_first:
         handles = dict(sorted(handles.items(), key=lambda item: not isinstance(item[1], Line2D)))
     ax.legend(

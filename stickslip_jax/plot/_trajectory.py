@@ -1,6 +1,7 @@
 """A simulated trajectory cut into phases at its events, so that sticks are drawn exactly where they happen."""
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -9,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._excitation.ground import GroundMotion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from .._simulation.result import Simulation
 from .._status import Status
-from ._band import stick_band
 from ._types import Window
 
 _POINTS_PER_REVOLUTION = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
@@ -73,6 +74,11 @@ def check_window(window: Window | None, t1: float) -> Window:
             "was given."
         )
     return begin, end
+
+
+def ground_acceleration(base: GroundMotion) -> Callable[[jax.Array], jax.Array] | None:
+    """The acceleration of the ground to which the coordinates are relative, m/s^2; None where it is not known."""
+    return getattr(base, "acceleration", None)
 
 
 def has_steady_base(one: Simulation) -> bool:
@@ -178,5 +184,10 @@ def _follow(one: Simulation, times: np.ndarray, base_times: np.ndarray) -> tuple
 
 @jax.jit
 def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    """The base velocity (m/s), and the ends of the stick band: NaN for a system without one."""
     velocity, acceleration = jax.jvp(one.base_velocity, (times,), (jnp.ones_like(times),))
-    return velocity, *stick_band(one, times, state, velocity, acceleration)
+    ground = 0.0
+    if isinstance(one.base, GroundMotion):
+        shaken = ground_acceleration(one.base)
+        ground = jnp.nan if shaken is None else shaken(times)
+    return velocity, *one.system.stick_band(times, state, velocity, acceleration, ground)

@@ -10,9 +10,8 @@ from stickslip_jax._dynamics.common.lanes import Job
 from stickslip_jax._numerics.moments import Moments
 from stickslip_jax._numerics.roots import steepest_fall
 from stickslip_jax._sensitivity import sequences, windows
-from stickslip_jax._sensitivity.chunks import Accumulator, derivatives_of
+from stickslip_jax._sensitivity.chunks import Accumulator, DerivativeColumns, derivatives_of
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
-from stickslip_jax._sensitivity.estimators import DerivativeColumns
 from stickslip_jax._sensitivity.pilot import problem_of
 from stickslip_jax._sensitivity.problem import buffer_sizes_for
 from stickslip_jax._sensitivity.random_inputs import wrapped, wrapped_path
@@ -61,7 +60,7 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
         recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances.two_sided
         is_active = jnp.stack([distance.is_active for distance in found])
-        return jnp.stack([distance.value for distance in found]), (is_active, recorded.sticks)
+        return jnp.stack([distance.value for distance in found]), (is_active, recorded.counts.sticks)
 
     @jax.jit
     def distances(own, first):

@@ -71,7 +71,7 @@ def test_numbers_beyond_the_bins_share_them():
     numbers = np.random.default_rng(9).integers(0, 16_000, 2000).astype(float)
     numbers[:2] = 0, 15_999
     bins, own = DyadicCounts.of(numbers, BINS, finest=0), Clusters(numbers, np.arange(2000), 2000, 2000)
-    of = Distribution("number", "1", 2000, 2000, 0.0, 15_999.0, PowerSums.of(numbers), bins, own, is_whole=True)
+    of = Distribution("number", "1", 2000, PowerSums.of(numbers), bins, own, is_whole=True)
     _, counts = np.unique(numbers // 2, return_counts=True)
     assert of.entropy().value == pytest.approx(stats.entropy(counts), rel=1e-12)
     assert of.entropy().name == "entropy of the histogram in 8000 bins of 2 numbers each of number"
