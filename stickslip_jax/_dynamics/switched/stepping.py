@@ -191,9 +191,11 @@ def _judged(trial: _Trial, lane: Lane, left: FloatArray, step: FloatArray) -> _V
     # Tries that come no nearer, while the guard is zero but for round-off: the event is where the step ends.
     stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
     # A released mass leaves its stick with no relative velocity and nearly no relative acceleration: a step that ends
-    # after it has stuck again cannot show whether it slipped at all. Shorter steps show it.
+    # after it has stuck again cannot show whether it slipped at all. Shorter steps show it, down to those in which the
+    # guard cannot change by more than its round-off.
     slow = jnp.abs(d0) * h <= _GRAZING * noise
-    hidden = look.falls & (lane.sign != 0) & (s0 <= noise) & slow & (look.where < _EARLY)
+    shows = jnp.maximum(jnp.abs(d0), jnp.abs(d1)) * h > noise
+    hidden = look.falls & (lane.sign != 0) & (s0 <= noise) & slow & shows & (look.where < _EARLY)
     # A guard that is zero and falls at once: the mode was over when the step began.
     early = (look.where < _AT_ONCE) & ~hidden
     at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
