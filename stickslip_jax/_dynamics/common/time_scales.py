@@ -11,13 +11,13 @@ from ..._excitation.excitation import Excitation
 from ..._numerics.known import NotKnown, largest, primal_of, smallest
 from ..._systems.system import SHORTEST_TIME, StepCount, System
 from ..._types import Scalar
-from .method import Regularized
+from .method import Exact, Regularized
 from .stopping_scan import padded_length
 
 _USUAL = StepCount(1.0, 1.0)
 
 
-def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
+def step_for(system: System, excitation: Excitation, method: Exact | Regularized) -> Scalar:
     """The time step (s) of `method`, checked; by default a fraction of the shortest time scale.
 
     Raises ValueError for a step that is too long for a time scale, and where `method` gives none although a time scale
@@ -56,7 +56,7 @@ def step_for(system: System, excitation: Excitation, method: Any) -> Scalar:
     return step
 
 
-def max_steps_advice(system: System, excitation: Excitation, method: Any, t1: Scalar) -> str:
+def max_steps_advice(system: System, excitation: Excitation, method: Exact | Regularized, t1: Scalar) -> str:
     """A message that proposes `max_steps` where JAX traces `t1` or a time scale, from the numbers that are known."""
     horizon = min(_known([t1]), default=100.0)
     scales = system.time_scales(excitation, method.solver).values()

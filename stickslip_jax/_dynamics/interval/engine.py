@@ -9,7 +9,7 @@ from ..._compiler import computed_once
 from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw
 from ..._systems.mass_spring import MassSpring
-from ..._types import Array, BoolArray, Scalar
+from ..._types import Array, BoolArray, Number, Scalar
 from ..common.engine import Engine, SampleTotals
 from .crossing import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
 from .ties import starts_at_edge
@@ -40,7 +40,7 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
     system: MassSpring
     law: PiecewiseConstantLaw
     t1: Scalar
-    y0: tuple[Any, ...]
+    y0: tuple[Number, ...]
     quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[_Sample, _Lane]:

@@ -1,7 +1,6 @@
 """One trajectory in closed form over base intervals, and the state along it."""
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from ..._excitation.piecewise_constant import VelocitySteps
 from ..._excitation.segments import Segment
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
-from ..._types import FloatArray, Scalar
+from ..._types import FloatArray, Number, Scalar
 from ..common.path import Path, Run
 from .crossing import Motion, cross_interval, scales_of, status_of
 from .given import Given, beginnings, final_motion, ordered_sticks
@@ -55,7 +54,7 @@ class IntervalPath(Path):
 
 
 @partial(jax.jit, static_argnames="dtype")
-def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
+def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Number, ...], dtype) -> Run:
     """One trajectory in closed form, interval by interval."""
     scales = scales_of(system, t1, dtype)
     # Nothing after t1 matters; cutting durations here keeps infinities out of the arithmetic.

@@ -12,7 +12,8 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
-from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray, Scalar
+from ..._systems.system import System
+from ..._types import AnyArray, AnyInteger, Array, BoolArray, DType, IntArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
 from ..common.engine import Engine, SampleTotals
 from ..common.method import Regularized
@@ -42,11 +43,11 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
     `quantities` of each stick: those asked for. The constant of a sample is the smooth part of its excitation.
     """
 
-    system: Any
+    system: System
     excitation: Excitation
     method: Regularized
     t1: Scalar
-    y0: tuple[Any, ...]
+    y0: tuple[Number, ...]
     most_steps: AnyInteger
     quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -84,11 +85,11 @@ class AdaptiveBatch(NamedTuple):
     (`table_sizes`). The slowest sample determines the time of the batch.
     """
 
-    system: Any
+    system: System
     excitation: Excitation
     method: Regularized
     t1: Scalar
-    y0: tuple[Any, ...]
+    y0: tuple[Number, ...]
     sizes: tuple[AnyInteger, ...]
 
 
@@ -103,7 +104,7 @@ def solve_batch(
     places: tuple[int, ...],
     sizes: tuple[int, ...],
     keep: bool,
-    dtype: Any,
+    dtype: DType,
 ) -> tuple[SampleTotals, StickRecord | None]:
     """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
@@ -145,7 +146,7 @@ def solve_batch(
     return _results(detectors, statuses), records
 
 
-def field_of(system: Any, smooth: Signal | None, method: Regularized) -> Field:
+def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field:
     """The regularised field of `system` under a realised smooth excitation."""
     return Field(system.switched_model(smooth, None), Switch(method.width, method.shape))
 

@@ -17,7 +17,8 @@ from ..._excitation.smooth import Signal
 from ..._numerics.known import NotKnown
 from ..._numerics.slopes import with_slopes
 from ..._systems.switched_model import Segments, State
-from ..._types import Array, FloatArray, IntArray, Scalar
+from ..._systems.system import System
+from ..._types import Array, FloatArray, IntArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
 from ..common.method import Regularized
 from ..common.path import Path, Run
@@ -83,15 +84,15 @@ class CubicPath(Path):
 class _Setting(NamedTuple):
     """Arguments of one simulation, with numbers as arrays."""
 
-    system: Any
+    system: System
     excitation: Excitation
     method: Regularized
     t1: Array
-    y0: tuple[Any, ...]
+    y0: tuple[Number, ...]
 
 
 def follow_regularized(
-    system: Any, base: Any, method: Regularized, t1: Scalar, y0: tuple[Any, ...], dtype
+    system: System, base: Any, method: Regularized, t1: Scalar, y0: tuple[Number, ...], dtype
 ) -> tuple[Regularized, Run]:
     """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
     excitation = excitation_of(base)
@@ -108,7 +109,7 @@ def follow_regularized(
     return method, follow(_Setting(system, excitation, method, jnp.asarray(t1), y0), steps, sizes)
 
 
-def _fixed_steps(system: Any, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
+def _fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
     """Upper bound of the number of fixed steps of the trajectory."""
     try:
         return padded_length(fixed_steps(system, excitation, method, t1))

@@ -12,7 +12,8 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.segment_table import SegmentTable
 from ..._status import Status
 from ..._systems.switched_model import Segments
-from ..._types import Array, BoolArray, FloatArray, IntArray
+from ..._systems.system import System
+from ..._types import Array, BoolArray, FloatArray, IntArray, Number
 from ..common.method import Regularized
 from ..common.segments import SegmentLaws
 from .controller import step_control
@@ -28,7 +29,7 @@ class Tables(eqx.Module):
     force: tuple[SegmentTable, ...]
 
     @classmethod
-    def of(cls, system: Any, excitation: Excitation, key_data: Any, sizes: tuple[int, ...], dtype) -> "Tables":
+    def of(cls, system: System, excitation: Excitation, key_data: Any, sizes: tuple[int, ...], dtype) -> "Tables":
         """The segments that `key_data` choose; `sizes`: how many of each part (`table_sizes`)."""
         segment_laws, own = SegmentLaws.of(system, excitation), excitation.segment_key_data(key_data)
         tables = [SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True)]
@@ -67,7 +68,7 @@ class Tables(eqx.Module):
         return jnp.concatenate(times) if sum(map(len, times)) else None
 
 
-def table_sizes(system: Any, excitation: Excitation, t1: Any) -> tuple[int, ...]:
+def table_sizes(system: System, excitation: Excitation, t1: Any) -> tuple[int, ...]:
     """Number of segments of each part that suffices for nearly every realisation until `t1` (not traced)."""
     return tuple(law.segments(t1) for law in SegmentLaws.of(system, excitation).all)
 
@@ -104,7 +105,7 @@ class Solution(NamedTuple):
 
 
 def solve_adaptive(
-    field: Field, tables: Tables, t1: FloatArray, y0: tuple[Any, ...], how: Solver, max_steps: int
+    field: Field, tables: Tables, t1: FloatArray, y0: tuple[Number, ...], how: Solver, max_steps: int
 ) -> Solution:
     """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not."""
     dtype = t1.dtype

@@ -32,7 +32,7 @@ class HowItEnds(NamedTuple):
 @OwnDerivative
 def carried(
     model: SwitchedModel,
-    forcing: Any,
+    forcing: object,
     y: State,
     left: FloatArray,
     sign: FloatArray,

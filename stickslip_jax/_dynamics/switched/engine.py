@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from ..._events.sticks import StickRecord, count_slips
 from ..._excitation.excitation import Excitation
 from ..._excitation.smooth import Signal
-from ..._types import AnyInteger, Array, BoolArray, Scalar
+from ..._systems.system import System
+from ..._types import AnyInteger, Array, BoolArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
 from ..common.engine import Engine, SampleTotals
 from ..common.segments import SegmentLaws
@@ -33,11 +34,11 @@ class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, Sa
     those asked for. The constant of a sample is the smooth part of its excitation.
     """
 
-    system: Any
+    system: System
     excitation: Excitation
     solver: Any
     t1: Scalar
-    y0: tuple[Any, ...]
+    y0: tuple[Number, ...]
     step_length: Scalar
     most_steps: AnyInteger
     quantities: tuple[str, ...] = eqx.field(static=True, default=())

@@ -1,6 +1,6 @@
 """Which mode a trajectory is in after an event or at the end of a segment: stick, or slip of either direction."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -55,7 +55,7 @@ def switched(
 
 
 def _mode_after(
-    model: SwitchedModel, forcing: Any, lane: Lane, stop: Stop, ended: BoolArray, jumped: BoolArray
+    model: SwitchedModel, forcing: object, lane: Lane, stop: Stop, ended: BoolArray, jumped: BoolArray
 ) -> _Mode:
     """The mode from here on. `ended`: whether a segment ended here; `jumped`: whether the base velocity jumped."""
     was_stick = lane.sign == 0
@@ -107,7 +107,7 @@ def _with_mode(lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray
 
 
 def resolved_mode(
-    model: SwitchedModel, forcing: Any, y: State, resting: BoolArray, at_limit: BoolArray | bool = False
+    model: SwitchedModel, forcing: object, y: State, resting: BoolArray, at_limit: BoolArray | bool = False
 ) -> tuple[State, FloatArray]:
     """The state and the sign of the mode of a mass in the state `y`, given whether it is `resting` on the base.
 
@@ -119,7 +119,7 @@ def resolved_mode(
     return chosen_state(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(forcing, y))
 
 
-def margin_at_start(model: SwitchedModel, forcing: Any, y: State, resting: BoolArray) -> FloatArray:
+def margin_at_start(model: SwitchedModel, forcing: object, y: State, resting: BoolArray) -> FloatArray:
     """The size of the stick guard where a trajectory begins at rest, infinity where it does not."""
     return jnp.where(resting, jnp.abs(_stick_guard(model, forcing, y)[0]), jnp.inf)
 
@@ -129,7 +129,7 @@ def is_tie(margin: FloatArray) -> BoolArray:
     return margin < 2 * NEAR_GRAZING[margin.dtype.itemsize]
 
 
-def _stick_guard(model: SwitchedModel, forcing: Any, on_base: State) -> tuple[FloatArray, FloatArray]:
+def _stick_guard(model: SwitchedModel, forcing: object, on_base: State) -> tuple[FloatArray, FloatArray]:
     """The guard of a stick, and its time derivative, now."""
     none = jnp.zeros_like(on_base[0])
     return model.guard(forcing, none, on_base, none)

@@ -14,7 +14,8 @@ from ..._numerics.known import NotKnown, largest
 from ..._numerics.slopes import with_slopes
 from ..._status import Status
 from ..._systems.switched_model import Segments, State
-from ..._types import FloatArray, Scalar
+from ..._systems.system import System
+from ..._types import FloatArray, Number, Scalar
 from ..common.method import Exact
 from ..common.path import Path, Run
 from ..common.time_scales import max_steps_advice
@@ -29,7 +30,7 @@ _MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given
 class StepPath(Path):
     """Path given by the states at the beginnings of time steps."""
 
-    system: Any
+    system: System
     excitation: Excitation
     solver: Any
     beginnings: Beginnings
@@ -49,7 +50,7 @@ class StepPath(Path):
         return self.beginnings.at(time).segments
 
 
-def follow_steps(system: Any, base: Any, method: Exact, t1: Scalar, y0: tuple[Any, ...], dtype) -> Run:
+def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple[Number, ...], dtype) -> Run:
     """Simulate one trajectory in time steps with located events, again with twice the steps while they are too few."""
     excitation, step = Arguments(system, base, method, t1).checked_step()
     try:

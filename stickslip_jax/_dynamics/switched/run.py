@@ -13,7 +13,8 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State
-from ..._types import Array, FloatArray, Scalar
+from ..._systems.system import System
+from ..._types import Array, DType, FloatArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
 from ..common.segments import SegmentLaws
 from ..common.stopping_scan import padded_length, stopping_scan
@@ -49,10 +50,10 @@ class Trajectory(eqx.Module):
 
 
 def lane_at_start(
-    system: Any,
+    system: System,
     excitation: Excitation,
     key_data: Any,
-    y0: tuple[Any, ...],
+    y0: tuple[Number, ...],
     step: FloatArray,
     solver: Any,
     quantities: tuple[str, ...],
@@ -67,15 +68,15 @@ def lane_at_start(
 
 
 def run_trajectory(
-    system: Any,
+    system: System,
     excitation: Excitation,
     solver: Any,
     t1: Scalar,
-    y0: tuple[Any, ...],
+    y0: tuple[Number, ...],
     step: Scalar,
     *,
     steps: int,
-    dtype: Any,
+    dtype: DType,
 ) -> Trajectory:
     """Simulate one realisation in at most `steps` loop steps; the loop idles once the trajectory has ended."""
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
@@ -97,7 +98,7 @@ def run_trajectory(
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
 
 
-def state_at(system: Any, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
+def state_at(system: System, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the step that contains it."""
     begun = beginnings.at(time)
     return state_in_step(system.switched_model(excitation.signal, solver), begun, time - begun.t)
@@ -111,7 +112,7 @@ def state_in_step(model: Any, begun: Beginnings, h: FloatArray) -> State:
     return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
 
 
-def steps_for(system: Any, excitation: Excitation, t1: Scalar, step: Scalar) -> int:
+def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar) -> int:
     """Number of loop steps that suffices for nearly every trajectory: by the time steps and segments until `t1`.
 
     Rounded up by `padded_length`, so that similar lengths share a compilation; the loop stops when the trajectory ends.

@@ -18,7 +18,7 @@ Instants at which a change below `NEAR_GRAZING` would create or remove an event 
 
 import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ from ..._excitation.segments import SegmentState
 from ..._numerics.primal import without_derivatives
 from ..._numerics.roots import look_ahead
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
-from ..._types import BoolArray, FloatArray
+from ..._types import BoolArray, FloatArray, Number
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws
 from .carried import HowItEnds, carried
@@ -52,7 +52,7 @@ def start_lane(
     model: SwitchedModel,
     segment_laws: SegmentLaws,
     segment_states: tuple[SegmentState, ...],
-    y0: tuple[Any, ...],
+    y0: tuple[Number, ...],
     step: FloatArray,
     quantities: tuple[str, ...],
 ) -> Lane:
@@ -146,7 +146,7 @@ class _Trial(NamedTuple):
     noise: FloatArray  # round-off of the guard
 
 
-def _tried(model: SwitchedModel, forcing: Any, lane: Lane, h: FloatArray) -> _Trial:
+def _tried(model: SwitchedModel, forcing: object, lane: Lane, h: FloatArray) -> _Trial:
     sticking = lane.sign == 0
     # Both modes are computed, one is chosen. A slip over a stick's long step may overflow: it gets no length.
     slid, error = model.slip_and_error(forcing, lane.y, jnp.where(sticking, 0, h), lane.sign)
