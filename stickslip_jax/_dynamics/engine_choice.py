@@ -150,4 +150,4 @@ def engines_of_all(inputs: Inputs, method: Exact | Regularized, t1: Scalar, dtyp
         sample_engines(inputs, method, t1, dtype, first, min(_AT_ONCE, inputs.samples - first))
         for first in range(0, inputs.samples, _AT_ONCE)
     ]
-    return every[0]._replace(template=widest([some.template for some in every], every[0].places))
+    return every[0]._replace(template=widest([some.template for some in every], every[0].leaf_numbers))

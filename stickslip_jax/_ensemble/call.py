@@ -230,13 +230,13 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
     dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
     system, excitation, _, t1, y0, _ = as_arrays(batch._replace(sizes=()), dtype)
     arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0, ())
-    how = {"samples": plan.lanes, "places": setup.places, "sizes": sizes,
+    how = {"samples": plan.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 
     def simulate(first: int, number: int) -> Part:
-        own = tuple(jnp.asarray(column) for column in setup.own_leaves(first, plan.lanes))
+        varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, plan.lanes))
         numbers = jnp.asarray(setup.inputs.realization_numbers(first, plan.lanes))
-        results, records = solve_chunk(arrays, own, setup.key_data, numbers, jnp.uint32(number), **how)
+        results, records = solve_chunk(arrays, varying, setup.key_data, numbers, jnp.uint32(number), **how)
         results = SampleTotals(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
             return Part(results)
@@ -266,27 +266,27 @@ def _recorder(setup: EnsembleSetup, plan: _Plan, accumulator: EnsembleAccumulato
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(setup.engine, Engine)
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
-    own = threading.local()  # memory of each thread, reused because allocating it for every task is slow
+    of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), setup.dtype
     lane = np.arange(plan.lanes)
 
     def simulate(first: int, number: int) -> Part:
-        if not hasattr(own, "sticks"):
-            own.sticks = StickCollector()
+        if not hasattr(of_thread, "sticks"):
+            of_thread.sticks = StickCollector()
         rows = -(-number // plan.lanes)
         job = jax.tree.map(jnp.asarray, setup.job(first, rows, plan.lanes * plan.rows))
         now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
-        own.sticks.restart(number)
+        of_thread.sticks.restart(number)
         ended, unfinished = [], True
         while unfinished:
             now, buffer, progress = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
             progress = jax.tree.map(np.asarray, progress)
             sample = progress.row * plan.lanes + lane
-            own.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), sample)
+            of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), sample)
             ended.append((sample[progress.ended], *(column[progress.ended] for column in progress.results)))
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
         results = _of_samples(ended, rows * plan.lanes, number)
-        return Part.of(results, own.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
+        return Part.of(results, of_thread.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
 
     return simulate
 

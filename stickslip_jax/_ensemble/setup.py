@@ -31,12 +31,12 @@ MOST_SAMPLES = 2**31  # samples are numbered in 32 bits
 class EnsembleSetup:
     """The checked arguments, which all chunks share.
 
-    - `engine`: that of every sample. `places`: its leaves that differ from sample to sample.
+    - `engine`: that of every sample. `leaf_numbers`: its leaves that differ from sample to sample.
     - `inputs`: the numbers that differ, as they were given.
     """
 
     engine: Engine | AdaptiveBatch
-    places: tuple[int, ...]
+    leaf_numbers: tuple[int, ...]
     inputs: Inputs
     method: Exact | Regularized
     key_data: Array
@@ -92,11 +92,11 @@ class EnsembleSetup:
                 "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
                 "was given."
             )
-        engine, places, method = _engine_of(inputs, first, method, t1, dtype)
+        engine, leaf_numbers, method = _engine_of(inputs, first, method, t1, dtype)
         if keep != "totals" and isinstance(engine, Engine):
             engine = engine.asked(ALL)
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
-        return cls(engine, places, inputs, method, key_data, random, dtype, float(t1), numbering, period)
+        return cls(engine, leaf_numbers, inputs, method, key_data, random, dtype, float(t1), numbering, period)
 
     def fields(self) -> Fields:
         """The fields of an `Ensemble` that its arguments are."""
@@ -111,20 +111,20 @@ class EnsembleSetup:
             "dtype": str(np.dtype(self.dtype)),
         }
 
-    def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
+    def varying_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
         """The leaves of the engine that differ, for samples `first` to ``first + number - 1``, (number, ...)."""
-        if not self.places:
+        if not self.leaf_numbers:
             return ()
-        return sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).own
+        return sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).varying
 
     def job(self, first: int, used_rows: int, most_samples: int) -> Job:
         """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes, at most `most_samples`."""
         assert isinstance(self.engine, Engine)
-        own = self.own_leaves(first, most_samples)
+        varying = self.varying_leaves(first, most_samples)
         realization = None
         if not self.inputs.has_own_realizations:
             realization = self.inputs.realization_numbers(first, most_samples)
-        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), own, realization)
+        return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), varying, realization)
 
 
 def _engine_of(
@@ -135,11 +135,13 @@ def _engine_of(
     Options that differ from sample to sample stay as they were given. `first`: the model of the first sample.
     """
     law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
-    template, places = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
+    template, leaf_numbers = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
     if inputs.entries or inputs.has_sampled_law:
-        template, places, *_ = engines_of_all(inputs, method, t1, dtype)
+        template, leaf_numbers, *_ = engines_of_all(inputs, method, t1, dtype)
     if isinstance(template, (FixedEngine, AdaptiveBatch)):
         differs = object()
-        marked = jax.tree.leaves(with_leaves(template, places, [differs] * len(places)).method)
+        marked = jax.tree.leaves(with_leaves(template, leaf_numbers, [differs] * len(leaf_numbers)).method)
         method = method if any(leaf is differs for leaf in marked) else template.method
-    return VaryingEngine(template, places) if places and isinstance(template, Engine) else template, places, method
+    if leaf_numbers and isinstance(template, Engine):
+        return VaryingEngine(template, leaf_numbers), leaf_numbers, method
+    return template, leaf_numbers, method

@@ -152,8 +152,10 @@ def _of_totals(statistic: OfTotals, t1: float, stick_time: AnyArray, sticks: Any
 
 def _drawn(job: Job) -> Job:
     """The job with its random numbers drawn: both ends of a difference are then compiled once."""
-    engine, own = job.engine.drawn(job.own) if isinstance(job.engine, RandomEngine) else (job.engine, job.own)
-    return job._replace(engine=engine, own=own)
+    if not isinstance(job.engine, RandomEngine):
+        return job
+    engine, varying = job.engine.drawn(job.varying)
+    return job._replace(engine=engine, varying=varying)
 
 
 def _by_sequences(problem: Problem, pilot: Pilot) -> _Source:

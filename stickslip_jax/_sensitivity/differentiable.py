@@ -134,7 +134,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Me
     engine = counting_engine(problem, pilot, np.array([] if problem.is_paired else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
     paths = wrapped_paths(problem)
-    own = problem.own_leaves(0, rows * _LANES)
+    varying = problem.varying_leaves(0, rows * _LANES)
     by = score_paths(engine, paths)
     by_score = tuple(other for path, other in zip(paths, by, strict=True) if other != path)
 
@@ -144,7 +144,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Me
             here = with_numbers(here, by_score, (values[by.index(by_score[0])],))
         if varied is not None:
             here = with_numbers(here, by, varied)
-        job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), own)
+        job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), varying)
         counted = summarize(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
         sticks = sum(counted.event_parts, jnp.asarray(counted.sticks, problem.dtype))
@@ -159,14 +159,14 @@ def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _M
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.candidates)
     bandwidths = np.array([bandwidth])
-    own = tuple(jnp.asarray(column) for column in problem.own_leaves(0, rows * _LANES))
+    varying = tuple(jnp.asarray(column) for column in problem.varying_leaves(0, rows * _LANES))
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = with_numbers(engine, paths, values if varied is None else varied)
         here = wrapped(here, partial(recording, fixed_start=problem.fixed_start))
 
         def chunk(first):
-            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, _LANES), own)
+            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, _LANES), varying)
             job = Job(here, problem.key_data, first, np.int32(1), mine)
             recorded = record_sequences(job, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
             features = features_of(problem.statistic, here, recorded, bandwidths)

@@ -83,9 +83,9 @@ class Problem(NamedTuple):
         """The same problem with numbers that differ from sample to sample, if there are any."""
         return self._with_random(inputs) if inputs.entries or inputs.has_sampled_law else self
 
-    def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
-        """The own leaves of samples, for `Job.own`."""
-        return () if self.random is None else self.random.own_leaves(first, number)
+    def varying_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
+        """The varying leaves of samples, for `Job.varying`."""
+        return () if self.random is None else self.random.varying_leaves(first, number)
 
     @property
     def has_sudden_switches(self) -> bool:
@@ -128,8 +128,8 @@ class Problem(NamedTuple):
 
     def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
         """A job of `used_rows` rows from sample `first` on; it holds the own leaves of `samples` samples."""
-        own = self.own_leaves(first, samples)
-        return Job(engine, self.key_data, np.uint32(first), np.int32(used_rows), own)
+        varying = self.varying_leaves(first, samples)
+        return Job(engine, self.key_data, np.uint32(first), np.int32(used_rows), varying)
 
     def engine(self) -> Engine:
         """The fastest engine that simulates the motion."""

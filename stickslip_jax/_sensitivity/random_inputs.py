@@ -29,21 +29,21 @@ _Made = TypeVar("_Made", bound=Engine)
 class RandomEngine(VaryingEngine):
     """An engine with numbers of its own for every sample, some of them drawn anew from `sources`.
 
-    `sources`: for each place a distribution, to be differentiated by its parameters; None where the leaves are given.
+    `sources`: for each varying leaf a distribution, to be differentiated by its parameters; None where it is given.
     """
 
     sources: tuple[RandomNumber | None, ...]
 
-    def columns(self, own: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
-        """The leaves (samples,) at all places; at those with a source, `own` holds uniform numbers."""
+    def columns(self, varying: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
+        """The varying leaves (samples,); where there is a source, `varying` holds uniform numbers."""
         return tuple(
             column if source is None else jnp.asarray(source.icdf(jnp.asarray(column)), column.dtype)
-            for source, column in zip(self.sources, own, strict=True)
+            for source, column in zip(self.sources, varying, strict=True)
         )
 
-    def drawn(self, own: tuple[AnyArray, ...]) -> tuple["RandomEngine", tuple[AnyArray, ...]]:
-        """The engine without sources, and the leaves at all places."""
-        return dataclasses.replace(self, sources=(None,) * len(self.sources)), self.columns(own)
+    def drawn(self, varying: tuple[AnyArray, ...]) -> tuple["RandomEngine", tuple[AnyArray, ...]]:
+        """The engine without sources, and its varying leaves."""
+        return dataclasses.replace(self, sources=(None,) * len(self.sources)), self.columns(varying)
 
     def after_block(self, samples: PyTree, motions: PyTree, records: PyTree) -> PyTree:
         return self.template.after_block(self.constants(samples), motions, records)
@@ -71,22 +71,23 @@ class RandomInputs(NamedTuple):
         cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: DType, paths: tuple[Path, ...]
     ) -> "RandomInputs":
         """The engine of all samples of `inputs`; distributions with parameters at `paths` are its sources."""
-        template, places, _, origins = engines_of_all(inputs, method, t1, dtype)
+        template, leaf_numbers, _, origins = engines_of_all(inputs, method, t1, dtype)
 
         def source(origin):
             entry = None if origin is None else inputs.entries[origin]
             varied = entry is not None and any(path[: len(entry.path)] == entry.path for path in paths)
             return entry.source if varied and entry is not None else None
 
-        return cls(inputs, RandomEngine(template, places, tuple(map(source, origins))), origins, method, t1, dtype)
+        engine = RandomEngine(template, leaf_numbers, tuple(map(source, origins)))
+        return cls(inputs, engine, origins, method, t1, dtype)
 
-    def own_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
+    def varying_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
         """What the engine needs of samples `first` to ``first + number - 1``, one array for each place."""
-        own = sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).own
+        varying = sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).varying
         uniforms = self.inputs.uniforms(first, number, self.dtype)
         drawn = (None if source is None or origin is None else uniforms[origin]
                  for source, origin in zip(self.engine.sources, self.origins, strict=True))  # fmt: skip
-        return tuple(column if uniform is None else uniform for column, uniform in zip(own, drawn, strict=True))
+        return tuple(column if uniform is None else uniform for column, uniform in zip(varying, drawn, strict=True))
 
     def path(self, path: Path, in_engine: Path) -> Path:
         """The path in `engine` of the number at `path` of the model, which a `single_engine` has at `in_engine`."""
@@ -108,7 +109,7 @@ class RandomInputs(NamedTuple):
 
 
 def wrapped(engine: Engine, make: Callable[[Any], _Made]) -> _Made | RandomEngine:
-    """What `make` makes of an engine; of a `RandomEngine`, one with the same places whose template `make` made.
+    """What `make` makes of an engine; of a `RandomEngine`, one with the same varying leaves whose template `make` made.
 
     `make` must keep the engine's leaves as the first ones of its result.
     """

@@ -54,27 +54,27 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
     paths, mu = (wrapped_path(problem.paths()[0]),), problem.parameters[0].value
 
-    def record(values, own, first):
+    def record(values, varying, first):
         varied = with_numbers(engine, paths, values)
-        job = Job(varied, problem.key_data, first, np.int32(1), own)
+        job = Job(varied, problem.key_data, first, np.int32(1), varying)
         recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances.two_sided
         is_active = jnp.stack([distance.is_active for distance in found])
         return jnp.stack([distance.value for distance in found]), (is_active, recorded.counts.sticks)
 
     @jax.jit
-    def distances(own, first):
-        return derivatives_of(lambda values: record(values, own, first), engine, paths, problem.dtype)
+    def distances(varying, first):
+        return derivatives_of(lambda values: record(values, varying, first), engine, paths, problem.dtype)
 
-    counts = jax.jit(lambda values, own, first: record(values, own, first)[1][1])
+    counts = jax.jit(lambda values, varying, first: record(values, varying, first)[1][1])
     right = seen = 0
     for first in range(0, chunks * LANES, LANES):
-        own = problem.own_leaves(first, LANES)
-        value, slope, (is_active, sticks) = distances(own, np.uint32(first))
+        varying = problem.varying_leaves(first, LANES)
+        value, slope, (is_active, sticks) = distances(varying, np.uint32(first))
         u = np.where(is_active, value / np.where(slope[0] == 0, np.nan, slope[0]), np.nan)
         for kind, slot, lane in zip(*np.nonzero(np.abs(u) < 5e-4), strict=True):
             if np.sum(np.abs(u[:, :, lane]) < 2e-3) == 1:  # alone
-                shifted = counts(jnp.array([mu * (1 - 2 * u[kind, slot, lane])]), own, np.uint32(first))
+                shifted = counts(jnp.array([mu * (1 - 2 * u[kind, slot, lane])]), varying, np.uint32(first))
                 seen += 1
                 # Where it is positive the stick is there now, or the slip that makes one stick two.
                 right += int(shifted[lane] - sticks[lane]) == (-1 if value[kind, slot, lane] > 0 else 1)
@@ -93,11 +93,11 @@ def test_distances_move_as_their_derivatives_say(wrt):
     engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
     paths, value = (wrapped_path(problem.paths()[0]),), problem.parameters[0].value
-    own = problem.own_leaves(0, LANES)
+    varying = problem.varying_leaves(0, LANES)
 
     def distances(values):
         varied = with_numbers(engine, paths, values)
-        job = Job(varied, problem.key_data, jnp.uint32(0), np.int32(1), own)
+        job = Job(varied, problem.key_data, jnp.uint32(0), np.int32(1), varying)
         recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances
         is_active = jnp.stack([distance.is_active for distance in found.two_sided])
@@ -194,7 +194,7 @@ def test_choosing_a_window_leaves_errors_honest():
     """Where no window is biased: z-scores of 2000 repeats have the standard deviation 1 within sampling error; not so
     if the samples choose for themselves.
     """
-    rng, scores, own, narrow = np.random.default_rng(5), [], [], 0
+    rng, scores, scaled, narrow = np.random.default_rng(5), [], [], 0
     for _ in range(2000):
         accumulator, where = tally_of(rng, 0.0, number=400)
         got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
@@ -202,9 +202,9 @@ def test_choosing_a_window_leaves_errors_honest():
         narrow += window
         chosen = where.derivative[windows._widest(accumulator.moments, where, accumulator.in_window[0], windows._AGREE)]
         naive = gradient_of_ratio(accumulator.moments, chosen, 6, None)
-        own.append((naive.derivative - 1) / naive.standard_error)
+        scaled.append((naive.derivative - 1) / naive.standard_error)
     bound = 4 / np.sqrt(2 * 2000)
     assert narrow > 100
     assert abs(np.mean(scores)) < 4 / np.sqrt(2000)
     assert abs(np.std(scores) - 1) < bound
-    assert np.std(own) > 1 + bound / 2
+    assert np.std(scaled) > 1 + bound / 2

@@ -24,7 +24,7 @@ def test_a_record_that_all_samples_share_is_not_carried_from_lane_to_lane():
         return engine_for(Arguments(system, RECORD, Exact(step=0.1), 10.0)).lanes((position, 0.0), jnp.float64)
 
     engines = engines_of(build, (jnp.array([0.5, 0.6]), jnp.array([0.0, 0.1])))
-    job = Job(VaryingEngine(engines.template, engines.places), jnp.zeros(2, jnp.uint32), 0, 1, engines.own)
+    job = Job(VaryingEngine(engines.template, engines.leaf_numbers), jnp.zeros(2, jnp.uint32), 0, 1, engines.varying)
     carried = jax.eval_shape(lambda: lanes_at_start(job, 2, jnp.float64))
     largest = max(leaf.size // 2 for leaf in jax.tree.leaves(carried))
     assert largest < 10

@@ -41,12 +41,12 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, Motion]:
         """The constants of the sample that `key_data` choose, and its motion at t = 0."""
 
-    def columns(self, own: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
-        """The own leaves of all samples, from what `Job.own` holds of them."""
-        return own
+    def columns(self, varying: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
+        """The varying leaves of all samples, from what `Job.varying` holds of them."""
+        return varying
 
-    def begin_own(self, key_data: tuple[Array, Array], own: tuple[Array, ...], dtype) -> tuple[Sample, Motion]:
-        """As `begin`, for the sample with these `own` leaves; none where samples differ in their key data only."""
+    def begin_varying(self, key_data: tuple[Array, Array], varying: tuple[Array, ...], dtype) -> tuple[Sample, Motion]:
+        """As `begin`, for the sample with these `varying` leaves; none where samples differ in their key data only."""
         return self.begin(key_data, dtype)
 
     @abc.abstractmethod

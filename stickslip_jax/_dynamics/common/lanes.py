@@ -71,7 +71,7 @@ class Job(NamedTuple):
     """Samples to simulate: ``first_sample .. first_sample + used_rows * lanes - 1`` of the key `key_data`.
 
     Lane i simulates samples ``first_sample + i + lanes * row``, one after the other; no lane waits for the slowest one
-    after each row. `own`: of an engine whose samples differ, the leaves of each, arrays (samples, ...).
+    after each row. `varying`: of an engine whose samples differ, the leaves of each, arrays (samples, ...).
     `realization`: (samples,), the numbers that the samples draw their excitation by; None for their own.
     """
 
@@ -79,12 +79,12 @@ class Job(NamedTuple):
     key_data: Array
     first_sample: AnyInteger
     used_rows: AnyInteger
-    own: tuple[AnyArray, ...] = ()
+    varying: tuple[AnyArray, ...] = ()
     realization: AnyArray | None = None
 
     def with_columns(self) -> "Job":
         """The same job; what its samples draw is drawn once, before the first of them begins."""
-        return self._replace(own=self.engine.columns(self.own))
+        return self._replace(varying=self.engine.columns(self.varying))
 
 
 def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
@@ -191,8 +191,10 @@ def _start_row(job: Job, row: IntArray, dtype) -> Lanes:
     if job.realization is not None:
         number = jnp.asarray(job.realization)[jnp.minimum(place, len(job.realization) - 1)]
     words = stored_words(job.key_data, number)
-    own = tuple(jnp.asarray(column)[jnp.minimum(place, len(column) - 1)] for column in job.own)
-    sample, motion = jax.vmap(lambda high, low, own: engine.begin_own((high, low), own, dtype))(*words, own)
+    varying = tuple(jnp.asarray(column)[jnp.minimum(place, len(column) - 1)] for column in job.varying)
+    sample, motion = jax.vmap(lambda high, low, varying: engine.begin_varying((high, low), varying, dtype))(
+        *words, varying
+    )
     return Lanes(row, jnp.zeros(lanes, jnp.uint32), sample, motion)
 
 

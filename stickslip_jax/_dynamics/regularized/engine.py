@@ -54,8 +54,8 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realized(self.excitation, key_data, dtype)
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
-        own, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
-        segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
+        words, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
+        segment_states = tuple(first_segment(law, words, dtype) for law in segment_laws.all)
         field = field_of(self.system, smooth, self.method)
         criterion = criterion_of(self.method)
         return smooth, start_fixed(field, segment_laws, criterion, segment_states, y0, dtype, self.quantities)
@@ -95,13 +95,13 @@ class AdaptiveBatch(NamedTuple):
 
 def solve_batch(
     batch: AdaptiveBatch,
-    own: tuple[AnyArray, ...],
+    varying: tuple[AnyArray, ...],
     key_data: Array,
     realization: AnyArray,
     used: AnyInteger,
     *,
     samples: int,
-    places: tuple[int, ...],
+    leaf_numbers: tuple[int, ...],
     sizes: tuple[int, ...],
     keep: bool,
     dtype: DType,
@@ -109,14 +109,14 @@ def solve_batch(
     """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
     `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
-    the others end at once. `own`, `places`: the leaves of the batch that
+    the others end at once. `varying`, `leaf_numbers`: the leaves of the batch that
     differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
     t1, quantities = jnp.asarray(batch.t1, dtype), ALL if keep else ()
 
-    def one(place, number, own):
+    def one(place, number, varying):
         words = random_words(key_data, number)
-        here = with_leaves(batch, places, own)
+        here = with_leaves(batch, leaf_numbers, varying)
         method = here.method
         assert method.max_steps is not None
         most = method.max_steps
@@ -141,7 +141,7 @@ def solve_batch(
         return detector, status_of(solution, detector), records
 
     detectors, statuses, records = jax.vmap(one)(
-        jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), own
+        jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), varying
     )
     return _results(detectors, statuses), records
 
