@@ -47,6 +47,42 @@ class Passage(NamedTuple):
     released: BoolArray
 
 
+class FirstArc(NamedTuple):
+    """The arc from an interval's first state: its `side`, its `offset` from the centre and `p`.
+
+    It meets the base velocity at the distance `h` from the centre, after `angle`; `excess` ``= h^2 = R^2 - q^2``.
+    `arrives`: whether it does so within the interval.
+    """
+
+    side: FloatArray
+    offset: FloatArray
+    p: FloatArray
+    excess: FloatArray
+    h: FloatArray
+    angle: FloatArray
+    arrives: BoolArray
+
+
+class _LastMeeting(NamedTuple):
+    """The last arc that begins in the interval, as seen from the base velocity: its `side` and distance `h`; the angle
+    `entered` at which it meets it, or else began; and whether the mass has `arrived` inside the stick band.
+    """
+
+    side: FloatArray
+    h: FloatArray
+    entered: FloatArray
+    arrived: BoolArray
+
+
+class _Stick(NamedTuple):
+    """The stick from the last meeting on: its position; the angle at which it is `left`; how it ends; if it is one."""
+
+    position: FloatArray
+    left: FloatArray
+    released: BoolArray
+    stuck: BoolArray
+
+
 def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, span: FloatArray) -> Passage:
     """Carry the state ``(x, p)`` across an interval of base velocity ``v`` (over omega) and length `span` (an angle).
 
@@ -54,17 +90,15 @@ def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, spa
     """
     mirror, x, p, q, span = mirrored(x, p, v, span)
     first = first_arc(x, p, q, a, span)
-    first_side, first_offset, first_p, excess, first_h, angle, arrived_first = first
-    side, h, entered, arrived = _follow_crossings(first_side, first_h, angle, arrived_first, q, a, span)
-    position, left, released, stuck = _stick(side, h, entered, arrived, q, a, span)
-    center, offset, p_start, angle = _last_arc(
-        side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p
-    )
+    last = _LastMeeting(*_follow_crossings(first.side, first.h, first.angle, first.arrives, q, a, span))
+    stick = _stick(last, q, a, span)
+    center, offset, p_start, angle = _last_rotation(first, last, stick, q, a, span)
     sine, cosine = sincos(angle)
     # A radius whose square overflows would miss its arrivals: 0 * infinity makes the state NaN (`NOT_FINITE`).
-    x_end = center + offset * cosine + p_start * sine + 0 * excess
+    x_end = center + offset * cosine + p_start * sine + 0 * first.excess
     p_end = p_start * cosine - offset * sine
-    return Passage(mirror * x_end, mirror * p_end, entered, left, mirror * position, stuck, released & stuck)
+    position, left, released, stuck = stick
+    return Passage(mirror * x_end, mirror * p_end, last.entered, left, mirror * position, stuck, released & stuck)
 
 
 @computed_once
@@ -74,27 +108,35 @@ def mirrored(x, p, v, span):
 
 
 @computed_once
-def _stick(side, h, entered, arrived, q, a, span):
-    # Stick from `entered` at x = side (a - h) until the spring reaches the friction limit at x = +a.
+def _stick(last: _LastMeeting, q: FloatArray, a: FloatArray, span: FloatArray) -> _Stick:
+    """The stick from `entered` at ``x = side (a - h)`` until the spring reaches the friction limit at ``x = +a``."""
+    side, h, entered, arrived = last
     position = side * (a - h)
     moving = q > 0
     release = jnp.where(moving, entered + (a - position) / jnp.where(moving, q, 1), jnp.inf)
     released = arrived & (release <= span)
     left = jnp.where(released, release, span)
-    return position, left, released, arrived & (left > entered)
+    return _Stick(position, left, released, arrived & (left > entered))
 
 
 @computed_once
-def _last_arc(side, h, entered, arrived, q, a, span, position, left, released, arrived_first, first_offset, first_p):
-    # The last motion of the interval is one rotation: about +a from the release point, or about the centre of the
-    # current arc from where that arc began, which is the interval's first state or (after a crossing) distance h beyond
-    # the centre at p = q. A mass still stuck at the end is rotated by the angle 0.
-    crossed = arrived_first & ~arrived
-    offset = jnp.where(crossed, side * h, first_offset)
-    offset = jnp.where(arrived, jnp.where(released, 0, position + q * (span - entered) - a), offset)
+def _last_rotation(
+    first: FirstArc, last: _LastMeeting, stick: _Stick, q: FloatArray, a: FloatArray, span: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The last motion of the interval, one rotation: its centre; the offset from it and p at its beginning; its angle.
+
+    About +a from the release point, or about the centre of the current arc from where that arc began, which is the
+    interval's first state or (after a crossing) distance h beyond the centre at p = q. A mass still stuck at the end
+    is rotated by the angle 0.
+    """
+    side, h, entered, arrived = last
+    crossed = first.arrives & ~arrived
+    offset = jnp.where(crossed, side * h, first.offset)
+    offset_at_end = stick.position + q * (span - entered) - a
+    offset = jnp.where(arrived, jnp.where(stick.released, 0, offset_at_end), offset)
     center = jnp.where(arrived, a, side * a)
-    p_start = jnp.where(arrived_first, q, first_p)
-    angle = jnp.where(arrived, span - left, span - jnp.where(crossed, entered, 0))
+    p_start = jnp.where(first.arrives, q, first.p)
+    angle = jnp.where(arrived, span - stick.left, span - jnp.where(crossed, entered, 0))
     return center, offset, p_start, angle
 
 
@@ -113,16 +155,12 @@ def _rests(x, p, v, a):
     return (v == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
 
 
-def first_arc(x, p, q, a, span):
-    """The arc from the interval's first state.
-
-    Returns its side, its offset from the centre and p; ``R^2 - q^2`` and its square root h, the distance from the
-    centre at which the arc meets the base velocity; the angle at which it does, and whether this is within the span.
-    """
+def first_arc(x: FloatArray, p: FloatArray, q: FloatArray, a: FloatArray, span: FloatArray) -> FirstArc:
+    """The arc from the interval's first state."""
     at_rest, side, D, p = _seen_from_center(x, p, q, a)
     excess, reaches, h = _meeting(at_rest, D, p, q, a)
     angle = _angle_to_meeting(D, p, q, h, side)
-    return side, side * D, p, excess, h, angle, reaches & (angle < span)
+    return FirstArc(side, side * D, p, excess, h, angle, reaches & (angle < span))
 
 
 @computed_once
