@@ -79,8 +79,11 @@ def batches_done(folder) -> int:
 
 
 def kill_while_starting(folder, moments) -> None:
-    process = started("long", folder)
-    time.sleep(moments.uniform(0.0, 2.0))
+    """At most when the first batch is done: on a fast machine all would be, before the next kill."""
+    done, process = batches_done(folder), started("long", folder)
+    last = time.monotonic() + moments.uniform(0.0, 2.0)
+    while time.monotonic() < last and batches_done(folder) == done:
+        time.sleep(0.002)
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
