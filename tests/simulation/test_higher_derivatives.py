@@ -178,7 +178,9 @@ def test_second_and_third_derivatives(name):
 
 
 WHICH = [(name, mode) for name in ("harmonic base", "regularised") for mode in MODES]
-WHICH += [("constant velocities", "reverse over reverse"), ("cart", "reverse over reverse")]
+WHICH += [("constant velocities", "reverse over reverse")]
+# Reverse over reverse of the cart takes more than five minutes and up to 20 GB to compile (docs/limits.md).
+WHICH += [("cart", "forward over reverse")]
 WHICH += [("closed form of intervals", mode) for mode in ("forward over forward", "forward over reverse")]
 
 
