@@ -4,13 +4,11 @@ Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 
 """
 
 import contextlib
-import gc
 import os
 import signal
 import sys
 import threading
-import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from types import FrameType
 
@@ -36,6 +34,12 @@ def main(tokens: Sequence[str] | None = None) -> int:
 
 class _Terminated(BaseException):
     """Raised when the process receives SIGTERM."""
+
+
+_STOPS: dict[type[BaseException], signal.Signals] = {
+    KeyboardInterrupt: signal.SIGINT,
+    _Terminated: signal.SIGTERM,
+}
 
 
 def _answer(tokens: Sequence[str]) -> int:
@@ -75,9 +79,6 @@ def _fail(reason: object, code: int) -> int:
     return code
 
 
-_WEAK_REFERENCES = (weakref.__file__, weakref.WeakSet.__init__.__code__.co_filename)
-
-
 @contextlib.contextmanager
 def _stops_raised() -> Iterator[None]:
     """Make Ctrl-C and SIGTERM (sent by batch systems) raise an exception, so that the program cleans up."""
@@ -89,32 +90,32 @@ def _stops_raised() -> Iterator[None]:
     signal.signal(signal.SIGTERM, partial(_stop, _Terminated))
     if usual[signal.SIGINT] is signal.default_int_handler:  # not where Ctrl-C is ignored
         signal.signal(signal.SIGINT, partial(_stop, KeyboardInterrupt))
+    usual_hook, sys.unraisablehook = sys.unraisablehook, partial(_send_again, sys.unraisablehook)
     try:
         yield
     finally:
         for number, handler in usual.items():
             signal.signal(number, handler)
+        sys.unraisablehook = usual_hook
 
 
 def _stop(reason: type[BaseException], number: int, frame: FrameType | None) -> None:
-    # Python drops exceptions raised in callbacks of the garbage collector and of weak references, and such a callback
-    # of JAX is often the first code to run after a long compilation: in one, send the signal again a little later.
-    if _inside_callback(frame):
-        later = threading.Timer(0.05, os.kill, (os.getpid(), number))
-        later.daemon = True
-        later.start()
-        return
     raise reason
 
 
-def _inside_callback(frame: FrameType | None) -> bool:
-    callbacks = [getattr(callback, "__code__", None) for callback in gc.callbacks]
-    while frame is not None:
-        code = frame.f_code
-        if code in callbacks or code.co_name == "__del__" or code.co_filename in _WEAK_REFERENCES:
-            return True
-        frame = frame.f_back
-    return False
+def _send_again(usual: Callable[..., object], dropped: "sys.UnraisableHookArgs") -> None:
+    """Send a signal again, a little later, whose exception Python dropped; leave other exceptions to the usual hook.
+
+    Python drops what is raised in callbacks of weak references and of the garbage collector and in ``__del__``;
+    such a callback, of JAX or another library, is often the first code to run after a long compilation.
+    """
+    number = _STOPS.get(dropped.exc_type)
+    if number is None:
+        usual(dropped)
+        return
+    later = threading.Timer(0.05, os.kill, (os.getpid(), number))
+    later.daemon = True
+    later.start()
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from typing import get_args
 
 import pytest
@@ -176,26 +177,62 @@ def test_failure_in_the_middle_leaves_all_as_it_was(capsys, tmp_path, monkeypatc
         assert (tmp_path / "result" / DATA).read_text() == "old"
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_stop_that_arrives_in_the_garbage_collection_is_not_lost(capsys, tmp_path, monkeypatch, number, code):
-    """What is raised there is dropped by Python; JAX has such a callback, which runs after every long compilation."""
-    stops = [number]
+class Dying:
+    """What calls a function when it is collected."""
 
+    def __init__(self, call):
+        self.call = call
+
+    def __del__(self):
+        self.call()
+
+
+def of_the_collector(call):
     def collecting(phase, info):
-        if stops:
-            os.kill(os.getpid(), stops.pop())
+        gc.callbacks.remove(collecting)
+        call()
+
+    gc.callbacks.append(collecting)
+    gc.collect()
+
+
+def of_a_weak_reference(call):
+    dying = Dying(lambda: None)
+    _ = weakref.ref(dying, lambda reference: call())
+    del dying
+
+
+def of_a_finalizer(call):
+    Dying(call)
+
+
+@pytest.mark.parametrize("callback", [of_the_collector, of_a_weak_reference, of_a_finalizer])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_stop_whose_exception_python_drops_is_not_lost(capsys, tmp_path, monkeypatch, number, code, callback):
+    """JAX and numba have such callbacks, which run after every long compilation."""
 
     def simulate(*_, **__):
-        gc.collect()
+        callback(lambda: os.kill(os.getpid(), number))
         time.sleep(5)
         pytest.fail("not stopped")
 
     monkeypatch.setattr("stickslip_jax.study._run.simulate_ensemble", simulate)
-    gc.callbacks.append(collecting)
-    try:
-        assert "no result was written" in _refused(capsys, ["study", config_file(tmp_path)], code)
-    finally:
-        gc.callbacks.remove(collecting)
+    assert "no result was written" in _refused(capsys, ["study", config_file(tmp_path)], code)
+
+
+def test_other_dropped_exceptions_are_told_as_ever(capsys, tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda dropped: told.append(dropped.exc_type))
+    usual = sys.unraisablehook
+
+    def simulate(*_, **__):
+        of_a_finalizer(lambda: 1 / 0)
+        raise MemoryError
+
+    monkeypatch.setattr("stickslip_jax.study._run.simulate_ensemble", simulate)
+    _refused(capsys, ["study", config_file(tmp_path)], 1)
+    assert told == [ZeroDivisionError]
+    assert sys.unraisablehook is usual
 
 
 # --- as a process of its own
