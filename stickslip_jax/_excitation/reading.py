@@ -189,7 +189,7 @@ def _check_unit(file: str, header: list[str]) -> None:
 
 
 def _text(path: Path) -> str:
-    shown = _checks.show(str(path))
+    shown = repr(str(path))  # whole: a name that is cut cannot be looked for
     try:
         # Old headers hold names in old encodings: an unreadable character matters only where a number should be.
         return path.read_text(encoding="utf-8-sig", errors="replace")

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from .._excitation.ground import GroundAcceleration
 from .._excitation.reading import STANDARD_GRAVITY, read_at2, read_csv
 from .._excitation.recorded import Recorded
-from ._sections import Section, shown_value
+from ._sections import Section, shown_value, toml_value
 
 _WHITE_SPACE = "whitespace"
 
@@ -24,7 +24,7 @@ def _existing(file: str, info: Any) -> str:
         path = folder.joinpath(file).absolute()
     if not path.is_file():
         raise ValueError(
-            f"file must be the name of a file that exists, but {shown_value(file)} was given; the folder looked in is "
+            f"file must be the name of a file that exists, but {toml_value(file)} was given; the folder looked in is "
             f"{path.parent}."
         )
     return str(path)

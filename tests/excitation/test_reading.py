@@ -308,6 +308,13 @@ class TestBadArguments:
     def test_missing_file(self, tmp_path, read):
         refuses(read, tmp_path / "no.csv", "file that exists, but .* the folder looked in is", FileNotFoundError)
 
+    @pytest.mark.parametrize("read", [read_csv, read_recorded_csv, read_acceleration_csv, read_at2])
+    def test_long_name_is_shown_whole(self, tmp_path, read):
+        folder = tmp_path / ("long" * 40)
+        refuses(read, folder / "no.csv", "file that exists, but .* the folder looked in is", FileNotFoundError)
+        folder.mkdir()
+        refuses(read, folder, "that can be read, but", OSError)
+
     @pytest.mark.parametrize("read", [read_csv, read_at2])
     def test_folder(self, tmp_path, read):
         refuses(read, tmp_path, "that can be read, but", OSError)

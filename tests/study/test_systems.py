@@ -293,6 +293,13 @@ def test_record_that_vanished_is_refused(tmp_path):
     assert not (tmp_path / "r").exists()
 
 
+def test_long_name_of_a_missing_record_is_shown_whole(tmp_path):
+    name = "long" * 40 + "/record.csv"
+    with pytest.raises(StudyError) as caught:
+        read_config(config_file(tmp_path, f'[base]\nlaw = "Recorded"\nfile = "{name}"'))
+    assert f'file must be the name of a file that exists, but "{name}" was given' in str(caught.value)
+
+
 def test_command_finds_records_beside_the_configuration(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     (tmp_path / "elsewhere").mkdir()
