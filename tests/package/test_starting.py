@@ -10,6 +10,7 @@ import time
 import pytest
 
 import stickslip_jax
+from stickslip_jax._compilation_cache import VARIABLE
 
 SCRIPT = """
 import sys
@@ -21,13 +22,19 @@ if __name__ == "__main__":
 """What the console script of the command does."""
 
 
+def environment(tmp_path) -> dict[str, str]:
+    """Where a program finds the package, whatever its folder, and keeps its compilations, whoever runs the tests."""
+    root = os.path.dirname(os.path.dirname(stickslip_jax.__file__))
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(paths), VARIABLE: str(tmp_path / "compiled")}
+
+
 def started(tmp_path, name: str, *arguments: str) -> subprocess.Popen:
     """The command as a program of this name, begun."""
     script = tmp_path / name
     script.write_text(SCRIPT)
-    root = os.path.dirname(os.path.dirname(stickslip_jax.__file__))
     process = subprocess.Popen(
-        [sys.executable, str(script), *arguments], env=os.environ | {"PYTHONPATH": root}, cwd=tmp_path,
+        [sys.executable, str(script), *arguments], env=environment(tmp_path), cwd=tmp_path,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout.readline() == "begun\n"
@@ -85,9 +92,8 @@ def test_program_that_has_the_name_of_the_command_keeps_ctrl_c(tmp_path):
     script.write_text(
         "import signal\nimport stickslip_jax\nassert signal.getsignal(signal.SIGINT) is signal.default_int_handler\n"
     )
-    root = os.path.dirname(os.path.dirname(stickslip_jax.__file__))
     done = subprocess.run(
-        [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": root}, capture_output=True, text=True,
+        [sys.executable, str(script)], env=environment(tmp_path), capture_output=True, text=True,
         timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
