@@ -55,10 +55,10 @@ class Totals(NamedTuple):
     stick_time: FloatArray
 
 
-def start_totals(dtype) -> Totals:
-    """The totals of a trajectory at its beginning, all zero."""
-    none = jnp.zeros((), jnp.int32)
-    return Totals(none, none, jnp.zeros((), dtype))
+def start_totals(dtype, shape: tuple[int, ...] = ()) -> Totals:
+    """The totals of a trajectory at its beginning, all zero; of several contacts of this `shape`."""
+    none = jnp.zeros(shape, jnp.int32)
+    return Totals(none, none, jnp.zeros(shape, dtype))
 
 
 def with_stick(totals: Totals, is_stick: BoolArray, censored: BoolArray, duration: FloatArray) -> Totals:
@@ -87,10 +87,10 @@ def closed_up(records: StickRecord) -> StickRecord:
     return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1))
 
 
-def no_stick(dtype: Any, quantities: Iterable[str]) -> StickRecord:
-    """The record of a step in which no stick ended, with these `quantities`."""
-    zero = jnp.zeros((), dtype)
-    return StickRecord(zero, zero, zero, dict.fromkeys(quantities, zero), jnp.asarray(-1, jnp.int8))
+def no_stick(dtype: Any, quantities: Iterable[str], shape: tuple[int, ...] = ()) -> StickRecord:
+    """The record of a step in which no stick ended, with these `quantities`; of several contacts of this `shape`."""
+    zero = jnp.zeros(shape, dtype)
+    return StickRecord(zero, zero, zero, dict.fromkeys(quantities, zero), jnp.full(shape, -1, jnp.int8))
 
 
 class Sticks(eqx.Module):

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 
 from ..._numerics.primal import without_derivatives
 from ..._systems.friction import FrictionLaw
-from ..._systems.switched_model import State, SwitchedModel
+from ..._systems.one_contact import OneContactModel
+from ..._systems.switched_model import State
 from ..._types import FloatArray
 from .balance_root import balance_root
 from .static_balance import balance_with_static
@@ -25,7 +26,7 @@ _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
 def implicit_step(
-    model: SwitchedModel, switch: Switch, forcing: object, y: State, h: FloatArray, band: FloatArray | None = None
+    model: OneContactModel, switch: Switch, forcing: object, y: State, h: FloatArray, band: FloatArray | None = None
 ) -> State:
     """The state after one step of length `h` (s) from the state `y`.
 
@@ -42,7 +43,7 @@ def implicit_step(
 
 
 def _stage(
-    model: SwitchedModel,
+    model: OneContactModel,
     switch: Switch,
     forcing: object,
     tau: FloatArray,
