@@ -22,7 +22,8 @@ def with_slopes(function: Callable[..., Any], *args: Any, most: int) -> Any:
 
     They are the derivatives of JAX, of every order and in every mode; only the way to the first one differs.
     """
-    numbers, rest = eqx.partition(args, eqx.is_inexact_array)
+    # Whole numbers too: what is enclosed here and traced would be a constant, which JAX cannot lower.
+    numbers, rest = eqx.partition(args, eqx.is_array)
     leaves, tree = jax.tree.flatten(numbers)
     structure = []
 
