@@ -66,6 +66,7 @@ class BySteps(NamedTuple):
     def lanes(self, y0: tuple[Number, ...], dtype: DType) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
         system, _, method, t1 = self.arguments
+        system.one_contact_model(None, None)
         excitation, step = self.arguments.checked_step("law")
         self.arguments.check_length()
         # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.

@@ -1,5 +1,6 @@
 """One simulated trajectory: `Simulation`."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -10,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from .. import _checks, _html
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.path import Path
-from .._events.sticks import Slips, Sticks, Totals, slips_between
+from .._events.sticks import Slips, Sticks, Totals, of_contact, slips_between
 from .._excitation.excitation import BaseMotion
 from .._methods import WithMethods
 from .._status import Status
@@ -63,7 +64,28 @@ class Simulation(WithMethods):
 
     @property
     def slips(self) -> Slips:
+        if self.sticks.contact is not None:
+            raise ValueError("Slips are those of one contact here: take simulation.of_contact(number).slips.")
         return slips_between(self.sticks, self.time_reached)
+
+    def of_contact(self, number: int) -> "Simulation":
+        """The same trajectory with the sticks, slips and totals of one contact.
+
+        Args:
+            number: Of the contact, from 0.
+
+        Returns:
+            A simulation whose sticks and totals are those of this contact.
+
+        Raises:
+            ValueError: For a system with one contact, and for a number that is not one of its contacts.
+        """
+        if self.sticks.contact is None:
+            raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
+        contacts = self.totals.sticks.shape[-1]
+        _checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
+        parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
+        return dataclasses.replace(self, sticks=of_contact(self.sticks, number), totals=parts)
 
     @property
     def stick_time(self) -> Float[Array, "*batch"]:

@@ -100,7 +100,8 @@ def _with_mode(
     """
     was_stick, sticks = lane.sign == 0, mode.sign == 0
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start)
-    stick = StickSpan(lane.stick_start, lane.t, lane.stick_position, left_at=position)
+    now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
+    stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
     quantities, remembered = measured(lane.remembered, over, stick)
     ending = ending_of(over, ~at_horizon & ~jumped, at_horizon)
     record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
