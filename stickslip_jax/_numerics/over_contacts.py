@@ -6,7 +6,7 @@ each trajectory, which compiles to faster loops.
 
 import jax.numpy as jnp
 
-from .._types import BoolArray, BoolScalar, FloatArray, FloatScalar
+from .._types import Array, BoolArray, BoolScalar, FloatArray, FloatScalar
 
 
 def any_of(of_each: BoolArray) -> BoolScalar:
@@ -19,6 +19,6 @@ def least_of(of_each: FloatArray) -> FloatScalar:
     return of_each if of_each.ndim == 0 else jnp.min(of_each)
 
 
-def sum_of(of_each: FloatArray) -> FloatScalar:
+def sum_of(of_each: Array) -> Array:
     """The sum over the contacts."""
     return of_each if of_each.ndim == 0 else jnp.sum(of_each)

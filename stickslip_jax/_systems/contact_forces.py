@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import BoolArray, BoolScalar, FloatArray
+from .._types import BoolArray, BoolScalar, FloatArray, IntArray
 from .switched_model import Question
 
 _UNROLLED = 8  # contacts, up to which elimination is written out: vectorised over lanes, unlike a call of a library
@@ -99,9 +99,7 @@ class Settled(NamedTuple):
     share: FloatArray
 
 
-def settled(
-    gain: FloatArray, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray
-) -> Settled:
+def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray) -> Settled:
     """Which contacts that are asked friction holds.
 
     `slack`: by how much the share of a stick that goes on may exceed 1: round-off at the limit.
@@ -122,7 +120,7 @@ def settled(
         breaks = asked & ~question.released & (jnp.abs(share) > allowed)
         return Settled(jnp.where(breaks, driven, start), share)
 
-    def again(state: tuple[FloatArray, FloatArray, FloatArray, BoolScalar]):
+    def again(state: tuple[FloatArray, FloatArray, IntArray, BoolScalar]):
         sign, decisive, passes, _ = state
         force, share = shares(sign)
         held, slips = asked & (sign == 0), asked & (sign != 0) & ~question.released

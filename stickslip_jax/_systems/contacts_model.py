@@ -12,7 +12,7 @@ from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step
 from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
 from .contact_forces import Limits, acceleration, settled, solved
-from .switched_model import NOISE_ULPS, Decision, F, FloatPair, Question, SwitchedModel
+from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
@@ -92,7 +92,7 @@ class ContactsModel(SwitchedModel[F]):
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
         return self.instant(forcing, tau, y).velocity
 
-    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> FloatPair:
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         rates = self.rates(forcing, tau, y, sign)
 
         def at(tau, y):

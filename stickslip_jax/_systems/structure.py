@@ -27,6 +27,11 @@ def _numbers(values: Any) -> Any:
     return np.asarray(values, float) if isinstance(values, (list, tuple)) else values
 
 
+def _tuple(values: Any) -> Any:
+    """A list as a tuple; anything else as it is."""
+    return tuple(values) if isinstance(values, list) else values
+
+
 class Contact(Checked):
     """A dry-friction contact of a `LinearStructure`.
 
@@ -50,10 +55,10 @@ class Contact(Checked):
     on_base: Annotated[Number, Quantity("", meaning="share of the base velocity that is subtracted")] = 1.0
 
     def check_parts(self) -> None:
-        if not isinstance(self.friction, FrictionLaw):
-            raise _checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
         if np.ndim(self.direction) != 1:
             raise _checks.refused("direction", "be a sequence of numbers, one for each mass", self.direction)
+        if not isinstance(self.friction, FrictionLaw):
+            raise _checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
 
     @classmethod
     def of_mass(cls, index: int, masses: int, normal_force: Number, friction: FrictionLaw) -> "Contact":
@@ -93,16 +98,14 @@ class LinearStructure(System):
     mass: Any = eqx.field(converter=_numbers)
     stiffness: Any = eqx.field(converter=_numbers)
     damping: Any = eqx.field(default=None, converter=_numbers)
-    contacts: tuple[Contact, ...] = ()
-    force: tuple[Signal | Number | None, ...] | None = None
+    contacts: tuple[Contact, ...] = eqx.field(default=(), converter=_tuple)
+    force: tuple[Signal | Number | None, ...] | None = eqx.field(default=None, converter=_tuple)
     uncoupled: bool | None = eqx.field(static=True, default=None)
 
     def __post_init__(self):
+        check_structure(self)
         if self.uncoupled is None:
             object.__setattr__(self, "uncoupled", is_uncoupled(self))
-
-    def check_parts(self) -> None:
-        check_structure(self)
 
     @property
     def size(self) -> int:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _checks
+from .._excitation.smooth import Signal
 
 if TYPE_CHECKING:
     from .structure import LinearStructure
@@ -22,10 +23,18 @@ def check_structure(structure: "LinearStructure") -> None:
         _check_matrix("damping", structure.damping, size)
     _check_mass(structure.mass)
     _check_contacts(structure, size)
-    if structure.force is not None and (not isinstance(structure.force, tuple) or len(structure.force) != size):
+    if structure.force is None:
+        return
+    if not isinstance(structure.force, tuple) or len(structure.force) != size:
         raise _checks.refused(
             "force", f"be a tuple of {size} forces, one for each mass (None for no force)", structure.force
         )
+    for number, force in enumerate(structure.force):
+        if force is not None and not isinstance(force, Signal):
+            try:
+                _checks.numeric(f"force[{number}]", force)
+            except ValueError:
+                raise _checks.refused(f"force[{number}]", "be a number, a Signal or None", force) from None
 
 
 def is_uncoupled(structure: "LinearStructure") -> bool:

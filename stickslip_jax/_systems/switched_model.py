@@ -22,6 +22,8 @@ F = TypeVar("F")
 
 
 FloatPair: TypeAlias = tuple[FloatScalar, FloatScalar]
+Guard: TypeAlias = tuple[FloatArray, FloatArray]
+"""The guards of the contacts, and their time derivatives."""
 
 
 class Segments(NamedTuple):
@@ -150,7 +152,7 @@ class SwitchedModel(eqx.Module, Generic[F]):
         return jnp.sign(self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y))
 
     @abc.abstractmethod
-    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         """Guard of the mode, positive while the stick or slip lasts, and its time derivative.
 
         In a slip: ``sign`` times the relative velocity. In a stick (`sign` 0): ``1 - (f / f_max)^2``, where f is the
@@ -158,7 +160,7 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """
 
     @abc.abstractmethod
-    def guard_scale(self, forcing: F, y: State, sign: FloatScalar) -> FloatScalar:
+    def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
         """The size of the terms that cancel in the guard: the scale of its round-off."""
 
     @property
@@ -174,7 +176,7 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def decided(self, forcing: F, y: State, question: Question) -> Decision:
         """What friction does at `tau` 0 with the contacts at rest that are asked."""
 
-    def step_limit(self, age: FloatScalar, step: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
+    def step_limit(self, age: FloatArray, step: FloatScalar, y: State, sign: FloatArray) -> FloatScalar:
         """The longest step to take from `y`, `age` (s) after the last event at rest.
 
         Transients may need shorter steps at first, and a stick may allow longer ones.
