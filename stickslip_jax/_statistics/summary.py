@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import textwrap
 from collections.abc import Sequence
 
 from .. import _html
@@ -9,6 +10,8 @@ from .distribution import Distribution
 from .estimate import Estimate, format_with_error
 
 Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
+WIDEST = 100
+"""Characters of a line of text: what the pages of the documentation hold, and most windows."""
 _HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
 
 
@@ -26,10 +29,10 @@ class Summary:
     def __repr__(self) -> str:
         parts = [self.title]
         for caption, head, rows in self.tables:
-            widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
-            lines = ["  ".join(_aligned(row, widths)).rstrip() for row in (head, *rows)]
+            lines = _lines(head, rows)
             parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
-        return "\n\n".join([*parts, "\n".join(self.notes)] if self.notes else parts)
+        notes = [textwrap.fill(note, WIDEST) for note in self.notes]
+        return "\n\n".join([*parts, "\n".join(notes)] if notes else parts)
 
     def _repr_html_(self) -> str:
         parts = [_html.table(rows, head, caption) for caption, head, rows in self.tables]
@@ -63,6 +66,22 @@ def shown(estimate: Estimate) -> str:
 
 def _value(estimate: Estimate) -> str:
     return "-" if math.isnan(estimate.value) else f"{estimate.value:.4g}"
+
+
+def _lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table in text. Columns that do not fit beside the others follow below, with heads and names of rows again."""
+    widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
+    groups: list[list[int]] = [[0]]
+    for column in range(1, len(head)):
+        taken = sum(widths[other] + 2 for other in groups[-1])
+        if len(groups[-1]) > 1 and taken + widths[column] > WIDEST:
+            groups.append([0])
+        groups[-1].append(column)
+    return [
+        "  ".join(_aligned([row[column] for column in group], [widths[column] for column in group])).rstrip()
+        for group in groups
+        for row in (head, *rows)
+    ]
 
 
 def _aligned(row: Sequence[str], widths: Sequence[int]) -> list[str]:

@@ -2,11 +2,13 @@
 
 import dataclasses
 import math
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 
 from .. import _checks
+from .summary import WIDEST
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -107,7 +109,11 @@ class Verdict:
         }
         answer = answers[self.rejected]
         rows = [test.line(p) for test, p in zip(self.tests, self.adjusted_p_values, strict=True)]
-        return "\n".join([f"{self.question} {answer}", *(f"  {row}" for row in (*rows, *self.remarks))])
+        told = [textwrap.fill(f"{self.question} {answer}", WIDEST)]
+        told += [
+            textwrap.fill(row, WIDEST, initial_indent="  ", subsequent_indent="    ") for row in (*rows, *self.remarks)
+        ]
+        return "\n".join(told)
 
 
 def _shown(p_value: float) -> str:
