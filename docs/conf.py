@@ -19,6 +19,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "formulas",
+    "reference",
 ]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]

@@ -22,7 +22,9 @@ def draw_machine(ax: Axes) -> None:
     ax.plot(1.8 * turns, 0.7 + coil, color="black", lw=1.2)
     ax.add_patch(Rectangle((1.8, 0.16), 1.2, 0.99, facecolor="0.93", edgecolor="black", lw=1.2))
     ax.plot([1.8, 3.0], [0.16, 0.16], color=STICK, lw=4, solid_capstyle="butt")
-    belt = FancyBboxPatch((0.55, -0.55), 4.1, 0.55, boxstyle="round,pad=0.1,rounding_size=0.37", fill=False, ec=BASE, lw=2)
+    belt = FancyBboxPatch(
+        (0.55, -0.55), 4.1, 0.55, boxstyle="round,pad=0.1,rounding_size=0.37", fill=False, ec=BASE, lw=2
+    )
     ax.add_patch(belt)
     for center in (0.8, 4.4):
         ax.add_patch(Circle((center, -0.275), 0.3, facecolor="white", edgecolor="0.4"))

@@ -1,4 +1,4 @@
-"""The pages of the notebooks: the text and code of today with the outputs of the last run, and what it was run with."""
+"""The pages of the notebooks: the text and code of today, the outputs of the last run, and what it was run with."""
 
 import ast
 import re
@@ -37,7 +37,7 @@ def note(asked: int | None, full: int) -> str:
             "`make notebooks` runs all notebooks at full size, `make site` then builds this site with the results.\n```"
         )
     if asked == full:
-        return f"```{{note}}\nRun at full size: every `SAMPLES` in the code is as it stands there ({full:,}).\n```"
+        return f"```{{note}}\nRun at full size: `SAMPLES` is what the code says ({full:,}).\n```"
     return (
         f"```{{warning}}\n**Run at a reduced size: {asked:,} samples were asked for where the code says {full:,}** "
         "(some cells take no fewer than a number of their own, which they print). Numbers, errors and figures below are "

@@ -72,7 +72,7 @@ class MotorCart(System):
         motor_constant: Of voltage (V s/rad) and torque (N m/A), positive.
         resistance: ohm, positive.
         inductance: H, positive.
-        equation: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
+        equation: "physical" as above (the default), or "printed": as printed in the paper (equation 2), whose term
             ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
 
     Raises:
