@@ -40,7 +40,7 @@ def note(asked: int | None, full: int) -> str:
         return f"```{{note}}\nRun at full size: `SAMPLES` is what the code says ({full:,}).\n```"
     return (
         f"```{{warning}}\n**Run at a reduced size: {asked:,} samples were asked for where the code says {full:,}** "
-        "(some cells take no fewer than a number of their own, which they print). Numbers, errors and figures below are "
+        "(some cells take no fewer than a number of their own, which they print). Numbers, errors and figures are "
         "those of this run. `make notebooks site` shows the full size.\n```"
     )
 

@@ -16,7 +16,7 @@ INTERNAL = """
     covered_time tones varies enough_harmonics in_lanes next_interval next_segment
     known missing unit_of distributions cells_of_retained line labeled outside model_config
     require_sticks numbered_sticks finished_sticks without_name
-""".split()
+""".split()  # noqa: SIM905
 
 
 def _linked(app, what, name, obj, options, lines) -> None:
