@@ -42,7 +42,8 @@ html_theme = "pydata_sphinx_theme"
 html_title = f"stickslip_jax {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_sidebars = {page: [] for page in ("index", "tutorial", "theory")}  # they have no pages below them
+# Pages without pages beside them, and notebooks, whose code needs the room: their list is one level up.
+html_sidebars = {page: [] for page in ("index", "tutorial", "theory", "notebooks/*", "search", "genindex")}
 html_show_search_summary = False  # it is read with `fetch`, which browsers refuse for files
 html_theme_options = {
     "show_prev_next": False,

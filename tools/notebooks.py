@@ -27,7 +27,7 @@ def execute(notebook: Any, folder: Path | None = None, **environment: str) -> An
     """
     around = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"} | environment
     notebook.metadata["stickslip_jax"] = {"samples": around.get(SIZE) or _full_size(notebook)}
-    resources = None if folder is None else {"metadata": {"path": str(folder)}}
+    resources = {} if folder is None else {"metadata": {"path": str(folder)}}
     client = NotebookClient(notebook, timeout=LONGEST, kernel_name="python3", resources=resources)
     return client.execute(env=around)
 

@@ -45,11 +45,11 @@ def note(asked: int | None, full: int) -> str:
     )
 
 
-def write_pages(into: Path, results: Path = ROOT / "results") -> None:
+def write_pages(into: Path, sources: Path = ROOT / "notebooks", results: Path = ROOT / "results") -> None:
     """Write all notebooks into a folder, as pages."""
     shutil.rmtree(into, ignore_errors=True)
     into.mkdir()
-    for source in sorted((ROOT / "notebooks").glob("*.py")):
+    for source in sorted(sources.glob("*.py")):
         notebook, asked = jupytext.read(source), None
         full = full_size(notebook)
         for file in (results / folder / f"{source.stem}.ipynb" for folder in RUNS):

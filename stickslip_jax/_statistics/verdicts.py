@@ -2,13 +2,12 @@
 
 import dataclasses
 import math
-import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 
 from .. import _checks
-from .summary import WIDEST
+from .summary import wrapped
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -109,10 +108,7 @@ class Verdict:
         }
         answer = answers[self.rejected]
         rows = [test.line(p) for test, p in zip(self.tests, self.adjusted_p_values, strict=True)]
-        told = [textwrap.fill(f"{self.question} {answer}", WIDEST)]
-        told += [
-            textwrap.fill(row, WIDEST, initial_indent="  ", subsequent_indent="    ") for row in (*rows, *self.remarks)
-        ]
+        told = [wrapped(f"{self.question} {answer}"), *(wrapped(row, "  ", "    ") for row in (*rows, *self.remarks))]
         return "\n".join(told)
 
 

@@ -236,7 +236,8 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     Raises:
         ValueError: For arguments of another kind, and for angles that are not finite.
 
-    >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
+    >>> system, voltage = ss.MotorCart(mu=0.5), ss.SourceVoltage()
+    >>> bound = ss.stick_duration_bound(system, voltage, math.pi / 2)
     >>> print(f"{bound:.5f} s")
     0.50828 s
     """
