@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 CODE, OUTPUT = 88, 100
 """Characters of a line that a page shows whole in a window of 1,400 pixels (``docs/_static/site.css``): of code, with a
-margin for other fonts, and of what it prints. `tools/site_check.py` measures it in a browser. Pages of notebooks, without
-a list of the other pages, hold the 120 that the formatter allows."""
+margin for other fonts, and of what it prints. `tools/site_check.py` measures it in a browser. Pages of notebooks have
+no list of other pages beside them, and hold the 120 that the formatter allows."""
 
 
 def extension(name):
