@@ -204,8 +204,8 @@ plt.show()
 # %% [markdown]
 # **Verdict.** In a renewal process of independent phases none of these would depend on another. What this run finds is
 # printed below. With 10,000 samples all four kinds of pairs depend at mu = 2 and rate 1/s, a slip on the stick before
-# it most; at mu = 1 and rate 1/s dependence is weak, and is found only between sticks and slips, not among sticks alone nor
-# among slips alone. Fewer samples find less: "not rejected" then means that there are too few, not that phases are
+# it most; at mu = 1 and rate 1/s dependence is weak, and is found only between sticks and slips, not among sticks alone
+# nor among slips alone. Fewer samples find less: "not rejected" then means that there are too few, not that phases are
 # independent. Instants, which the paper asks about too, increase with their order, so they are neither independent nor
 # identically distributed; their differences are what may be.
 
