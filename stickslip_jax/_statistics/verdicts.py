@@ -108,7 +108,7 @@ class Verdict:
         }
         answer = answers[self.rejected]
         rows = [test.line(p) for test, p in zip(self.tests, self.adjusted_p_values, strict=True)]
-        told = [wrapped(f"{self.question} {answer}"), *(wrapped(row, "  ", "    ") for row in (*rows, *self.remarks))]
+        told = [wrapped(f"{self.question} {answer}", "", "    "), *(wrapped(row, "  ", "    ") for row in (*rows, *self.remarks))]
         return "\n".join(told)
 
 
