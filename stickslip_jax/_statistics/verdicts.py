@@ -108,8 +108,8 @@ class Verdict:
         }
         answer = answers[self.rejected]
         rows = [test.line(p) for test, p in zip(self.tests, self.adjusted_p_values, strict=True)]
-        told = [wrapped(f"{self.question} {answer}", "", "    "), *(wrapped(row, "  ", "    ") for row in (*rows, *self.remarks))]
-        return "\n".join(told)
+        told = [wrapped(row, "  ", "    ") for row in (*rows, *self.remarks)]
+        return "\n".join([wrapped(f"{self.question} {answer}", "", "    "), *told])
 
 
 def _shown(p_value: float) -> str:
