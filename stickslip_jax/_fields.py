@@ -21,7 +21,9 @@ PACKAGE = __name__.partition(".")[0]
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """Unit, bounds and meaning of a field that holds numbers. It is part of the field's annotation::
+    """Unit, bounds and meaning of a field that holds numbers.
+
+    It is part of the field's annotation::
 
         class Pendulum(ss.SwitchedSystem):
             length: Annotated[float, ss.Quantity("m", above=0)]

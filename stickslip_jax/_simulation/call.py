@@ -39,9 +39,12 @@ def simulate(
     Raises:
         ValueError: For arguments outside these bounds, and for a step too long for the shortest time scale.
 
-    >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    >>> system = ss.MassSpring(
+    ...     mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)
+    ... )
     >>> one = ss.simulate(system, ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))
-    >>> print(one.sticks.start[0], one.sticks.end[0], ss.Ending(int(one.sticks.ending[0])).name)
+    >>> sticks = one.sticks
+    >>> print(sticks.start[0], sticks.end[0], ss.Ending(int(sticks.ending[0])).name)
     0.0 0.25 RELEASED
     """
     require_threads_of_jax()

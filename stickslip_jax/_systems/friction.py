@@ -16,6 +16,10 @@ from .._fields import Checked, Quantity
 from .._types import FloatArray, Number, Scalar
 
 _STATIC = "friction coefficient of a stick"
+# Sphinx cannot read formatted strings in annotations, and would show no sources of this file.
+_STATIC_ABOVE_MU = _STATIC + ", at least mu"
+_STATIC_OR_MU = _STATIC + ", at least mu; not given: mu"
+_STATIC_OR_CURVE = _STATIC + "; not given: curve(0)"
 _ROUND_OFF = 1e-6  # of numbers in single precision
 
 
@@ -115,7 +119,7 @@ class FrictionLaw(Checked):
 class Coulomb(FrictionLaw):
     """Coulomb dry friction: the force in a slip is ``mu * normal_force``, against the relative velocity.
 
-    Source: Lima and Sampaio 2015, eq. 2.
+    Source: Lima and Sampaio 2015, equation 2.
 
     Args:
         mu: The kinetic friction coefficient (dimensionless, zero or positive).
@@ -126,7 +130,7 @@ class Coulomb(FrictionLaw):
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient", at_least=0)]
-    mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}, at least mu; not given: mu", at_least=0)] = None
+    mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_MU, at_least=0)] = None
     constant = True
 
     def check_relations(self) -> None:
@@ -146,7 +150,9 @@ class Coulomb(FrictionLaw):
 
 
 class VelocityWeakening(FrictionLaw):
-    """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
+    """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)``.
+
+    Source: Leine et al. 1998, equation 3.
 
     Args:
         mu_static: The static friction coefficient (dimensionless, zero or positive).
@@ -192,7 +198,7 @@ class Stribeck(FrictionLaw):
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
-    mu_static: Annotated[Number, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
+    mu_static: Annotated[Number, Quantity(meaning=_STATIC_ABOVE_MU, at_least=0)]
     stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
     exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
         static=True, default=1.0, converter=lambda v: v.item() if isinstance(v, np.number) else v
@@ -248,7 +254,7 @@ class FrictionCurve(FrictionLaw):
 
     curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=_traceable)
     holds_users_code = True
-    mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
+    mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_CURVE, at_least=0)] = None
 
     def check_parts(self) -> None:
         if not callable(self.curve) or isinstance(self.curve, type):

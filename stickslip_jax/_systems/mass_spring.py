@@ -42,7 +42,7 @@ class MassSpring(System):
 
     While slipping, ``mass x'' + damping x' + stiffness x = force(t) + mu normal_force sign(v - x')``; while sticking,
     ``x' = v``, which lasts as long as ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``
-    (Lima and Sampaio 2017, "Construction of a statistical model", eq. 1, where damping and force are zero).
+    (Lima and Sampaio 2017, "Construction of a statistical model", equation 1, where damping and force are zero).
 
     Args:
         mass: kg, positive.

@@ -41,7 +41,7 @@ class SwitchedSystem(System):
     Two masses in a row, the second of which rubs on the base::
 
         class TwoMasses(ss.SwitchedSystem):
-            stiffness: float  # N/m, of the spring from the wall to the first mass, and of that between the masses
+            stiffness: float  # N/m, from the wall to the first mass, and between the masses
             mass: float  # kg, of each
             normal_force: float  # N
             mu: float

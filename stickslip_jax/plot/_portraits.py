@@ -54,7 +54,7 @@ def phase_portrait(
 
     Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
     black while it moves backward, and pale blue while it is at rest; on other bases slip is purple. Crosses mark the
-    centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, eq. 3), if the friction
+    centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, equation 3), if the friction
     coefficient is constant and there is no force and no ground motion; on a base that moves in one direction only, the
     centre for a mass slower than the base: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
     against the angle modulo 2 pi; its sticks are points. For your own system, the second coordinate against the first.
