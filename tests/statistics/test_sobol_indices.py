@@ -267,7 +267,7 @@ def test_unsuitable_arguments(several):
         (lambda: ss.sobol_indices(y, None), "must be made by stickslip_jax.design.saltelli, but None was given."),
         (
             lambda: ss.sobol_indices(y, design, level=90),
-            "Argument level must lie between 0 and 1, such as 0.9, but 90 was",
+            "Argument level must lie between 0 and 1, such as 0.95, but 90 was",
         ),
         (
             lambda: ss.sobol_indices(y, design, resamples=10),
