@@ -17,6 +17,7 @@ from ._trajectory import Phase, check_simulation, ground_acceleration, joined, v
 from ._types import SeveralAxes, Window
 from ._windows import phases_in, turns_of
 
+_VELOCITIES = {"m/s", "rad/s"}
 _MOST_SWINGS = 40  # of the band by more than its width: more are needles without a meaning to the eye
 _LONG = 12  # letters: after a longer name the symbol goes into a second line
 
@@ -41,7 +42,8 @@ def time_history(
         result: A result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
             velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a
             system of your own each coordinate. What else drives it has axes of its own: the voltage of a motor, the
-            acceleration of the ground, or a force; for a system of your own the velocity of the base.
+            acceleration of the ground, or a force; for a system of your own with several
+            velocities that of the base.
         window: First and last time to draw, s. By default all of ``[0, t1]``, or of a motion that turns so often (more
             than 80 times by a quarter of its range) that its line would be a black band, the beginning; the name of the
             axis says so then.
@@ -59,18 +61,19 @@ def time_history(
     coordinates = result.system.coordinates
     whose = "\nrelative to ground" if isinstance(result.base, GroundMotion) else ""
     names, (drive_label, drive) = tuple(coordinate.name for coordinate in coordinates), _drive_of(result)
-    own_base = _has_own_base(result)
-    if (drive is not None or own_base) and (axes is None or len(_style.axes_in(axes)) == len(names) + 1):
+    base_panel = _base_panel(result)
+    if (drive is not None or base_panel == len(names)) and (
+        axes is None or len(_style.axes_in(axes)) == len(names) + 1
+    ):
         names = (*names, "excitation")
     panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
     _draw_band(panels, result, phases)
-    if result.system.sticks_at_base_velocity:
-        _draw_base(panels[1], phases, "ground" if isinstance(result.base, GroundMotion) else "base")
+    if base_panel is not None and base_panel < len(panels):
+        _draw_base(panels[base_panel], phases, "ground" if isinstance(result.base, GroundMotion) else "base")
     for number, coordinate in enumerate(coordinates):
         _draw_state(panels[number], phases, number, result.system.body_name)
         panels[number].set_ylabel(_label(coordinate, result.system.sticks_at_base_velocity and number == 1) + whose)
-    if own_base and len(panels) > len(coordinates):
-        _draw_base(panels[-1], phases, "base")
+    if base_panel == len(coordinates) < len(panels):
         panels[-1].set_ylabel(_base_label(coordinates))
     elif drive is not None and len(panels) > len(coordinates):
         times = np.concatenate([phase.times for phase in phases])
@@ -91,14 +94,23 @@ def _drive_of(one: Simulation) -> tuple[str, Callable[[jax.Array], jax.Array] | 
     return "force (N)", getattr(getattr(one.system, "force", None), "value", None)
 
 
-def _has_own_base(one: Simulation) -> bool:
-    """Whether the system moves on a base whose velocity stands beside no coordinate: a system of the user's own."""
-    return not (one.system.sticks_at_base_velocity or isinstance(one.base, (GroundMotion, SourceVoltage)))
+def _base_panel(one: Simulation) -> int | None:
+    """The number of the panel that the base velocity stands in; None where no base moves.
+
+    Of a system of the user's own that is with its only velocity, or else a panel after those of the coordinates.
+    """
+    if one.system.sticks_at_base_velocity:
+        return 1
+    if isinstance(one.base, (GroundMotion, SourceVoltage)):
+        return None
+    units = [coordinate.unit for coordinate in one.system.coordinates]
+    velocities = [number for number, unit in enumerate(units) if unit in _VELOCITIES]
+    return velocities[0] if len(velocities) == 1 else len(units)
 
 
 def _base_label(coordinates: tuple[Coordinate, ...]) -> str:
     """The name of the base velocity, with its unit where there is only one unit of velocities among the coordinates."""
-    units = {coordinate.unit for coordinate in coordinates} & {"m/s", "rad/s"}
+    units = {coordinate.unit for coordinate in coordinates} & _VELOCITIES
     return _parts.quantity_label("base velocity", units.pop() if len(units) == 1 else "1")
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.ticker import ScalarFormatter
@@ -35,9 +36,12 @@ def legend_above(
         return
     if lines_first:
         handles = dict(sorted(handles.items(), key=lambda item: not isinstance(item[1], Line2D)))
-    most = (_room(ax) if room is None else room) * figure_of(ax).bbox.width
+    figure = figure_of(ax)
+    # Not the renderer of the figure's own backend: that of SVG measures in other units than the figure.
+    measure = RendererAgg(1, 1, figure.dpi)
+    most = (_room(ax) if room is None else room) * figure.bbox.width
     for number in range(min(columns, len(handles)), 0, -1):
-        width = _legend(ax, list(handles), list(handles.values()), number).get_window_extent().width
+        width = _legend(ax, list(handles), list(handles.values()), number).get_window_extent(measure).width
         if width <= most:
             return
     letters = int(max(map(len, handles)) * most / width) - 6  # the handle is as wide
@@ -79,7 +83,7 @@ class _WholeNumbers(ScalarFormatter):
         super().set_locs(locs)
         self._ticks = np.asarray(locs, float)
 
-    def __call__(self, x: float, pos: int | None = None) -> str:
+    def __call__(self, x: Any, pos: int | None = None) -> str:
         largest = np.max(np.abs(self._ticks), initial=0.0)
         if largest == 0 or _LEAST <= largest < _MOST:
             return super().__call__(x, pos)

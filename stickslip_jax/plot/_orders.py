@@ -67,7 +67,7 @@ def means_by_order(
         ax.errorbar(numbers[known], values[known], errors, ls="none", marker="o", ms=4, capsize=3, label=label, **look)
     else:
         label = "mean (no interval from one sample)"
-    ax.plot(numbers, values, ls="none", marker="o", ms=4, label=None if np.any(known) else label, **look)
+    ax.plot(numbers, values, ls="none", marker="o", ms=4, label="_mean" if np.any(known) else label, **look)
     _parts.whole_numbers(ax.xaxis)
     ax.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
     shares = np.array([order.share.value for order in present])
