@@ -54,16 +54,22 @@ def _flat(values: np.ndarray, errors: np.ndarray | None) -> np.ndarray:
     filled = np.where(known, around, 0.0)
     inverse = np.linalg.pinv(np.einsum("ap,xya,aq->xypq", _PLANE, known, _PLANE), hermitian=True)
     plane = np.einsum("xypq,aq,xya->xyp", inverse, _PLANE, filled)
-    if errors is None:
+    spread = errors
+    if spread is None:
         squares = np.sum(np.where(known, filled - plane @ _PLANE.T, 0.0) ** 2, axis=-1)
-        errors = np.sqrt(squares / np.maximum(known.sum(axis=-1) - 3, 1))
-    spread = np.nan_to_num(errors, nan=np.inf) * np.sqrt(np.maximum(inverse[..., 1, 1], inverse[..., 2, 2]))
-    return np.hypot(plane[..., 1], plane[..., 2]) < _SURE * spread
+        spread = np.sqrt(squares / np.maximum(known.sum(axis=-1) - 3, 1))
+    error = np.nan_to_num(spread, nan=np.inf) * np.sqrt(np.maximum(inverse[..., 1, 1], inverse[..., 2, 2]))
+    return np.hypot(plane[..., 1], plane[..., 2]) < _SURE * error
 
 
 def _pieces(path: Path) -> list[Path]:
     """The connected lines of a path."""
-    return [Path(vertices) for vertices in path.to_polygons(closed_only=False)] if len(path.vertices) else []
+    return [Path(vertices) for vertices in path.to_polygons(closed_only=False)] if len(_vertices(path)) else []
+
+
+def _vertices(path: Path) -> np.ndarray:
+    """The points of a path, (points, 2)."""
+    return np.asarray(path.vertices, float)
 
 
 def _in_axes(ax: Axes, vertices: np.ndarray) -> np.ndarray:
@@ -73,11 +79,11 @@ def _in_axes(ax: Axes, vertices: np.ndarray) -> np.ndarray:
 
 def _is_drawn(ax: Axes, centers: tuple[np.ndarray, np.ndarray], line: Path, flat: np.ndarray) -> bool:
     """Whether a line is long enough, and mostly where values change."""
-    points = _in_axes(ax, line.vertices)
+    points = _in_axes(ax, _vertices(line))
     lengths = np.hypot(*np.diff(points, axis=0).T)
     if lengths.sum() < _SHORTEST:
         return False
-    middles = (line.vertices[1:] + line.vertices[:-1]) / 2
+    middles = (_vertices(line)[1:] + _vertices(line)[:-1]) / 2
     cells = [np.interp(place, one, np.arange(len(one))) for place, one in zip(middles.T, centers, strict=True)]
     inside = flat[tuple(np.rint(cell).astype(int) for cell in cells)]
     return bool(lengths[inside].sum() <= _FLAT_PART * lengths.sum())
@@ -89,12 +95,12 @@ def _place_labels(ax: Axes, lines: ContourSet, kept: list[list[Path]], texts: li
     labels = []
     for level, text, pieces in zip(lines.levels, texts, kept, strict=True):
         half = np.array([_LABEL[0] * len(text) + 0.01, _LABEL[1]]) / 2
-        for line in sorted(pieces, key=lambda one: -_length(_in_axes(ax, one.vertices))):
-            points = _in_axes(ax, line.vertices)
+        for line in sorted(pieces, key=lambda one: -_length(_in_axes(ax, _vertices(one)))):
+            points = _in_axes(ax, _vertices(line))
             place = next((one for one in _from_middle(points) if _is_free(points[one], half, placed)), None)
             if place is not None:
                 placed.append((points[place], half))
-                labels.append((float(level), text, line.vertices[place]))
+                labels.append((float(level), text, _vertices(line)[place]))
                 break
     made = []
     for level, text, at in labels:

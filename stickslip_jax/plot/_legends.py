@@ -40,6 +40,7 @@ def legend_above(
     # Not the renderer of the figure's own backend: that of SVG measures in other units than the figure.
     measure = RendererAgg(1, 1, figure.dpi)
     most = (_room(ax) if room is None else room) * figure.bbox.width
+    width = most
     for number in range(min(columns, len(handles)), 0, -1):
         width = _legend(ax, list(handles), list(handles.values()), number).get_window_extent(measure).width
         if width <= most:

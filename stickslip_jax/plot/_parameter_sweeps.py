@@ -52,7 +52,8 @@ def parameter_sweep(
     if not is_labeled(results) or not hasattr(results, "data_vars"):
         raise ValueError(f"Argument results must be a Dataset of a Sweep, but {_checks.show(results)} was given.")
     if names is None:
-        names = shown_statistics(results) if "samples" in results else ()
+        dataset: Any = results
+        names = shown_statistics(dataset) if "samples" in dataset else ()
     if not isinstance(names, (list, tuple)) or not names or not all(name in results for name in names):
         known = ", ".join(map(str, results.data_vars))
         raise ValueError(

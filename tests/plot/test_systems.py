@@ -423,5 +423,5 @@ def test_bad_coordinates(two, annotations_unchecked):
         with pytest.raises(ValueError, match=message):
             plot.phase_portrait(two, **options)
     plain = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, COULOMB), ss.Constant(0.3), t1=2.0)
-    with pytest.raises(ValueError, match="energy_regions must be False unless .* position against velocity"):
+    with pytest.raises(ValueError, match=r"energy_regions must be False unless .* position against velocity"):
         plot.phase_portrait(plain, x="velocity", y="position", energy_regions=True)
