@@ -221,7 +221,7 @@ def test_labelled_arrays(several):
 def test_what_is_printed(several):
     design, y, _ = several
     lines = repr(ss.sobol_indices(y, design)).splitlines()
-    assert lines[0] == "Sobol' indices from 32 base rows (256 samples), with 90 % bootstrap intervals"
+    assert lines[0] == "Sobol' indices from 32 base rows (256 samples), with 95 % bootstrap intervals"
     assert [line.split("  ")[0].strip() for line in lines[2:5]] == NAMES
     found = ss.sobol_indices(y, design)
     low, high = found.first_interval[:, 0]
