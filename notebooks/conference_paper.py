@@ -217,7 +217,7 @@ ax, curves = None, {}
 for name, divided in READINGS.items():
     found = [random_share(ratio, period(ratio) / divided) for ratio in ratios]
     ax = ss.plot.stick_fraction_curve(
-        ratios, found, label=f"interval: {name}", band_label="bands: 90 % of the samples", ax=ax
+        ratios, found, label=f"interval: {name}", band_label="bands: 95 % of the samples", ax=ax
     )
     means = np.array([100 * one.mean.value for one in found])
     fitted = (ratios >= 0.5) & (ratios <= 0.6)

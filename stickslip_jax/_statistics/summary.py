@@ -65,6 +65,14 @@ def shown(estimate: Estimate) -> str:
     return format_with_error(estimate.value, estimate.standard_error)
 
 
+def shown_share(share: Estimate) -> str:
+    """A share of the samples in percent with its standard error; or in a word, where all of them are meant."""
+    if share.value == 1:
+        return "all"
+    percent = dataclasses.replace(share, value=100 * share.value, standard_error=100 * share.standard_error)
+    return f"{shown(percent)} %"
+
+
 def _value(estimate: Estimate) -> str:
     return "-" if math.isnan(estimate.value) else f"{estimate.value:.4g}"
 

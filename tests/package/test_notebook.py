@@ -80,7 +80,7 @@ PRINTED = {
     ),
     "parametric_analysis": (
         r"Sweep of 64 points \(8 mu x 8 rate\), 100 samples each",
-        r"90 % confidence intervals: at most \d+\.\d\d %",
+        r"95 % confidence intervals: at most \d+\.\d\d %",
         r"along rate: the sweep's mean number of sticks again at 8 of 8 points",
         r"along mu: the sweep's mean number of sticks again at 8 of 8 points",
         r"stick_count, \d+ bins: entropy from",
