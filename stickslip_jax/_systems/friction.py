@@ -9,11 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import PyTree
 
 from .. import _checks
-from .._fields import Checked, Quantity
+from .._fields import Checked, Quantity, varies_within
 from .._types import FloatArray, Number, Scalar
+from .tabulated_curve import TabulatedCurve
 
 _STATIC = "friction coefficient of a stick"
 _ROUND_OFF = 1e-6  # of numbers in single precision
@@ -239,7 +241,7 @@ class FrictionCurve(FrictionLaw):
 
     Args:
         curve: A smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
-            with parameters.
+            with parameters. Write it with ``jax.numpy``; for measured points take `from_table`.
         mu_static: The static friction coefficient, at least ``curve(0)``; by default equal to it.
 
     Raises:
@@ -250,11 +252,45 @@ class FrictionCurve(FrictionLaw):
     holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
 
+    @classmethod
+    def from_table(
+        cls,
+        speeds: npt.ArrayLike,
+        coefficients: npt.ArrayLike,
+        *,
+        mu_static: Number | None = None,
+        scale: Number = 1.0,
+    ) -> "FrictionCurve":
+        """The friction law through measured points.
+
+        Between the points it is a cubic that rises or falls only where they do, with a continuous slope (Fritsch and
+        Butland 1984, as scipy's ``PchipInterpolator``). Beyond the last point the coefficient stays that of the last
+        point, and its slope there is zero: measure up to the fastest slip. Both may be traced by ``jit``, ``vmap``
+        (tables of the same number of points) and ``grad``.
+
+        Args:
+            speeds: Relative speeds, m/s, increasing, the first one 0, (points,), at least 2.
+            coefficients: Kinetic friction coefficients at them, zero or positive, (points,).
+            mu_static: The static friction coefficient, at least the first of the kinetic ones; by default equal to it.
+            scale: What the coefficients (not `mu_static`) are multiplied by; it may be uncertain, as any number may.
+
+        Returns:
+            The law, which ensembles store and load with all its points.
+
+        Raises:
+            ValueError: For speeds that do not increase from 0, different lengths, and coefficients that are negative or
+                not finite.
+        """
+        return cls(TabulatedCurve(speeds, coefficients, scale), mu_static)
+
     def check_parts(self) -> None:
         if not callable(self.curve) or isinstance(self.curve, type):
             raise ValueError(
                 f"Argument curve must be a function of the relative speed, but {_checks.show(self.curve)} was given."
             )
+
+    def has_varying_parts(self) -> bool:
+        return varies_within(self.curve)
 
     def check_relations(self) -> None:
         at_rest = self.curve(jnp.zeros(()))
