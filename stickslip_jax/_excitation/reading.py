@@ -95,13 +95,16 @@ def read_recorded_csv(
     scale: float = 1.0,
     delimiter: str | None = ",",
     shift: bool = False,
+    cutoff_hz: float | None = None,
 ) -> Recorded:
     """A recorded base velocity (m/s) or force (N), after multiplication by `scale`.
 
-    Arguments and errors of `read_csv`.
+    Arguments and errors of `read_csv`, and `cutoff_hz`: smooth the record to this bandwidth (Hz), as
+    `Recorded.smoothed` does; by default it stays as it is, and a noisy one causes a RuntimeWarning.
     """
     columns = {"time_column": time_column, "value_column": value_column}
-    return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+    record = read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift)
+    return Recorded(*record) if cutoff_hz is None else Recorded.smoothed(*record, cutoff_hz=cutoff_hz)
 
 
 def read_acceleration_csv(

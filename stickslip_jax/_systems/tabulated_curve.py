@@ -4,7 +4,8 @@ Between two points it is a cubic whose slopes at the points are those of F. N. F
 constructing local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5 (1984), as in scipy's
 `PchipInterpolator`; only the slope at the last point is zero here, because the coefficient is constant beyond.
 The curvature jumps at the points. Steps of an eighth-order method that pass a point are shortened by their error
-estimate: times of events stay within 1e-7 s of an event-driven integration with rtol 1e-12 (tests/systems/test_friction_table.py).
+estimate: times of events stay within 1e-7 s of an event-driven integration with a relative tolerance of 1e-12
+(tests/systems/test_friction_table.py).
 """
 
 from functools import partial
