@@ -109,6 +109,7 @@ class FrictionLaw(Checked):
     def check_relations(self) -> None:
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
         if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
+            _check_traceable(self.kinetic, f"The method kinetic of {type(self).__name__}")
             name = f"The static friction coefficient of {type(self).__name__}"
             # Both may be the same number, rounded twice.
             _static_at_least(self.kinetic(jnp.zeros(())), self.static, name, "kinetic(0)", _ROUND_OFF)
@@ -293,6 +294,7 @@ class FrictionCurve(FrictionLaw):
         return varies_within(self.curve)
 
     def check_relations(self) -> None:
+        _check_traceable(self.curve, "Argument curve of FrictionCurve")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
         _static_at_least(at_rest, self.mu_static, of="curve(0)")
@@ -329,6 +331,12 @@ def times_of_slips(
     drag = friction.viscous_slope * normal_force + (0.0 if damping is None else damping)
     passes = not (scale is None or _is(scale, math.inf) or _is(held, 0.0))
     return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0.0) else mass / drag
+
+
+def _check_traceable(function: Callable[[FloatArray], object], what: str) -> None:
+    """Check that JAX can trace a user's function of the speed. Raises ValueError that says what to write instead."""
+    with _checks.traceable(what):
+        jax.make_jaxpr(function)(jnp.zeros(()))
 
 
 def _is(number: Scalar, value: float) -> bool:
