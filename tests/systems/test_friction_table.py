@@ -1,4 +1,4 @@
-"""Friction laws through measured points: the interpolant against scipy, the motion against an event-driven integration."""
+"""Friction laws through measured points: the curve against scipy, the motion against an event-driven integration."""
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +110,7 @@ def test_uncertain_and_stored(tmp_path):
     drawn = many.input_values["scale"]
     assert np.all((drawn > 0.8) & (drawn < 1.0))
     assert len(np.unique(drawn)) == 8
-    other, base, y0 = many.realization(3)
+    other = many.realization(3).system
     assert float(other.friction.curve.scale) == drawn[3]
     many.save(tmp_path / "many.nc")
     back = ss.load(tmp_path / "many.nc").system.friction.curve
