@@ -3,18 +3,19 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._numerics.known import NotKnown
-from .._types import AnyArray, FloatArray, FloatScalar
+from .._types import FloatArray, FloatScalar
 from .excitation import BaseMotion, excitation_of, motion_of
 from .segment_table import SegmentTable
 from .segments import SegmentLaw
 from .voltage import SourceVoltage
 
 
-def base_velocity(base: BaseMotion, times: AnyArray | float) -> FloatArray:
+def base_velocity(base: BaseMotion, times: npt.ArrayLike) -> FloatArray:
     """The velocity of a base motion at any times, as `simulate` follows it.
 
     Args:
