@@ -1,21 +1,22 @@
 """The base velocity of any motion at any times."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
 from .._numerics.known import NotKnown
-from .._types import FloatArray, FloatScalar
+from .._types import AnyArray, FloatArray, FloatScalar
 from .excitation import BaseMotion, excitation_of, motion_of
 from .segment_table import SegmentTable
 from .segments import SegmentLaw
 from .voltage import SourceVoltage
 
 
-def base_velocity(base: BaseMotion, times: npt.ArrayLike) -> FloatArray:
+def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | int) -> FloatArray:
     """The velocity of a base motion at any times, as `simulate` follows it.
 
     Args:
@@ -66,7 +67,7 @@ def base_velocity(base: BaseMotion, times: npt.ArrayLike) -> FloatArray:
 
 def _table(law: SegmentLaw, times: FloatArray) -> SegmentTable:
     """The segments of a law without randomness until the last of `times`, and one more: it may begin there."""
-    latest = times if _checks.is_traced(times) else float(np.max(np.asarray(times), initial=0.0))
+    latest = jnp.max(times) if _checks.is_traced(times) else float(np.max(np.asarray(times), initial=0.0))
     try:
         number = law.segments(latest)
     except (ConcretizationTypeError, NotKnown):
