@@ -55,6 +55,7 @@ from ._excitation.spectra import (
     TabulatedSpectrum as TabulatedSpectrum,
     VelocitySpectrum as VelocitySpectrum,
 )
+from ._excitation.velocity import base_velocity as base_velocity
 from ._excitation.voltage import SourceVoltage as SourceVoltage
 from ._fields import Quantity as Quantity
 from ._sensitivity import (

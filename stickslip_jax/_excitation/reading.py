@@ -95,6 +95,7 @@ def read_recorded_csv(
     scale: float = 1.0,
     delimiter: str | None = ",",
     shift: bool = False,
+    cutoff_hz: float | None = None,
 ) -> Recorded:
     """A recorded base velocity (m/s) or force (N), after multiplication by `scale`.
 
@@ -108,6 +109,7 @@ def read_recorded_csv(
         scale: What the values are multiplied by, for example 0.001 for mm/s into m/s.
         delimiter: The character between columns; None for any white space.
         shift: Subtract the first time from all; without it, the first time must be 0.
+        cutoff_hz: Smooth the record to this bandwidth (Hz), as `Recorded.smoothed` does; None leaves it as it is.
 
     Returns:
         The motion, linear in time between the samples and as long as the record: a base, or a `force`.
@@ -117,9 +119,13 @@ def read_recorded_csv(
             rows of different lengths or too few columns, entries that are not finite numbers, or times that do not
             increase.
         OSError: For a file that is missing or cannot be read.
+
+    Warns:
+        RuntimeWarning: For a noisy record that is not smoothed.
     """
     columns = {"time_column": time_column, "value_column": value_column}
-    return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+    record = read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift)
+    return Recorded(*record) if cutoff_hz is None else Recorded.smoothed(*record, cutoff_hz=cutoff_hz)
 
 
 def read_acceleration_csv(

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 from .. import _checks
+from .._conventions import Entries, labeled_dataset, variable
 from .._uncertainty.design import Design
-from .conventions import Entries, labeled_dataset, variable
 from .estimate import DEFAULT_LEVEL, check_level
 
 if TYPE_CHECKING:

@@ -9,11 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import PyTree
 
 from .. import _checks
-from .._fields import Checked, Quantity
+from .._fields import Checked, Quantity, varies_within
 from .._types import FloatArray, Number, Scalar
+from .tabulated_curve import TabulatedCurve
 
 _STATIC = "friction coefficient of a stick"
 # Sphinx cannot read formatted strings in annotations, and would show no sources of this file.
@@ -111,6 +113,7 @@ class FrictionLaw(Checked):
     def check_relations(self) -> None:
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
         if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
+            _check_traceable(self.kinetic, f"The method kinetic of {type(self).__name__}")
             name = f"The static friction coefficient of {type(self).__name__}"
             # Both may be the same number, rounded twice.
             _static_at_least(self.kinetic(jnp.zeros(())), self.static, name, "kinetic(0)", _ROUND_OFF)
@@ -245,7 +248,7 @@ class FrictionCurve(FrictionLaw):
 
     Args:
         curve: A smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
-            with parameters.
+            with parameters. Write it with ``jax.numpy``; for measured points take `from_table`.
         mu_static: The static friction coefficient, at least ``curve(0)``; by default equal to it.
 
     Raises:
@@ -256,13 +259,48 @@ class FrictionCurve(FrictionLaw):
     holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_CURVE, at_least=0)] = None
 
+    @classmethod
+    def from_table(
+        cls,
+        speeds: npt.ArrayLike,
+        coefficients: npt.ArrayLike,
+        *,
+        mu_static: Number | None = None,
+        scale: Number = 1.0,
+    ) -> "FrictionCurve":
+        """The friction law through measured points.
+
+        Between the points it is a cubic that rises or falls only where they do, with a continuous slope (Fritsch and
+        Butland 1984, as scipy's ``PchipInterpolator``). Beyond the last point the coefficient stays that of the last
+        point, and its slope there is zero: measure up to the fastest slip. Both may be traced by ``jit``, ``vmap``
+        (tables of the same number of points) and ``grad``.
+
+        Args:
+            speeds: Relative speeds, m/s, increasing, the first one 0, (points,), at least 2.
+            coefficients: Kinetic friction coefficients at them, zero or positive, (points,).
+            mu_static: The static friction coefficient, at least the first of the kinetic ones; by default equal to it.
+            scale: What the coefficients (not `mu_static`) are multiplied by; it may be uncertain, as any number may.
+
+        Returns:
+            The law, which ensembles store and load with all its points.
+
+        Raises:
+            ValueError: For speeds that do not increase from 0, different lengths, and coefficients that are negative or
+                not finite.
+        """
+        return cls(TabulatedCurve(speeds, coefficients, scale), mu_static)
+
     def check_parts(self) -> None:
         if not callable(self.curve) or isinstance(self.curve, type):
             raise ValueError(
                 f"Argument curve must be a function of the relative speed, but {_checks.show(self.curve)} was given."
             )
 
+    def has_varying_parts(self) -> bool:
+        return varies_within(self.curve)
+
     def check_relations(self) -> None:
+        _check_traceable(self.curve, "Argument curve of FrictionCurve")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
         _static_at_least(at_rest, self.mu_static, of="curve(0)")
@@ -299,6 +337,12 @@ def times_of_slips(
     drag = friction.viscous_slope * normal_force + (0.0 if damping is None else damping)
     passes = not (scale is None or _is(scale, math.inf) or _is(held, 0.0))
     return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0.0) else mass / drag
+
+
+def _check_traceable(function: Callable[[FloatArray], object], what: str) -> None:
+    """Check that JAX can trace a user's function of the speed. Raises ValueError that says what to write instead."""
+    with _checks.traceable(what):
+        jax.make_jaxpr(function)(jnp.zeros(()))
 
 
 def _is(number: Scalar, value: float) -> bool:
