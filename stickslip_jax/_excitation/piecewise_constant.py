@@ -33,9 +33,9 @@ class VelocitySteps(Motion):
     """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
 
     The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
-    duration 0. The last duration may be infinite. Where JAX traces the numbers, and for many realisations at once, equal
-    neighbours are merged, and impossible intervals show in the status of each simulation. The ``sample`` method of the
-    laws makes them; for a base motion of your own use `PiecewiseConstant`.
+    duration 0. The last duration may be infinite. Where JAX traces the numbers, and for many realisations at once,
+    equal neighbours are merged, and impossible intervals show in the status of each simulation. The ``sample`` method
+    of the laws makes them; for a base motion of your own use `PiecewiseConstant`.
 
     Args:
         durations: s, (intervals,).

@@ -125,6 +125,13 @@ def _stage(
     end_rates = tuple(rate + coefficient * f for rate, f in zip(alone, by_friction, strict=True))
     terms = [[part * value for part, value in zip(row, expected, strict=True)] for row in jacobian]
     gross = tuple(jnp.abs(r - sum(row)) + sum(map(jnp.abs, row)) for r, row in zip(rates, terms, strict=True))
+    # Where a rate passes through zero: as large as those that it is coupled with make it in one radian of the motion.
+    pairs = [jacobian[i][j] * jacobian[j][i] for i in range(size) for j in range(size)]
+    fastest = jnp.sqrt(sum(map(jnp.abs, pairs)) + jnp.finfo(tau.dtype).tiny)
+    coupled = [sum(jnp.abs(j) * g for j, g in zip(row, gross, strict=True)) for row in jacobian]
+    gross = tuple(
+        own + jnp.where(fastest * weight > 1e-9, of / fastest, 0) for own, of in zip(gross, coupled, strict=True)
+    )
     held = jnp.abs(model.friction.static)
     kink = tuple(held * sum(jnp.abs(j * f) for j, f in zip(row, by_friction, strict=True)) for row in jacobian)
     return _Stage(_moved(expected, 1.0, change), end_rates, slides, alone, gross, kink)

@@ -14,7 +14,7 @@ from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.system import System
 from ..._types import Array, Scalar
 from ..common.method import Regularized
-from ..common.time_scales import step_for
+from ..common.time_scales import accurate_step, step_for
 from .solve import table_sizes
 from .switch import Switch
 
@@ -83,6 +83,7 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
         shortest = smallest(step)
     except NotKnown:
         shortest = smallest(method.step)
+    shortest = accurate_step(system, excitation, shortest)
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
     return _TRIES * steps + _FEW
 
