@@ -1,4 +1,4 @@
-"""`VelocitySteps` of numbers that JAX traces: neighbours of equal velocity are one interval, as in `PiecewiseConstant`."""
+"""`VelocitySteps` of numbers that JAX traces: equal neighbours are one interval, as elsewhere."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,6 @@ import stickslip_jax as ss
 
 SYSTEM = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
 DURATIONS, VELOCITIES = jnp.array([0.1, 0.2, 0.1, 9.0]), jnp.array([0.3, 0.3, 0.3, -0.3])
-# The mass rides for 0.4 s; thrown over to the other side it slips, sticks at x = -0.12 + ..., and is released at -1/8.
 ONE = ss.PiecewiseConstant([0.0, 0.4], [0.3, -0.3])
 METHODS = {"intervals": ss.Exact(), "steps": ss.Exact(step=0.1), "fixed": ss.Regularized(1e-4, step=0.01)}
 

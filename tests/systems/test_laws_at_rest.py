@@ -6,7 +6,6 @@ import pytest
 
 import stickslip_jax as ss
 
-
 HOLDS = r"The static friction coefficient of Law must be at least kinetic\(0\)"
 SIGN = r"The friction coefficient kinetic\(0\) of Law must be finite, zero or positive"
 
