@@ -21,11 +21,11 @@ def drawn(seed: int, shape: str) -> np.ndarray:
     source = np.random.default_rng([seed, *shape.encode()])
     mass, omega, load = 10 ** source.uniform(-1, 1), 10 ** source.uniform(-0.5, 0.7), 10 ** source.uniform(-0.5, 0.5)
     scale = load / (mass * omega)
-    return np.array([
-        mass, mass * omega**2, load, source.uniform(0.1, 1.5), mass * omega * source.choice([0.0, 1.0]) * source.uniform(0, 2),
-        scale * 10 ** source.uniform(-3, -1), scale * source.uniform(0.1, 3), omega * source.uniform(0.2, 3),
-        scale * source.normal(), scale / omega * source.normal(), scale * source.normal(),
-    ])  # fmt: skip
+    damping = mass * omega * source.choice([0.0, 1.0]) * source.uniform(0, 2)
+    width, speed = scale * 10 ** source.uniform(-3, -1), scale * source.uniform(0.1, 3)
+    tone = omega * source.uniform(0.2, 3)
+    offset, x, v = scale * source.normal(size=3) * np.array([1, 1 / omega, 1])
+    return np.array([mass, mass * omega**2, load, source.uniform(0.1, 1.5), damping, width, speed, tone, offset, x, v])
 
 
 def by_radau(numbers, shape):

@@ -34,7 +34,9 @@ def drawn(seed: int, equation: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def reference(system, voltage, start, equation):
-    numbers = compiled_motor_cart.Numbers(*system, *voltage, 2 if equation == "physical" else 1)
+    mu, m, d, j, b, k, r, l = system  # noqa: E741
+    power = 2 if equation == "physical" else 1
+    numbers = compiled_motor_cart.Numbers(mu, m, d, j, b, k, r, l, *voltage, power)
     state, sticks = compiled_motor_cart.follow(numbers, start.copy(), T1, 1e-13)
     return state, sticks
 
@@ -59,9 +61,8 @@ def silently_wrong(equation, dtype="float64", number=NUMBER):
         np.asarray, run(*(jnp.asarray(np.stack(part), dtype) for part in zip(*cases, strict=True)))
     )
     wrong, told = {}, 0
-    for i, (system, voltage, start) in enumerate(cases):
-        if dtype == "float32":
-            system, voltage, start = (np.float64(np.float32(part)) for part in (system, voltage, start))
+    for i, case in enumerate(cases):
+        system, voltage, start = (np.asarray(part, dtype).astype(np.float64) for part in case)
         exact, count = reference(system, voltage, start, equation)
         speed = (abs(voltage[0]) + voltage[1]) / system[5]
         scale = np.array([1.0, max(speed, abs(start[1])), speed * system[5] / system[6]])
