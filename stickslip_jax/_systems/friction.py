@@ -114,9 +114,18 @@ class FrictionLaw(Checked):
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
         if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
             _check_traceable(self.kinetic, f"The method kinetic of {type(self).__name__}")
-            name = f"The static friction coefficient of {type(self).__name__}"
-            # Both may be the same number, rounded twice.
-            _static_at_least(self.kinetic(jnp.zeros(())), self.static, name, "kinetic(0)", _ROUND_OFF)
+            _check_at_rest(type(self).__name__, self, "")
+
+    def check_directions(self) -> None:
+        """Check the law of either direction. Raises ValueError for one that lets a stick hold less than a slip."""
+        if not self.depends_on_direction or not all(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(self)):
+            return
+        for sign, way in ((1.0, "forward"), (-1.0, "backward")):
+            law, kind = self.in_direction(jnp.full((), sign)), type(self).__name__
+            _check_at_rest(kind, law, f" of {way} slips")
+            _static_at_least(
+                law.static, self.static, f"The property static of {kind}", f"that of {way} slips", _ROUND_OFF
+            )
 
 
 class Coulomb(FrictionLaw):
@@ -347,6 +356,19 @@ def _check_traceable(function: Callable[[FloatArray], object], what: str) -> Non
 
 def _is(number: Scalar, value: float) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
+
+
+def _check_at_rest(kind: str, law: FrictionLaw, slips: str) -> None:
+    """Check the coefficients of a user's `law` at vanishing speed; `slips`: for which ones it holds."""
+    kinetic, static = law.kinetic(jnp.zeros(())), law.static
+    for name, value in (("kinetic(0)", kinetic), ("static", static)):
+        if not _checks.is_traced(value) and not np.all(np.isfinite(value) & (np.asarray(value) >= 0)):
+            raise ValueError(
+                f"The friction coefficient {name}{slips} of {kind} must be finite, zero or positive, but {value} was "
+                "given: friction acts against the slip; turn its sign round, or look for a division by zero."
+            )
+    # Both may be the same number, rounded twice.
+    _static_at_least(kinetic, static, f"The static friction coefficient{slips} of {kind}", "kinetic(0)", _ROUND_OFF)
 
 
 def _static_at_least(

@@ -20,7 +20,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
-from .._fields import Quantity
+from .._fields import Quantity, is_distribution
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
@@ -78,6 +78,10 @@ class MassSpring(System):
                 "Argument force must be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, "
                 f"values), but {_checks.show(self.force)} was given."
             )
+
+    def check_relations(self) -> None:
+        if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):
+            self.friction.check_directions()
 
     @property
     def angular_frequency(self) -> Scalar:
