@@ -105,6 +105,10 @@ class MassSpring(System):
         return Coordinate("position of the mass when the stick starts", "m", "x")
 
     @property
+    def has_fixed_time_scales(self) -> bool:
+        return True
+
+    @property
     def natural_frequency(self) -> Scalar:
         return self.angular_frequency
 
@@ -281,6 +285,11 @@ class OscillatorModel(SwitchedModel[OscillatorForcing]):
     def release_sign(self, forcing: OscillatorForcing, y: State) -> FloatScalar:
         # The base pulls harder than friction can hold: the mass lags behind.
         return jnp.where(self._needed_and_limit(forcing, jnp.zeros_like(y[0]), y)[0] > 0, -1, 1).astype(y[0].dtype)
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        signals = [signal for signal in (self.smooth, self.system.force) if isinstance(signal, Signal)]
+        return self.friction.speed_scale is not None and all(signal.shortest_period is not None for signal in signals)
 
     @property
     def friction(self) -> FrictionLaw:

@@ -130,6 +130,11 @@ class SwitchedModel(eqx.Module, Generic[F]):
         return step
 
     @property
+    def time_scales_are_known(self) -> bool:
+        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
+        return False
+
+    @property
     @abc.abstractmethod
     def friction(self) -> FrictionLaw:
         """The friction law of the contact."""

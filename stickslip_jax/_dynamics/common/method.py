@@ -56,17 +56,18 @@ class Regularized(eqx.Module):
       ``eccentricity`` times angular velocity; for a `SwitchedSystem`, in the unit of its relative velocity.
     - `shape`: "linear" (up to one width, then constant), "tanh", "rational" (``s/sqrt(1 + s^2)``) or "arctan"
       (``2/pi atan``), of ``s = v_rel / width``. "linear" is the most accurate and cheapest; the others are smooth.
-    - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Shortened where its
-      estimated error (friction apart) exceeds 1e-4 of what the terms of the equations change in it, about what 45 steps
-      in a period have, and where static friction above kinetic friction takes hold of the mass or lets it go. Without
-      `step`, diffrax chooses the steps.
+    - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Of a `MotorCart`, a
+      system of your own, and where a time scale is not known, shortened where its estimated error without friction
+      exceeds 1e-4 of what the terms of the equations change in it, about what 45 steps in a period have; of all, where
+      static friction above kinetic friction takes hold of the mass or lets it go. Without `step`, diffrax chooses the
+      steps.
     - `solver`: diffrax solver for adaptive steps; by default ``Kvaerno3()``, which is implicit and works for any width.
       ``Tsit5()`` is explicit: cheaper while ``width`` is at least a hundredth of the system's velocities.
     - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
       the scale of each state. The instants of sticks are interpolated inside a step: where they matter, take an `rtol`
       far below the width over the system's velocities (for "linear", whose corners a long step misses, at most 1e-8).
     - `max_steps`: the largest number of steps of one trajectory, rejected ones included; by default 16384 adaptive
-      steps, or twice as many fixed steps as fit into ``t1``, for some may be shortened. Needed with a fixed
+      steps, or as many fixed steps as fit into ``t1``, twice as many where steps may be shortened. Needed with a fixed
       step under ``jit`` or ``grad`` where `t1` is traced.
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more

@@ -83,6 +83,10 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
         shortest = smallest(step)
     except NotKnown:
         shortest = smallest(method.step)
+    known = all(of.time is not None for of in system.time_scales(excitation, None).values())
+    if known and system.has_fixed_time_scales:
+        steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
+        return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
     shortest = accurate_step(system, excitation, shortest)
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
     return _TRIES * steps + _FEW

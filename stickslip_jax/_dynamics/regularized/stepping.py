@@ -15,7 +15,7 @@ from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
-from ..._types import FloatArray, IntArray
+from ..._types import BoolArray, FloatArray, IntArray
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws, following_segments
 from .implicit_step import implicit_step
@@ -76,7 +76,8 @@ class Field(NamedTuple):
 class FixedLane(NamedTuple):
     """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too.
 
-    `limit`: of the next step, s, by the error of the last one and by what static friction holds or lets go.
+    `limit`: of the next step, s, by the error of the last one and by what static friction holds or lets go; None where
+    all steps may be as long as the given one.
     """
 
     t: FloatArray
@@ -84,7 +85,7 @@ class FixedLane(NamedTuple):
     steps: IntArray
     detector: StickDetector
     segment_states: tuple[SegmentState, ...]
-    limit: FloatArray
+    limit: FloatArray | None
 
 
 class Passage(NamedTuple):
@@ -115,7 +116,8 @@ def start_fixed(
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     speed = field.model.relative_velocity(field.model.forcing(zero, segment_laws.segments(segment_states)), zero, y)
-    limit = jnp.full((), jnp.inf, dtype)
+    may_be_short = field.model.friction.static_exceeds_kinetic or not field.model.time_scales_are_known
+    limit = jnp.full((), jnp.inf, dtype) if may_be_short else None
     detector = start_detector(criterion, speed, y[0], quantities)
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
@@ -141,7 +143,7 @@ def advance_fixed(
     for segment_state in lane.segment_states:
         stop = jnp.minimum(stop, segment_state.segment.end)
     left = jnp.where(live, stop - lane.t, 0)
-    longest = jnp.minimum(step, lane.limit)
+    longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
     # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = longest * (1 + 1e-6) >= left
     h = jnp.where(to_stop, left, longest)
@@ -158,17 +160,25 @@ def advance_fixed(
         field.model.forcing(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
     )
     detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
-    inaccurate = error > 1
-    change = jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
-    again, length = inaccurate, lax.stop_gradient(h * change)
-    if band is not None:
-        passes, until = shortened(seen, band)
-        again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
-    accepted = live & ~again
-    stays = lane._replace(steps=lane.steps + 1, limit=length)
-    grown = jnp.minimum(lax.stop_gradient(longest * change), step)
-    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, grown)
-    moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
+    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
+    accepted = live
+    if lane.limit is not None:
+        inaccurate, change = (jnp.zeros((), bool), _GROWTH) if error is None else _judged(error)
+        again, length = inaccurate, lax.stop_gradient(h * change)
+        if band is not None:
+            passes, until = shortened(seen, band)
+            again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
+        accepted = live & ~again
+        stays = lane._replace(steps=lane.steps + 1, limit=length)
+        moved = moved._replace(limit=jnp.minimum(lax.stop_gradient(longest * change), step))
+        moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
     return moved, record, Passage(lane.t, lane.y, rates, end_rates)
+
+
+def _judged(error: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Whether a step of this `error`, over the allowed one, is too inaccurate, and how many times as long the next one
+    may be.
+    """
+    return error > 1, jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
