@@ -19,7 +19,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast test-plain coverage check-slow docs notebooks lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -54,12 +54,21 @@ check-slow: $(READY)
 notebooks: $(READY)
 	$(BIN)/python tools/notebooks.py
 
-# The site in results/docs. Before, all code in documents, docstrings and notebooks is run, these at a small size; the
-# site shows notebooks of full size where `make notebooks` was run.
+# The site in results/docs, without running any code. Its notebooks show the last run of `make notebooks` (full size), or
+# else of `make docs` (small), and each page says which; `make notebooks site` makes both.
+site: $(READY)
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet --fresh-env docs results/docs
+
+# All code in documents, docstrings and notebooks is run, these at a small size; then the site.
 docs: export STICKSLIP_KEEP_NOTEBOOKS = $(CURDIR)/results/notebooks-small
 docs: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m documents
-	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet --fresh-env docs results/docs
+	$(MAKE) site
+
+# No block of code in the site is wider than its column, nothing is loaded from the net, and the search finds what it
+# should; in a browser (chromium), which is asked for each page.
+check-site: site
+	$(BIN)/python tools/site_check.py results/docs
 
 lint: $(READY)
 	$(BIN)/ruff check .

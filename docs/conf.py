@@ -1,12 +1,13 @@
-"""Settings of Sphinx; `make docs` builds the site."""
+"""Settings of Sphinx; `make site` builds the site, `make docs` runs all code in it before."""
 
-import shutil
+import sys
 from pathlib import Path
 
 import stickslip_jax
 
 HERE = Path(__file__).parent
-RESULTS = HERE.parent / "results"
+sys.path.insert(0, str(HERE / "extensions"))
+import notebook_pages  # noqa: E402
 
 project = "stickslip_jax"
 author = "The stickslip_jax authors"
@@ -16,13 +17,18 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
-    "sphinx.ext.mathjax",
     "sphinx.ext.viewcode",
+    "formulas",
+    "reference",
 ]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
-nb_execution_mode = "off"  # `make docs` has run all code before
+nb_execution_mode = "off"  # the pages hold the outputs of a run
+nb_ipywidgets_js: dict = {}  # nothing is loaded from the net, and there are no widgets
+html_math_renderer = "mathml"
+highlight_language = "text"  # what a document shows without naming a language is output, or a command
+exclude_patterns = ["extensions"]
 
 default_role = "py:obj"
 add_module_names = False
@@ -34,17 +40,17 @@ napoleon_attr_annotations = False  # shapes such as "*times" are no markup
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"stickslip_jax {release}"
-html_theme_options = {"show_prev_next": False, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
-
-
-def _copy_notebooks() -> None:
-    """Take the executed notebooks into the sources; those of full size where `make notebooks` made them."""
-    into = HERE / "notebooks"
-    shutil.rmtree(into, ignore_errors=True)
-    into.mkdir()
-    for folder in ("notebooks-small", "notebooks"):
-        for notebook in sorted((RESULTS / folder).glob("*.ipynb")):
-            shutil.copy(notebook, into)
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+# Pages without pages beside them, and notebooks, whose code needs the room: their list is one level up.
+html_sidebars = {page: [] for page in ("index", "tutorial", "theory", "notebooks/*", "search", "genindex")}
+html_show_search_summary = False  # it is read with `fetch`, which browsers refuse for files
+html_theme_options = {
+    "show_prev_next": False,
+    "navigation_with_keys": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "header_links_before_dropdown": 8,
+}
 
 
 def _link_to_pages(app, name, source) -> None:
@@ -55,5 +61,5 @@ def _link_to_pages(app, name, source) -> None:
 
 def setup(app) -> None:
     """What Sphinx calls first."""
-    _copy_notebooks()
+    notebook_pages.write_pages(HERE / "notebooks")
     app.connect("source-read", _link_to_pages)

@@ -224,15 +224,15 @@ plt.show()
 
 # %% [markdown]
 # ## The trade-off
-# Medians, and bands that hold 90 % of the samples. More friction shortens the way that the bearing needs. What the
+# Medians, and bands that hold 95 % of the samples. More friction shortens the way that the bearing needs. What the
 # building feels is least in between: with little friction the spring of a bearing far out pulls at it, with much
 # friction the friction itself.
 
 
 # %%
 def band(panel, name, scale, ylabel, color):
-    """Median and 90 % band of a quantity against the friction coefficient."""
-    low, middle, high = (scale * np.array([np.nanquantile(r[name], q) for r in found]) for q in (0.05, 0.5, 0.95))
+    """Median and 95 % band of a quantity against the friction coefficient."""
+    low, middle, high = (scale * np.array([np.nanquantile(r[name], q) for r in found]) for q in (0.025, 0.5, 0.975))
     area = panel.fill_between(frictions, low, high, color=color, alpha=0.25, lw=0)
     (line,) = panel.plot(frictions, middle, "o-", color=color)
     panel.set_xlabel(r"friction coefficient $\mu$ (1)")
@@ -245,7 +245,7 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.0), layout="constraine
 line, area = band(left, "peak displacement", 100, "peak displacement (cm)", "#0072B2")
 band(right, "peak acceleration", 1, "peak total acceleration (m/s$^2$)", "#0072B2")
 fixed = right.axhline(np.median(shaken), color="#000000", ls="--")
-figure.legend([line, area, fixed], ["median", "90 % of the samples", "median, building fixed to the ground"],
+figure.legend([line, area, fixed], ["median", "95 % of the samples", "median, building fixed to the ground"],
               loc="outside upper center", ncols=3, frameon=False)  # fmt: skip
 plt.show()
 ways, feelings = (
@@ -263,6 +263,6 @@ print(f"the least median of the peak total acceleration is at mu = {frictions[le
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.0), layout="constrained")
 line, area = band(left, "residual displacement", 100, "residual displacement (cm)", "#0072B2")
 sticks, stuck = band(right, "sticks", 1, "number of sticks", "#D55E00")
-figure.legend([(line, sticks), (area, stuck)], ["median", "90 % of the samples"], loc="outside upper center", ncols=2,
+figure.legend([(line, sticks), (area, stuck)], ["median", "95 % of the samples"], loc="outside upper center", ncols=2,
               handler_map={tuple: HandlerTuple(None)}, frameon=False)  # fmt: skip
 plt.show()

@@ -217,7 +217,7 @@ ax, curves = None, {}
 for name, divided in READINGS.items():
     found = [random_share(ratio, period(ratio) / divided) for ratio in ratios]
     ax = ss.plot.stick_fraction_curve(
-        ratios, found, label=f"interval: {name}", band_label="bands: 90 % of the samples", ax=ax
+        ratios, found, label=f"interval: {name}", band_label="bands: 95 % of the samples", ax=ax
     )
     means = np.array([100 * one.mean.value for one in found])
     fitted = (ratios >= 0.5) & (ratios <= 0.6)
@@ -243,6 +243,6 @@ plt.show()
 # **Verdict.** No reading gives what the paper says: none is level from 0.6 to 2.5, as the lines above say. With a new
 # direction in each period the mean neither grows linearly nor stays level. In each half period it grows almost linearly
 # from nothing at 0.5 and is level from 0.7 to 0.85; but it falls again towards 0.95 and has doubled at 1.2. In each
-# quarter period there are sticks below 0.5 already, at 0.6 about twice as many as at 0.5, and between 6 and 10 % of the
-# time from there on. With `1 / (r omega)` nothing grows between 0.5 and 0.6. All four are one curve, drawn over another
-# unit of the interval. The text of the paper has no numbers of this figure to compare with.
+# quarter period there are sticks below 0.5 already, at 0.6 about twice as many as at 0.5, and between about 6 and 10 %
+# of the time from there on. With `1 / (r omega)` nothing grows between 0.5 and 0.6. All four are one curve, drawn over
+# another unit of the interval. The text of the paper has no numbers of this figure to compare with.

@@ -242,17 +242,17 @@ figure.legend([line, thick], ["base", "the mass sticks"], loc="outside upper cen
 plt.show()
 
 # %% [markdown]
-# The shares of time spent sticking: what 90 % of the samples have, and the means.
+# The shares of time spent sticking: what 95 % of the samples have, and the means.
 
 # %%
 figure, ax = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
 for row, many in enumerate(runs.values()):
     share = many.statistics.stick_fraction
-    low, high = (100 * share.quantile(level).value for level in (0.05, 0.95))
+    low, high = (100 * share.quantile(level).value for level in (0.025, 0.975))
     (bar,) = ax.plot([low, high], [row, row], color="#0072B2", lw=6, alpha=0.4)
     (dot,) = ax.plot(100 * share.mean.value, row, "o", color="#000000")
 ax.set_yticks(range(len(runs)), list(runs))
 ax.invert_yaxis()
 ax.set_xlabel("time spent sticking (%)")
-figure.legend([bar, dot], ["90 % of the samples", "mean"], loc="outside upper center", ncols=2, frameon=False)
+figure.legend([bar, dot], ["95 % of the samples", "mean"], loc="outside upper center", ncols=2, frameon=False)
 plt.show()

@@ -57,7 +57,7 @@ names = ["mean_stick_count", "mean_stick_duration", "stick_fraction", "mean_slip
 axes = ss.plot.parameter_sweep(results, names)
 
 # %% [markdown]
-# The means along each parameter: the paper's two sections, on the rate and on friction. The 90 % confidence intervals
+# The means along each parameter: the paper's two sections, on the rate and on friction. The 95 % confidence intervals
 # are narrower than the points at full size; the widest is printed.
 
 # %%
@@ -72,9 +72,9 @@ for row, other in zip(panels, ("mu", "rate"), strict=True):
     for panel in row:
         panel.get_legend().remove()
     row[0].set_title(f"at {other} = {middle[other]:.3g}{units[other]}", fontsize=10, loc="left")
-    widest = max(widest, *(float((1.645 * some[f"{name}_error"] / some[name]).max()) for name in names))
+    widest = max(widest, *(float((1.96 * some[f"{name}_error"] / some[name]).max()) for name in names))
 plt.show()
-print(f"90 % confidence intervals: at most {100 * widest:.2f} % of the value to each side")
+print(f"95 % confidence intervals: at most {100 * widest:.2f} % of the value to each side")
 
 # %% [markdown]
 # ## Histograms, variances and entropies
@@ -143,7 +143,7 @@ def draw_section(along, other):
                    for value, one in zip(values[[0, 4, 7]], shown[:1] + shown[2:], strict=True)]  # fmt: skip
         print(f"  {name}: variance{squared.replace('$', '')} and entropy (nat) at {along}", "; ".join(numbers))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    title = f"at {other} = {middle[other]:.3g}{units[other]}; bars: 90 % confidence intervals"
+    title = f"at {other} = {middle[other]:.3g}{units[other]}; bars: 95 % confidence intervals"
     labels = [f"{along} = {label}" for label in labels]
     figure.legend(handles, labels, title=title, loc="outside upper center", ncols=4, frameon=False)
     plt.show()

@@ -173,7 +173,7 @@ for mu, row in zip(few, steady, strict=True):
 
 # %% [markdown]
 # ## A belt of random direction
-# The belt's direction is drawn anew in each `1 / f_b`, with equal probability; mean and the band that holds 90 % of
+# The belt's direction is drawn anew in each `1 / f_b`, with equal probability; mean and the band that holds 95 % of
 # the samples, over the friction coefficient, at three frequency ratios.
 
 # %%
@@ -190,7 +190,7 @@ for ratio in (0.6, 1.2, 2.4):
         found.append(ensemble.statistics.stick_fraction)
     ax = ss.plot.stick_fraction_curve(
         values, found, xlabel="friction coefficient (dimensionless)", label=f"r = {ratio:g}",
-        band_label=f"90 % of samples, r = {ratio:g}", ax=ax,
+        band_label=f"95 % of samples, r = {ratio:g}", ax=ax,
     )  # fmt: skip
     shares = 100 * np.array([one.mean.value for one in found])
     print(f"r = {ratio:g}: {shares[0]:.1f} % at mu = {values[0]:.1f}, {shares[-1]:.1f} % at mu = {values[-1]:.1f}")

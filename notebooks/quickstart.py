@@ -120,7 +120,7 @@ many.to_xarray()
 # ## A published figure
 # The share of time spent sticking against the frequency of the base, `r = f_b / (omega / 2 pi)` (Lima and Sampaio,
 # conference paper): one steady period of a square wave (their figure 6), and random steps (the base of their figure 7)
-# with the band that holds 90 % of the samples. A batch of exact simulations is one `jax.vmap`.
+# with the band that holds 95 % of the samples. A batch of exact simulations is one `jax.vmap`.
 
 # %%
 ratios = np.linspace(0.1, 2.5, 241)
@@ -146,7 +146,7 @@ for ratio in few_ratios:
 # %%
 ax = ss.plot.stick_fraction_curve(ratios, shares, label="square wave, one steady period")
 ax = ss.plot.stick_fraction_curve(
-    few_ratios, fractions, label="random steps, mean", band_label="random steps, 90 % of samples", ax=ax
+    few_ratios, fractions, label="random steps, mean", band_label="random steps, 95 % of samples", ax=ax
 )
 
 # %% [markdown]

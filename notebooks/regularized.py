@@ -140,7 +140,7 @@ for shape, errors in trajectory_error.items():
 # ## What happens to the statistics of sticks
 # A regularised stick is a time in which the relative velocity stays below a threshold (by default about a width) for a
 # minimum duration. Short sticks are missed, so the mean duration comes out too long. All have the same base motions,
-# sample by sample; the errors are those of the paired differences, and bars have 90 % confidence.
+# sample by sample; the errors are those of the paired differences, and bars have 95 % confidence.
 
 
 # %%
@@ -169,7 +169,7 @@ for index, name in enumerate(("number of sticks", "mean duration")):
     panel = panels[index]
     for shape, color in SHAPES.items():
         value, error = errors[shape][:, :, index].T
-        panel.errorbar(WIDTHS, value, 1.645 * error, color=color, marker="o", ms=3.5, capsize=2.5, label=shape)
+        panel.errorbar(WIDTHS, value, 1.96 * error, color=color, marker="o", ms=3.5, capsize=2.5, label=shape)
     panel.axhline(0, color="black", lw=0.8)
     panel.set(xscale="log", xlabel="width in m/s", ylabel=f"error of the {name} in %")
     legend_above(panel, 3)

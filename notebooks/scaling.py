@@ -113,7 +113,7 @@ print(f"time for a point, on average: {float(finer.run_seconds.mean()):.3f} s")
 
 # %% [markdown]
 # ## What came out
-# A map, and along one parameter curves with 90 % confidence intervals.
+# A map, and along one parameter curves with 95 % confidence intervals.
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")

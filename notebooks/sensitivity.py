@@ -149,8 +149,8 @@ print(ss.sensitivity(ss.mean_stick_count, oscillator(MU), law, wrt=names, **sett
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained", sharex=True)
 counts = np.array([one[1] for one in sums])
 left.step(fine, count, where="mid", color=BLUE, lw=1.2, label="one realisation")
-left.errorbar(mus, counts.mean(1), 1.645 * counts.std(1) / SAMPLES**0.5, color=BLACK, marker="o", ms=3.5, capsize=2.5,
-              label="mean over samples, 90 % confidence")  # fmt: skip
+left.errorbar(mus, counts.mean(1), 1.96 * counts.std(1) / SAMPLES**0.5, color=BLACK, marker="o", ms=3.5, capsize=2.5,
+              label="mean over samples, 95 % confidence")  # fmt: skip
 left.set_ylabel("number of sticks in 200 s")
 right.plot(fine, stick_time / count, color=BLUE, lw=1.2, label="one realisation")
 right.plot(mus, durations, color=BLACK, marker="o", ms=3.5, label="pooled over samples")

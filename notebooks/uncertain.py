@@ -94,7 +94,7 @@ figure.legend(loc="outside upper center", ncols=2, frameon=False)
 plt.show()
 
 # %% [markdown]
-# The bars are 90 % bootstrap intervals. What the realisation has in total is the part of the scatter that no knowledge
+# The bars are 95 % bootstrap intervals. What the realisation has in total is the part of the scatter that no knowledge
 # of the parameters removes.
 
 # %%

@@ -55,6 +55,7 @@ from ._excitation.spectra import (
     TabulatedSpectrum as TabulatedSpectrum,
     VelocitySpectrum as VelocitySpectrum,
 )
+from ._excitation.velocity import base_velocity as base_velocity
 from ._excitation.voltage import SourceVoltage as SourceVoltage
 from ._fields import Quantity as Quantity
 from ._sensitivity import (
@@ -120,7 +121,8 @@ from ._systems.friction import (
 )
 from ._systems.mass_spring import MassSpring as MassSpring
 from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
-from ._systems.structure import Contact as Contact, LinearStructure as LinearStructure
+from ._systems.contact import Contact as Contact
+from ._systems.structure import LinearStructure as LinearStructure
 from ._systems.switched_system import SwitchedSystem as SwitchedSystem
 from ._systems.system import Coordinate as Coordinate, System as System
 

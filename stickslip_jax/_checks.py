@@ -4,10 +4,11 @@ The numbers that ``jit``, ``vmap`` and ``grad`` trace are not known yet: they pa
 cause shows in the status of each trajectory.
 """
 
+import contextlib
 import math
 import numbers as kinds_of_numbers
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from jax.core import Tracer
+from jax.errors import ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
 
 from ._types import AnyArray
 
@@ -26,6 +28,19 @@ SMALLEST, LARGEST = 1e-100, 1e100
 def is_traced(value: object) -> bool:
     """True while a JAX transformation traces ``value``, so that its number is not known yet."""
     return isinstance(value, Tracer)
+
+
+@contextlib.contextmanager
+def traceable(what: str) -> Iterator[None]:
+    """Say in one sentence that a user's code, `what`, asks for numbers that JAX traces, as NumPy and `if` do."""
+    try:
+        yield
+    except (ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError) as error:
+        raise ValueError(
+            f"{what} must be written so that JAX can trace it, but it asks for the value of a number that is not known "
+            "yet, as functions of numpy and math, float(...) and if do; write jax.numpy.sqrt(x) or x ** 0.5 for "
+            "math.sqrt(x), jax.numpy.interp for numpy.interp, and jax.numpy.where(condition, a, b) for if."
+        ) from error
 
 
 def numbers(name: str, value: object, ndim: int | None = None) -> np.ndarray:

@@ -1,10 +1,12 @@
 """The ``stickslip`` command: ``study`` for one ensemble; ``sweep``, ``resume``, ``status``, ``show`` for many.
 
-Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted (Ctrl-C), 143 terminated.
+Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted (Ctrl-C), 141 output closed
+by who read it (``stickslip show ... | head``), 143 terminated.
 """
 
 import contextlib
 import os
+import select
 import signal
 import sys
 import threading
@@ -53,6 +55,10 @@ def _answer(tokens: Sequence[str]) -> int:
         return _fail(str(stop) or f"Interrupted; {left}", 130)
     except _Terminated:
         return _fail(f"Terminated; {left}", 143)
+    except SystemExit as stop:
+        if stop.code == 1:  # of what prints the help, where nobody reads it
+            return _PIPE_CLOSED
+        raise
 
 
 def _run_or_fail(tokens: Sequence[str], left: str) -> int:
@@ -64,14 +70,37 @@ def _run_or_fail(tokens: Sequence[str], left: str) -> int:
         return _fail(error, 1)
     try:
         run(tokens)
+        sys.stdout.flush()
     except (StudyError, SweepError) as error:
         return _fail(error, 2)
+    except BrokenPipeError as error:
+        return _PIPE_CLOSED if _output_is_closed() else _fail(error, 1)
     except MemoryError as error:
         reason = f"MemoryError: {error}" if str(error) else "MemoryError"
         return _fail(f"There is not enough memory ({' '.join(reason.split())}); {left}", 1)
     except OSError as error:
         return _fail(error, 1)
     return 0
+
+
+_PIPE_CLOSED = 128 + 13  # as if SIGPIPE had ended the process, which is what shells expect
+
+
+def _output_is_closed() -> bool:
+    """Whether who read the output stopped reading, as ``head`` does. If so, what is left of it goes nowhere."""
+    try:
+        output = sys.stdout.fileno()
+    except (OSError, ValueError):  # it is no file
+        return False
+    asked = select.poll()
+    asked.register(output, 0)
+    if not any(events & select.POLLERR for _, events in asked.poll(0)):
+        return False  # another pipe broke
+    # Python flushes once more when the process ends, and would complain.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, output)
+    os.close(nowhere)
+    return True
 
 
 def _fail(reason: object, code: int) -> int:

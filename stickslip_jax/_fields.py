@@ -21,7 +21,9 @@ PACKAGE = __name__.partition(".")[0]
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """Unit, bounds and meaning of a field that holds numbers. It is part of the field's annotation::
+    """Unit, bounds and meaning of a field that holds numbers.
+
+    It is part of the field's annotation::
 
         class Pendulum(ss.SwitchedSystem):
             length: Annotated[float, ss.Quantity("m", above=0)]
@@ -160,6 +162,15 @@ def modules_in(tree: object) -> Iterator[eqx.Module]:
             yield from modules_in(entry)
 
 
+def varies_within(tree: object) -> bool:
+    """Whether a number of a module in `tree` `varies`."""
+    return any(
+        varies(getattr(module, name), about)
+        for module in modules_in(tree)
+        for name, about in described(type(module)).items()
+    )
+
+
 def is_of_package(tree: object) -> bool:
     """Whether the class of every module in `tree` is the package's own, and not a user's."""
     return all(type(module).__module__.startswith(f"{PACKAGE}.") for module in modules_in(tree))
@@ -188,12 +199,18 @@ class Checked(WithClaims, WithMethods):
                     _checks.numeric(name, value)
             about.check(name, value)
         type(self).check_parts(self)
-        if vary:  # what several fields must satisfy together is checked for what is drawn
+        if vary or type(self).has_varying_parts(
+            self
+        ):  # what several fields must satisfy together is checked for what is drawn
             return
         type(self).check_relations(self)  # `self.check_relations` would make a module of the method
 
     def check_parts(self) -> None:
         """Check fields of other kinds than numbers. Raises ValueError otherwise."""
+
+    def has_varying_parts(self) -> bool:
+        """Whether what `check_relations` looks into, besides its own fields, differs from sample to sample."""
+        return False
 
     def check_relations(self) -> None:
         """Check what several fields must satisfy together. Raises ValueError otherwise."""

@@ -90,7 +90,7 @@ def constant_belt(mu: Scalar = 1.0) -> SetUp:
 
 
 def square_wave_belt(ratio: Scalar, mu: Scalar = 1.0) -> SetUp:
-    """The belt that runs backward and forward alternately (conference paper, eq. 4, figures 3 to 6).
+    """The belt that runs backward and forward alternately (conference paper, equation 4, figures 3 to 6).
 
     Args:
         ratio: The frequency ratio r, positive.

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,28 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 LONGEST = 3600  # s that one cell may take
 
 
-def execute(notebook: Any, **environment: str) -> Any:
+SIZE = "STICKSLIP_NOTEBOOK_SAMPLES"  # in the environment; the notebooks say what they take without it
+
+
+def execute(notebook: Any, folder: Path | None = None, **environment: str) -> Any:
     """Execute a notebook in a kernel of its own, which draws its figures into it; it gets `environment` besides ours.
 
-    Figures come only from the kernel's own backend, and MPLBACKEND in the environment would choose another.
+    It runs in `folder`, by default in the present one. The number of samples asked for goes into the metadata, from
+    where the site tells it. Figures come only from the kernel's own backend, and MPLBACKEND in the environment would
+    choose another.
     """
-    ours = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
-    return NotebookClient(notebook, timeout=LONGEST, kernel_name="python3").execute(env={**ours, **environment})
+    around = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"} | environment
+    notebook.metadata["stickslip_jax"] = {"samples": around.get(SIZE) or _full_size(notebook)}
+    resources = {} if folder is None else {"metadata": {"path": str(folder)}}
+    client = NotebookClient(notebook, timeout=LONGEST, kernel_name="python3", resources=resources)
+    return client.execute(env=around)
+
+
+def _full_size(notebook: Any) -> str:
+    """The number of samples that the code takes by default; empty where it takes none from the environment."""
+    code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    found = re.search(rf'"{SIZE}", "([\d_]+)"', code)
+    return found[1].replace("_", "") if found else ""
 
 
 def main() -> None:

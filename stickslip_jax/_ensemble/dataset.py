@@ -1,18 +1,17 @@
 """An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (`stored.py`)."""
 
 import json
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from .._conventions import flags, labeled_dataset, variable
 from .._dynamics.common.engine import SampleTotals
-from .._dynamics.common.method import Exact, Regularized
-from .._events.stick_quantities import QUANTITIES
 from .._events.sticks import FlatSticks
-from .._statistics.conventions import labeled_dataset, variable
+from .._events.tables import slip_variables, stick_variables
+from .._simulation.labeled import method_attributes
 from .._statistics.totals import TOTALS
-from .._status import Ending, Status
+from .._status import Status
 from .data import EnsembleData, Retained
 from .encoding import Encoder
 from .origins import known_inputs
@@ -53,35 +52,20 @@ def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, object]]:
 
 
 def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variables:
-    position = ensemble.system.stick_position
-    further = {
-        f"stick_{name}": variable("stick", getattr(sticks, name), one.label, one.unit or position.unit)
-        for name, one in QUANTITIES.items()
-    }
     first = ensemble.first_sample if sample == "sample" else 0
-    folded = {} if position.period is None else {"period": position.period}
-    order = "number of the stick in its sample, from 1; 0: begins at t = 0 and is not numbered (count_initial_rest)"
     return {
         sample: variable(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
         "stick_sample": variable("stick", first + sticks.sample, f"{sample.replace('_', ' ')} of the stick"),
-        "stick_order": variable("stick", ensemble.numbering.order_of(sticks), order),
-        "stick_start": variable("stick", sticks.start, "time at which the stick starts", "s"),
-        "stick_end": variable("stick", sticks.end, "time at which the stick ends", "s"),
-        "stick_position": variable("stick", sticks.position, position.name, position.unit, **folded),
-        **further,
-        "stick_ending": variable("stick", sticks.ending, "why the stick ended", **_flags(Ending)),
+        **stick_variables(sticks, ensemble.numbering.order_of(sticks), ensemble.system.stick_position),
         "stick_count": variable(sample, sticks.count, "number of sticks", sample_dimension="stick"),
     }
 
 
 def _slips(ensemble: EnsembleData) -> Variables:
-    slips, first = flat_slips(ensemble), ensemble.first_sample
-    flags, censored = {"flag_values": [0, 1], "flag_meanings": "COMPLETE HORIZON"}, slips.censored.astype(np.int8)
+    slips = flat_slips(ensemble)
     return {
-        "slip_sample": variable("slip", first + slips.sample, "sample of the slip"),
-        "slip_start": variable("slip", slips.start, "time at which the slip starts", "s"),
-        "slip_end": variable("slip", slips.end, "time at which the slip ends", "s"),
-        "slip_ending": variable("slip", censored, "whether the horizon cuts the slip", **flags),
+        "slip_sample": variable("slip", ensemble.first_sample + slips.sample, "sample of the slip"),
+        **slip_variables(slips.start, slips.end, slips.censored),
     }
 
 
@@ -90,7 +74,7 @@ def _totals(totals: SampleTotals) -> Variables:
         "slip_count": variable("sample", totals.slips, "number of slips"),
         "stick_time": variable("sample", totals.stick_time, "total stick time", "s"),
         "near_grazing_count": variable("sample", totals.near_grazing_count, "number of events decided by round-off"),
-        "status": variable("sample", totals.status, "whether the sample reached t1", **_flags(Status)),
+        "status": variable("sample", totals.status, "whether the sample reached t1", **flags(Status)),
     }
 
 
@@ -160,7 +144,7 @@ def _provenance(ensemble: EnsembleData) -> dict[str, object]:
         "compile_seconds": ensemble.compile_seconds,
         "run_seconds": ensemble.run_seconds,
         "threads_used": ensemble.threads,
-        **_method(ensemble.method),
+        **method_attributes(ensemble.method),
     }
     for status in Status:
         if status is not Status.FINISHED:
@@ -174,23 +158,3 @@ def _readable(encoder: Encoder, value: object) -> str:
     """An object as JSON that tells its class and numbers; long arrays are only described."""
     parts = [encoder.encoded(part) for part in value] if type(value) is list else encoder.encoded(value)
     return json.dumps(parts)
-
-
-def _method(method: object) -> dict[str, str | float]:
-    """Attributes that state the method and its criterion of a stick, in SI units."""
-    if isinstance(method, Exact):
-        return {"method": "exact"} if method.step is None else {"method": "exact", "time_step": float(method.step)}
-    if not isinstance(method, Regularized):
-        return {"method": "none" if method is None else str(method)}
-    numbers = {
-        "width": method.width,
-        "stick_threshold": method.threshold,
-        "stick_minimum_duration": method.minimum_duration,
-        "time_step": method.step,
-    }
-    known = {name: float(number) for name, number in numbers.items() if number is not None}
-    return {"method": "regularised", "shape": method.shape, **known}
-
-
-def _flags(codes: type[IntEnum]) -> dict[str, Any]:
-    return {"flag_values": [int(code) for code in codes], "flag_meanings": " ".join(code.name for code in codes)}

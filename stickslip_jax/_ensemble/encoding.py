@@ -17,6 +17,7 @@ from .._numerics.dyadic import DyadicCounts
 from .._numerics.moments import Moments
 from .._numerics.power_sums import PowerSums
 from .._statistics.accumulator import StickAccumulator
+from .._systems.tabulated_curve import TabulatedCurve
 from .._uncertainty.design import Design
 from .data import GivenMotions, Origin
 from .unknown import Unknown, UnknownSystem
@@ -25,7 +26,8 @@ _SHORT = 32  # entries: longer arrays stand beside the JSON
 _INTERNAL: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, Unknown, UnknownSystem,
+        Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, TabulatedCurve,
+        Unknown, UnknownSystem,
     )
 }  # fmt: skip
 _LONGEST_TEXT = 1000  # of an object that prints itself

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from .. import _checks
 from .._fields import Quantity
 from .._types import AnyArray, Float, FloatArray
-from .recorded import Recorded, check_times, end_of
+from .recorded import Recorded, check_times, end_of, line_between
 from .segments import GivenSegments, PerSegment, SegmentLaw
 
 
@@ -74,7 +74,7 @@ class GroundAcceleration(GroundMotion):
         return len(self.times)
 
     def draw(self, key_data, number, dtype):
-        return Recorded(self.times, self.accelerations).draw(key_data, number, dtype)
+        return line_between(self.times, self.accelerations, number, dtype)
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()

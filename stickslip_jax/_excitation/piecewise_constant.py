@@ -33,8 +33,9 @@ class VelocitySteps(Motion):
     """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
 
     The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
-    duration 0. The last duration may be infinite. The ``sample`` method of the laws makes them; for a base motion of
-    your own use `PiecewiseConstant`.
+    duration 0. The last duration may be infinite. Where JAX traces the numbers, and for many realisations at once,
+    equal neighbours are merged, and impossible intervals show in the status of each simulation. The ``sample`` method
+    of the laws makes them; for a base motion of your own use `PiecewiseConstant`.
 
     Args:
         durations: s, (intervals,).
@@ -52,6 +53,25 @@ class VelocitySteps(Motion):
     is_piecewise_constant = True
     takes_jumps = False
 
+    def __post_init__(self):
+        durations, velocities = self.durations, self.velocities
+        if not (isinstance(durations, jax.Array) and isinstance(velocities, jax.Array)):
+            return
+        if durations.ndim > 0 and durations.shape == velocities.shape and self._are_unchecked():
+            join = jnp.vectorize(joined, signature="(n),(n)->(n),(n)")
+            self.durations, self.velocities = join(durations, velocities)
+
+    def _are_unchecked(self) -> bool:
+        return _checks.is_traced(self.durations) or _checks.is_traced(self.velocities) or self.durations.ndim > 1
+
+    @classmethod
+    def of_distinct(cls, durations: Array, velocities: Array) -> "VelocitySteps":
+        """Intervals of which is known that neighbours differ: they are taken as they are."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "durations", durations)
+        object.__setattr__(made, "velocities", velocities)
+        return made
+
     def __check_init__(self):
         for name in ("durations", "velocities"):
             value = getattr(self, name)
@@ -62,7 +82,7 @@ class VelocitySteps(Motion):
                 "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
                 f"{self.durations.shape} and {self.velocities.shape}."
             )
-        if _checks.is_traced(self.durations) or _checks.is_traced(self.velocities) or self.durations.ndim > 1:
+        if self._are_unchecked():
             return
         durations = np.asarray(self.durations)
         if not np.all(durations >= 0):
@@ -182,7 +202,7 @@ class PiecewiseConstantLaw(SegmentLaw):
         if not is_of_package(self):
             check_drawn(self, "next_interval", "m/s", durations, velocities)
             durations, velocities = joined(durations, velocities)
-        return VelocitySteps(durations, velocities)
+        return VelocitySteps.of_distinct(durations, velocities)
 
     def realized_until(self, t1: Scalar) -> VelocitySteps:
         return self.sample(None, t1)

@@ -47,7 +47,7 @@ class Constant(PiecewiseConstantLaw):
 class SquareWave(PiecewiseConstantLaw):
     """A square wave: ``-speed`` in the first half of each period, ``+speed`` in the second.
 
-    Source: Lima and Sampaio, conference paper, eq. 4.
+    Source: Lima and Sampaio, conference paper, equation 4.
 
     Args:
         speed: m/s, positive.
@@ -116,7 +116,7 @@ class PoissonSwitching(PiecewiseConstantLaw):
 
 
 class RandomSteps(PiecewiseConstantLaw):
-    """A new velocity every `interval` seconds, each drawn independently from a finite set (conference paper, s. 4).
+    """A new velocity every `interval` seconds, drawn independently from a finite set (conference paper, section 4).
 
     Equal velocities in a row are drawn as one long interval: its number of steps is geometric, and the next level has
     the probabilities of the others.

@@ -95,13 +95,37 @@ def read_recorded_csv(
     scale: float = 1.0,
     delimiter: str | None = ",",
     shift: bool = False,
+    cutoff_hz: float | None = None,
 ) -> Recorded:
     """A recorded base velocity (m/s) or force (N), after multiplication by `scale`.
 
-    Arguments and errors of `read_csv`.
+    One sample a line; the first row is a header if it has no number in either column. Blank lines, and lines that begin
+    with ``#``, do not count.
+
+    Args:
+        path: Name of the file.
+        time_column: Number of the column of times, counted from 0, or its name in the header row. Times must be in s.
+        value_column: Number or name of the column of base velocities or forces.
+        scale: What the values are multiplied by, for example 0.001 for mm/s into m/s.
+        delimiter: The character between columns; None for any white space.
+        shift: Subtract the first time from all; without it, the first time must be 0.
+        cutoff_hz: Smooth the record to this bandwidth (Hz), as `Recorded.smoothed` does; None leaves it as it is.
+
+    Returns:
+        The motion, linear in time between the samples and as long as the record: a base, or a `force`.
+
+    Raises:
+        ValueError: For arguments outside these bounds and, with the number of the line, for a file that is empty, has
+            rows of different lengths or too few columns, entries that are not finite numbers, or times that do not
+            increase.
+        OSError: For a file that is missing or cannot be read.
+
+    Warns:
+        RuntimeWarning: For a noisy record that is not smoothed.
     """
     columns = {"time_column": time_column, "value_column": value_column}
-    return Recorded(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+    record = read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift)
+    return Recorded(*record) if cutoff_hz is None else Recorded.smoothed(*record, cutoff_hz=cutoff_hz)
 
 
 def read_acceleration_csv(
@@ -115,7 +139,25 @@ def read_acceleration_csv(
 ) -> GroundAcceleration:
     """A recorded ground acceleration, m/s^2 after multiplication by `scale` (9.80665 for a record in g).
 
-    Arguments and errors of `read_csv`.
+    One sample a line; the first row is a header if it has no number in either column. Blank lines, and lines that begin
+    with ``#``, do not count.
+
+    Args:
+        path: Name of the file.
+        time_column: Number of the column of times, counted from 0, or its name in the header row. Times must be in s.
+        value_column: Number or name of the column of accelerations.
+        scale: What the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2.
+        delimiter: The character between columns; None for any white space.
+        shift: Subtract the first time from all; without it, the first time must be 0.
+
+    Returns:
+        The ground motion, linear in time between the samples and as long as the record: a base for `simulate`.
+
+    Raises:
+        ValueError: For arguments outside these bounds and, with the number of the line, for a file that is empty, has
+            rows of different lengths or too few columns, entries that are not finite numbers, or times that do not
+            increase.
+        OSError: For a file that is missing or cannot be read.
     """
     columns = {"time_column": time_column, "value_column": value_column}
     return GroundAcceleration(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))

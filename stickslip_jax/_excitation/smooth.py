@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from .. import _checks
-from .._fields import Checked, Quantity
+from .._fields import Checked, Quantity, is_of_package
 from .._numerics.elementary import sincos
 from .._types import AnyArray, Float, FloatArray, Number, Scalar
 from .motion import Motion
@@ -48,6 +48,11 @@ class Signal(Checked, Motion):
         "shortest_period": ("value", "tones"),
         "is_harmonic": ("value", "rate", "curvature", "integral"),
     }
+
+    def check_relations(self) -> None:
+        if not is_of_package(self):
+            with _checks.traceable(f"The method value of {type(self).__name__}"):
+                jax.make_jaxpr(self.value)(jnp.zeros(()))
 
     @abc.abstractmethod
     def value(self, t: FloatArray) -> FloatArray:
@@ -217,6 +222,12 @@ class UserMotion(Signal):
 
     motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
     holds_users_code = True
+
+    def check_relations(self) -> None:
+        held = self.motion.held if isinstance(self.motion, _Constant) else self.motion
+        for name in ("velocity", "acceleration"):
+            with _checks.traceable(f"The method {name} of {type(held).__name__}"):
+                jax.make_jaxpr(getattr(self.motion, name))(jnp.zeros(()))
 
     def value(self, t: FloatArray) -> FloatArray:
         return self.motion.velocity(t)

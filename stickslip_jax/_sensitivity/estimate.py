@@ -40,10 +40,9 @@ class Sensitivity:
         relative_bandwidth: Width of the kernel as a relative change of the parameter; where the event part comes from
             differences, their step.
 
-    >>> law, settings = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 200.0, "samples": 2000, "y0": (0.0, 0.5)}
-    >>> found = ss.sensitivity(
-    ...     ss.mean_stick_duration, ss.papers.belt_oscillator(0.9), law, wrt="mu", key=jax.random.key(0), **settings
-    ... )
+    >>> system, law = ss.papers.belt_oscillator(0.9), ss.PoissonSwitching(speed=1.0, rate=1.0)
+    >>> settings = {"t1": 200.0, "samples": 2000, "key": jax.random.key(0), "y0": (0.0, 0.5)}
+    >>> found = ss.sensitivity(ss.mean_stick_duration, system, law, wrt="mu", **settings)
     >>> print(found)
     d / d mu of mean stick duration (pooled): 0.2980 +- 0.0053
     """

@@ -37,15 +37,34 @@ def simulate(
         The trajectory; check its `status`. Its arrays have slots for all sticks that can happen.
 
     Raises:
-        ValueError: For arguments outside these bounds, and for a step too long for the shortest time scale.
+        ValueError: For arguments outside these bounds, for a step too long for the shortest time scale, and for a
+            function or class in the arguments that encloses a number by which JAX differentiates.
 
-    >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+    >>> system = ss.MassSpring(
+    ...     mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)
+    ... )
     >>> one = ss.simulate(system, ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))
-    >>> print(one.sticks.start[0], one.sticks.end[0], ss.Ending(int(one.sticks.ending[0])).name)
+    >>> sticks = one.sticks
+    >>> print(sticks.start[0], sticks.end[0], ss.Ending(int(sticks.ending[0])).name)
     0.0 0.25 RELEASED
     """
     require_threads_of_jax()
     arguments, start = Arguments.of_one(system, base, method, t1, y0)
     dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(arguments.base) if eqx.is_inexact_array(leaf)))
-    method, run = engine_for(arguments).follow(start, dtype)
+    try:
+        method, run = engine_for(arguments).follow(start, dtype)
+    except (TypeError, jax.errors.UnexpectedTracerError) as error:
+        _explain_enclosed(error)
+        raise
     return Simulation(system, arguments.base, t1, method, *run)
+
+
+def _explain_enclosed(error: Exception) -> None:
+    """Raise ValueError where `error` is JAX's for a traced number that a compiled function encloses."""
+    if isinstance(error, TypeError) and not ("No constant handler" in str(error) and "Tracer" in str(error)):
+        return
+    raise ValueError(
+        "Arguments system and base must hold every number that JAX traces as a field, but a function or class in them "
+        "encloses one; make an equinox.Module of it with the number as a field, as FrictionCurve(Falling(low)) in "
+        "docs/howto/own_friction.md, or a field of your SwitchedSystem."
+    ) from error

@@ -1,7 +1,11 @@
 """One simulated trajectory: `Simulation`."""
 
 import dataclasses
+import os
+import warnings
 from functools import partial
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -9,15 +13,22 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .. import _checks, _html
+from .._conventions import flags, variable
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.path import Path
 from .._events.sticks import Slips, Sticks, Totals, of_contact, slips_between
+from .._events.tables import table_of, write_table
 from .._excitation.excitation import BaseMotion
 from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
 from .._types import AnyArray, FloatArray, Scalar
 from .energy import Energies, energies_of, friction_force_of
+from .labeled import columns_of, dataset_of, provenance
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 
 class Simulation(WithMethods):
@@ -161,6 +172,96 @@ class Simulation(WithMethods):
         """
         return energies_of(self, self._checked(times))
 
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The sticks as a table of pandas, one row each; names of columns include the units.
+
+        The columns are those of `Ensemble.write_sticks` without the number of the sample:
+
+        - `contact`, only of a system with several: the number of the contact, from 0;
+        - `order`: 0 for a stick that begins at t = 0 (`is_initial_rest`), else from 1;
+        - `start_s`, `end_s`, `duration_s`;
+        - `position_m`, `slip_displacement_m`: of a `MotorCart` in rad, of a system of your own in the unit of its first
+          `state_names`;
+        - `is_initial_rest`, `ending`: the name of an `Ending`.
+
+        ``Ensemble.from_sticks(table.assign(sample=0), t1=t1)`` makes an ensemble of it, with all statistics; tables of
+        several trajectories are joined by ``pandas.concat``, each with a `sample` of its own.
+
+        Raises:
+            ValueError: For a batch, and inside ``jit``, ``vmap`` or ``grad``.
+            ImportError: Without the extra ``tables``.
+        """
+        return table_of(self._stick_columns("to_pandas"))
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Sticks, slips and totals as an ``xarray.Dataset`` with units and long names.
+
+        Sticks along ``stick`` and slips along ``slip``, named as those of `Ensemble.to_xarray`; the attributes say what
+        was simulated and how.
+
+        Raises:
+            ValueError: For a batch, and inside ``jit``, ``vmap`` or ``grad``.
+            ImportError: Without the extra ``study``.
+        """
+        self._require_numbers("to_xarray")
+        totals = {
+            "stick_count": variable((), np.asarray(self.sticks.count), "number of sticks"),
+            "slip_count": variable((), np.asarray(self.slips.count), "number of slips"),
+            "stick_time": variable((), np.asarray(self.stick_time), "total stick time", "s"),
+            "near_grazing_count": variable(
+                (), np.asarray(self.near_grazing_count), "number of events decided by round-off"
+            ),
+            "status": variable((), np.asarray(self.status), "whether the trajectory reached t1", **flags(Status)),
+            "time_reached": variable((), np.asarray(self.time_reached), "where the simulation ended", "s"),
+        }
+        about = provenance(self.system, self.base, self.method, float(self.t1))
+        return dataset_of(self.sticks, self.slips, self.system.stick_position, totals, about)
+
+    def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> FilePath:
+        """Write the sticks as a table, one row each, with the columns of `to_pandas`.
+
+        Args:
+            path: A file name that ends in .csv or .parquet.
+            overwrite: Whether to replace a file of that name. Until the table is whole, an older one stays.
+
+        Returns:
+            The path.
+
+        Raises:
+            ValueError: For another name, for a batch, and inside ``jit``, ``vmap`` or ``grad``.
+            ImportError: Without the extra ``tables``.
+            FileExistsError: Where a file of that name would be replaced.
+            FileNotFoundError: For a folder that does not exist.
+            OSError: Where it cannot be written.
+        """
+        return write_table(self._stick_columns("write_sticks"), path, overwrite)
+
+    def _stick_columns(self, call: str) -> dict[str, np.ndarray]:
+        self._require_numbers(call)
+        return columns_of(self.sticks, self.system.stick_position)
+
+    def _require_numbers(self, call: str) -> None:
+        """Check that this is one trajectory with known numbers, which `call` asks for; warn if it did not finish."""
+        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)):
+            raise ValueError(
+                f"{call} needs numbers, but JAX is tracing this simulation; return it from the function that jit, vmap "
+                f"or grad transforms, and call {call} on what comes back."
+            )
+        if np.ndim(self.status) > 0:
+            raise ValueError(
+                f"{call} is for one simulation, but this is a batch of {np.shape(self.status)} simulations; make an "
+                "ensemble of it, Ensemble.from_simulations(result), which has to_xarray and write_sticks, or take one "
+                "out: jax.tree.map(lambda leaf: leaf[0], result)."
+            )
+        status = Status(int(self.status))
+        if status != Status.FINISHED:
+            warnings.warn(
+                f"This simulation did not finish: it stopped at {float(self.time_reached):g} of {float(self.t1):g} s, "
+                f"because {status.meaning}; {call} gives the sticks until there.",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+
     def _checked(self, times: AnyArray | float) -> Array:
         _checks.numeric("times", times, ndim=None)
         if np.ndim(self.status) > 0:
@@ -170,7 +271,7 @@ class Simulation(WithMethods):
         return jnp.asarray(times, self.sticks.start.dtype)
 
     def _repr_html_(self) -> str | None:
-        if not self._is_one:
+        if not self._is_one or self.sticks.contact is not None:
             return None  # then __repr__ is shown
         status = Status(int(self.status))
         rows = [
@@ -202,8 +303,14 @@ class Simulation(WithMethods):
         if status != Status.FINISHED:
             stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
             return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
-        fraction = 100 * float(self.stick_fraction)
         near = f", {int(self.near_grazing_count)} near-grazing" if self.near_grazing_count else ""
+        if self.sticks.contact is not None:
+            counts = ", ".join(str(int(count)) for count in self.totals.sticks)
+            return (
+                f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: sticks of its contacts: "
+                f"{counts}{near}, {status.meaning}"
+            )
+        fraction = 100 * float(self.stick_fraction)
         return (
             f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
             f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{near}, "

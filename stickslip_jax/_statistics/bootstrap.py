@@ -6,7 +6,7 @@ import numpy as np
 
 from .. import _checks
 from .._numerics.moments import Moments
-from .estimate import check_level
+from .estimate import DEFAULT_LEVEL, check_level
 from .source import EnsembleLike, Statistic, by_totals
 
 _AT_ONCE = 2**22  # random weights: 32 MB
@@ -16,7 +16,7 @@ def bootstrap_interval(
     ensemble: EnsembleLike,
     statistic: Statistic,
     *,
-    level: float = 0.9,
+    level: float = DEFAULT_LEVEL,
     resamples: int = 2000,
     seed: int = 0,
 ) -> tuple[float, float]:

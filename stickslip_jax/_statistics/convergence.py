@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from .. import _checks
 from .._numerics.moments import Moments
-from .estimate import Estimate, check_level
+from .estimate import DEFAULT_LEVEL, Estimate, check_level
 from .quantities import StickValue
 from .source import EnsembleLike, Statistic, by_totals, require_ensemble
 
@@ -30,7 +30,7 @@ class Convergence:
     errors: Float[np.ndarray, " points"]
     final: Estimate
 
-    def band(self, level: float = 0.9) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+    def band(self, level: float = DEFAULT_LEVEL) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
         """Lower and upper end of the confidence intervals at `level`, by Student's t.
 
         Raises:

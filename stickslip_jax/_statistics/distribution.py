@@ -321,8 +321,10 @@ def common_bins(distributions: Sequence[Distribution], bins: int | None = None) 
     Raises:
         ValueError: For anything but distributions in one unit, with at least one value among them.
 
-    >>> law, settings = ss.PoissonSwitching(speed=1.0, rate=1.0), {"t1": 50.0, "samples": 500, "key": jax.random.key(0)}
-    >>> ensembles = [ss.simulate_ensemble(ss.papers.belt_oscillator(mu), law, **settings) for mu in (0.5, 1.0)]
+    >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
+    >>> settings = {"t1": 50.0, "samples": 500, "key": jax.random.key(0)}
+    >>> systems = [ss.papers.belt_oscillator(mu) for mu in (0.5, 1.0)]
+    >>> ensembles = [ss.simulate_ensemble(one, law, **settings) for one in systems]
     >>> bins = ss.common_bins([one.statistics.duration for one in ensembles])
     >>> for one in ensembles:
     ...     print(one.statistics.duration.entropy(bins))

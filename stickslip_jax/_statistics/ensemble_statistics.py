@@ -42,7 +42,7 @@ from .quantities import (
 )
 from .slip_statistics import SlipStatistics
 from .source import origin_of, require_ensemble
-from .summary import Summary, shown, table_of
+from .summary import Summary, shown, shown_share, table_of
 from .totals import TOTALS
 
 if TYPE_CHECKING:
@@ -296,14 +296,14 @@ class EnsembleStatistics(ByQuantity):
         ):
             orders = [of.order(number) for number in range(1, self.orders + 1)]
             rows = tuple(
-                (str(one.number), shown(one.share), *(shown(values.mean) for values in one.distributions.values()))
+                (str(one.number), shown_share(one.share), *map(shown, (of.mean for of in one.distributions.values())))
                 for one in orders
                 if one.duration.number > 0
             )
             if rows:
                 heads = [f"{one.short_label.removeprefix('slip ')} ({self.unit_of(one)})" for one in quantities]
                 caption = f"{body.capitalize()}s by order (mean +- standard error)"
-                tables.append((caption, (body, "samples that have it", *heads), rows))
+                tables.append((caption, (body, f"samples with this {body}", *heads), rows))
         return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
 
     def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:

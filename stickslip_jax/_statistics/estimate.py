@@ -12,6 +12,9 @@ import numpy as np
 from .. import _checks
 from .units import same_unit, unit_of_product
 
+DEFAULT_LEVEL = 0.95
+"""The level of intervals that are asked for without one, everywhere in the package."""
+
 _LONGEST_NAME = 100  # letters: a combination with a longer name only says of how many estimates it is
 _ROUND_OFF = 1e-15  # what is left, relative to each, of two derivatives that cancel
 
@@ -57,7 +60,7 @@ class Estimate:
 
     __array_ufunc__ = None  # arithmetic with NumPy's numbers is left to the methods below
 
-    def interval(self, level: float = 0.9) -> tuple[float, float]:
+    def interval(self, level: float = DEFAULT_LEVEL) -> tuple[float, float]:
         """Confidence interval at `level`, by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
 
         Raises:
@@ -153,7 +156,7 @@ def check_level(level: float) -> None:
     """Raise ValueError unless ``0 < level < 1``."""
     _checks.numeric("level", level)
     if not 0 < level < 1:
-        raise ValueError(f"Argument level must lie between 0 and 1, such as 0.9, but {level} was given.")
+        raise ValueError(f"Argument level must lie between 0 and 1, such as 0.95, but {level} was given.")
 
 
 def format_with_error(value: float, error: float) -> str:

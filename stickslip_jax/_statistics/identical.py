@@ -29,7 +29,7 @@ def identically_distributed(
     significance: float = 0.05,
     starts_before: float | None = None,
 ) -> Verdict:
-    """Test whether the values of all orders (first, second, ... in a sample) have the same distribution.
+    """Test whether the values of all orders (first, second and so on in a sample) have the same distribution.
 
     Sample i gives its value of one order only, the one with index i modulo the number of orders. So all values that are
     compared come from different samples and are independent, whatever the dependence within a sample. The question is

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .conventions import Entries, labeled_dataset, variable
+from .._conventions import Entries, labeled_dataset, variable
 from .distribution import DEFAULT_BINS, Distribution
 from .estimate import Estimate
 from .joint import JointDistribution

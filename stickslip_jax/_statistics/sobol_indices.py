@@ -11,9 +11,9 @@ import jax
 import numpy as np
 
 from .. import _checks
+from .._conventions import Entries, labeled_dataset, variable
 from .._uncertainty.design import Design
-from .conventions import Entries, labeled_dataset, variable
-from .estimate import check_level
+from .estimate import DEFAULT_LEVEL, check_level
 
 if TYPE_CHECKING:
     import xarray
@@ -113,7 +113,7 @@ class SobolIndices:
 
 
 def sobol_indices(
-    outputs: Any, design: Design, *, level: float = 0.9, resamples: int = 1000, seed: int = 0
+    outputs: Any, design: Design, *, level: float = DEFAULT_LEVEL, resamples: int = 1000, seed: int = 0
 ) -> SobolIndices:
     """First-order, second-order and total Sobol' indices of any output, with bootstrap intervals.
 

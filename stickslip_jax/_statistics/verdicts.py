@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .. import _checks
+from .summary import wrapped
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -107,7 +108,8 @@ class Verdict:
         }
         answer = answers[self.rejected]
         rows = [test.line(p) for test, p in zip(self.tests, self.adjusted_p_values, strict=True)]
-        return "\n".join([f"{self.question} {answer}", *(f"  {row}" for row in (*rows, *self.remarks))])
+        told = [wrapped(row, "  ", "    ") for row in (*rows, *self.remarks)]
+        return "\n".join([wrapped(f"{self.question} {answer}", "", "    "), *told])
 
 
 def _shown(p_value: float) -> str:

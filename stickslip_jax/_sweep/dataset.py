@@ -1,7 +1,7 @@
 """The result of a sweep as one labelled data set."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
@@ -236,6 +236,24 @@ def _attributes(plan: Plan, body: Manifest) -> dict[str, object]:
         "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
         "entropies are of these histograms",
     }
+
+
+def point_dimensions(dataset: "xarray.Dataset") -> tuple[Hashable, ...]:
+    """The dimensions of the points of a sweep."""
+    return dataset["samples"].dims
+
+
+def statistics_of_points(dataset: "xarray.Dataset") -> list[str]:
+    """The names of the variables with one value and one error at each point."""
+    dimensions = point_dimensions(dataset)
+    named = ((str(name), variable) for name, variable in dataset.data_vars.items())
+    return [name for name, one in named if f"{name}_error" in dataset and one.dims == dimensions]
+
+
+def shown_statistics(dataset: "xarray.Dataset") -> list[str]:
+    """Of these the statistics of totals and derivatives, which are shown unless others are asked for; or all."""
+    known = statistics_of_points(dataset)
+    return [name for name in known if name in STATISTICS or name.startswith("d_")] or known
 
 
 def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:

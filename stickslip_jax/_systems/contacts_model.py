@@ -137,7 +137,7 @@ class ContactsModel(SwitchedModel[F]):
         """The time at `tau` 0, s."""
 
     def _held(self, forcing: F, tau: FloatScalar, y: State, resting: BoolArray) -> State:
-        """`y`, moved in the directions in which friction acts until the relative velocities are zero where `resting`."""
+        """`y`, moved in the directions in which friction acts until what is `resting` has no relative velocity."""
         for _ in range(_NEWTON_STEPS):
             now = self.instant(forcing, tau, y)
             impulse = solved(now.gain, now.velocity, jnp.zeros_like(now.velocity), resting)

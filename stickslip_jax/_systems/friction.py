@@ -9,13 +9,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import PyTree
 
 from .. import _checks
-from .._fields import Checked, Quantity
+from .._fields import Checked, Quantity, varies_within
 from .._types import FloatArray, Number, Scalar
+from .tabulated_curve import TabulatedCurve
 
 _STATIC = "friction coefficient of a stick"
+# Sphinx cannot read formatted strings in annotations, and would show no sources of this file.
+_STATIC_ABOVE_MU = _STATIC + ", at least mu"
+_STATIC_OR_MU = _STATIC + ", at least mu; not given: mu"
+_STATIC_OR_CURVE = _STATIC + "; not given: curve(0)"
 _ROUND_OFF = 1e-6  # of numbers in single precision
 
 
@@ -107,15 +113,25 @@ class FrictionLaw(Checked):
     def check_relations(self) -> None:
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
         if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
-            name = f"The static friction coefficient of {type(self).__name__}"
-            # Both may be the same number, rounded twice.
-            _static_at_least(self.kinetic(jnp.zeros(())), self.static, name, "kinetic(0)", _ROUND_OFF)
+            _check_traceable(self.kinetic, f"The method kinetic of {type(self).__name__}")
+            _check_at_rest(type(self).__name__, self, "")
+
+    def check_directions(self) -> None:
+        """Check the law of either direction. Raises ValueError for one that lets a stick hold less than a slip."""
+        if not self.depends_on_direction or not all(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(self)):
+            return
+        for sign, way in ((1.0, "forward"), (-1.0, "backward")):
+            law, kind = self.in_direction(jnp.full((), sign)), type(self).__name__
+            _check_at_rest(kind, law, f" of {way} slips")
+            _static_at_least(
+                law.static, self.static, f"The property static of {kind}", f"that of {way} slips", _ROUND_OFF
+            )
 
 
 class Coulomb(FrictionLaw):
     """Coulomb dry friction: the force in a slip is ``mu * normal_force``, against the relative velocity.
 
-    Source: Lima and Sampaio 2015, eq. 2.
+    Source: Lima and Sampaio 2015, equation 2.
 
     Args:
         mu: The kinetic friction coefficient (dimensionless, zero or positive).
@@ -126,7 +142,7 @@ class Coulomb(FrictionLaw):
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient", at_least=0)]
-    mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}, at least mu; not given: mu", at_least=0)] = None
+    mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_MU, at_least=0)] = None
     constant = True
 
     def check_relations(self) -> None:
@@ -146,7 +162,9 @@ class Coulomb(FrictionLaw):
 
 
 class VelocityWeakening(FrictionLaw):
-    """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)`` (Leine et al. 1998, eq. 3).
+    """Friction that falls with the relative speed: ``mu_static / (1 + weakening |v_rel|)``.
+
+    Source: Leine et al. 1998, equation 3.
 
     Args:
         mu_static: The static friction coefficient (dimensionless, zero or positive).
@@ -192,7 +210,7 @@ class Stribeck(FrictionLaw):
     """
 
     mu: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
-    mu_static: Annotated[Number, Quantity(meaning=f"{_STATIC}, at least mu", at_least=0)]
+    mu_static: Annotated[Number, Quantity(meaning=_STATIC_ABOVE_MU, at_least=0)]
     stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
     exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
         static=True, default=1.0, converter=lambda v: v.item() if isinstance(v, np.number) else v
@@ -239,7 +257,7 @@ class FrictionCurve(FrictionLaw):
 
     Args:
         curve: A smooth function of the relative speed (m/s, a scalar) that JAX can trace, or an ``equinox.Module``
-            with parameters.
+            with parameters. Write it with ``jax.numpy``; for measured points take `from_table`.
         mu_static: The static friction coefficient, at least ``curve(0)``; by default equal to it.
 
     Raises:
@@ -248,7 +266,38 @@ class FrictionCurve(FrictionLaw):
 
     curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=_traceable)
     holds_users_code = True
-    mu_static: Annotated[Number | None, Quantity(meaning=f"{_STATIC}; not given: curve(0)", at_least=0)] = None
+    mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_CURVE, at_least=0)] = None
+
+    @classmethod
+    def from_table(
+        cls,
+        speeds: npt.ArrayLike,
+        coefficients: npt.ArrayLike,
+        *,
+        mu_static: Number | None = None,
+        scale: Number = 1.0,
+    ) -> "FrictionCurve":
+        """The friction law through measured points.
+
+        Between the points it is a cubic that rises or falls only where they do, with a continuous slope (Fritsch and
+        Butland 1984, as scipy's ``PchipInterpolator``). Beyond the last point the coefficient stays that of the last
+        point, and its slope there is zero: measure up to the fastest slip. Both may be traced by ``jit``, ``vmap``
+        (tables of the same number of points) and ``grad``.
+
+        Args:
+            speeds: Relative speeds, m/s, increasing, the first one 0, (points,), at least 2.
+            coefficients: Kinetic friction coefficients at them, zero or positive, (points,).
+            mu_static: The static friction coefficient, at least the first of the kinetic ones; by default equal to it.
+            scale: What the coefficients (not `mu_static`) are multiplied by; it may be uncertain, as any number may.
+
+        Returns:
+            The law, which ensembles store and load with all its points.
+
+        Raises:
+            ValueError: For speeds that do not increase from 0, different lengths, and coefficients that are negative or
+                not finite.
+        """
+        return cls(TabulatedCurve(speeds, coefficients, scale), mu_static)
 
     def check_parts(self) -> None:
         if not callable(self.curve) or isinstance(self.curve, type):
@@ -256,7 +305,11 @@ class FrictionCurve(FrictionLaw):
                 f"Argument curve must be a function of the relative speed, but {_checks.show(self.curve)} was given."
             )
 
+    def has_varying_parts(self) -> bool:
+        return varies_within(self.curve)
+
     def check_relations(self) -> None:
+        _check_traceable(self.curve, "Argument curve of FrictionCurve")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
         _static_at_least(at_rest, self.mu_static, of="curve(0)")
@@ -295,8 +348,27 @@ def times_of_slips(
     return scale * mass / held if passes else math.inf, math.inf if _is(drag, 0.0) else mass / drag
 
 
+def _check_traceable(function: Callable[[FloatArray], object], what: str) -> None:
+    """Check that JAX can trace a user's function of the speed. Raises ValueError that says what to write instead."""
+    with _checks.traceable(what):
+        jax.make_jaxpr(function)(jnp.zeros(()))
+
+
 def _is(number: Scalar, value: float) -> bool:
     return not _checks.is_traced(number) and bool(number == value)
+
+
+def _check_at_rest(kind: str, law: FrictionLaw, slips: str) -> None:
+    """Check the coefficients of a user's `law` at vanishing speed; `slips`: for which ones it holds."""
+    kinetic, static = law.kinetic(jnp.zeros(())), law.static
+    for name, value in (("kinetic(0)", kinetic), ("static", static)):
+        if not _checks.is_traced(value) and not np.all(np.isfinite(value) & (np.asarray(value) >= 0)):
+            raise ValueError(
+                f"The friction coefficient {name}{slips} of {kind} must be finite, zero or positive, but {value} was "
+                "given: friction acts against the slip; turn its sign round, or look for a division by zero."
+            )
+    # Both may be the same number, rounded twice.
+    _static_at_least(kinetic, static, f"The static friction coefficient{slips} of {kind}", "kinetic(0)", _ROUND_OFF)
 
 
 def _static_at_least(

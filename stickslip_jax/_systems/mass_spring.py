@@ -20,7 +20,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
-from .._fields import Quantity
+from .._fields import Quantity, is_distribution
 from .._numerics.known import NotKnown
 from .._numerics.rotation import free_motion
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
@@ -43,7 +43,7 @@ class MassSpring(System):
 
     While slipping, ``mass x'' + damping x' + stiffness x = force(t) + mu normal_force sign(v - x')``; while sticking,
     ``x' = v``, which lasts as long as ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``
-    (Lima and Sampaio 2017, "Construction of a statistical model", eq. 1, where damping and force are zero).
+    (Lima and Sampaio 2017, "Construction of a statistical model", equation 1, where damping and force are zero).
 
     Args:
         mass: kg, positive.
@@ -80,6 +80,10 @@ class MassSpring(System):
                 f"values), but {_checks.show(self.force)} was given."
             )
 
+    def check_relations(self) -> None:
+        if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):
+            self.friction.check_directions()
+
     @property
     def angular_frequency(self) -> Scalar:
         """Natural angular frequency ``omega = sqrt(stiffness / mass)``, rad/s."""
@@ -100,6 +104,10 @@ class MassSpring(System):
     @property
     def stick_position(self) -> Coordinate:
         return Coordinate("position of the mass when the stick starts", "m", "x")
+
+    @property
+    def has_fixed_time_scales(self) -> bool:
+        return True
 
     @property
     def natural_frequency(self) -> Scalar:
@@ -278,6 +286,11 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     def release_sign(self, forcing: OscillatorForcing, y: State) -> FloatScalar:
         # The base pulls harder than friction can hold: the mass lags behind.
         return jnp.where(self._needed_and_limit(forcing, jnp.zeros_like(y[0]), y)[0] > 0, -1, 1).astype(y[0].dtype)
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        signals = [signal for signal in (self.smooth, self.system.force) if isinstance(signal, Signal)]
+        return self.friction.speed_scale is not None and all(signal.shortest_period is not None for signal in signals)
 
     @property
     def friction(self) -> FrictionLaw:

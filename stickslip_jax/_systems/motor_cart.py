@@ -73,7 +73,7 @@ class MotorCart(System):
         motor_constant: Of voltage (V s/rad) and torque (N m/A), positive.
         resistance: ohm, positive.
         inductance: H, positive.
-        equation: "physical" as above (the default), or "printed": as printed in the paper (eq. 2), whose term
+        equation: "physical" as above (the default), or "printed": as printed in the paper (equation 2), whose term
             ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
 
     Raises:
@@ -237,7 +237,8 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     Raises:
         ValueError: For arguments of another kind, and for angles that are not finite.
 
-    >>> bound = ss.stick_duration_bound(ss.MotorCart(mu=0.5), ss.SourceVoltage(), math.pi / 2)
+    >>> system, voltage = ss.MotorCart(mu=0.5), ss.SourceVoltage()
+    >>> bound = ss.stick_duration_bound(system, voltage, math.pi / 2)
     >>> print(f"{bound:.5f} s")
     0.50828 s
     """

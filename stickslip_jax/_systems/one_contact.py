@@ -68,6 +68,11 @@ class OneContactModel(SwitchedModel[F]):
         return Decision(self.can_stick(forcing, on_base), self.release_sign(forcing, on_base), guard, rate)
 
     @property
+    def time_scales_are_known(self) -> bool:
+        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
+        return False
+
+    @property
     @abc.abstractmethod
     def friction(self) -> FrictionLaw:
         """The friction law of the contact."""

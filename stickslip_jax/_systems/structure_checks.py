@@ -6,6 +6,7 @@ import numpy as np
 
 from .. import _checks
 from .._excitation.smooth import Signal
+from .contact import Contact
 
 if TYPE_CHECKING:
     from .structure import LinearStructure
@@ -89,8 +90,6 @@ def _check_mass(value: Any) -> None:
 
 
 def _check_contacts(structure: "LinearStructure", size: int) -> None:
-    from .structure import Contact  # a module below imports this one
-
     contacts = structure.contacts
     if not isinstance(contacts, tuple) or not contacts or not all(isinstance(c, Contact) for c in contacts):
         raise _checks.refused("contacts", "be a tuple of one Contact or more", contacts)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
+from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.segments import added
@@ -42,7 +43,7 @@ class SwitchedSystem(System):
     Two masses in a row, the second of which rubs on the base::
 
         class TwoMasses(ss.SwitchedSystem):
-            stiffness: float  # N/m, of the spring from the wall to the first mass, and of that between the masses
+            stiffness: float  # N/m, from the wall to the first mass, and between the masses
             mass: float  # kg, of each
             normal_force: float  # N
             mu: float
@@ -156,8 +157,10 @@ class SwitchedSystem(System):
         return GeneralModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+        with _checks.traceable(f"The property shortest_time of {type(self).__name__}"):
+            shortest = self.shortest_time
         return {
-            SHORTEST_TIME: TimeScale(self.shortest_time, SOLVED),
+            SHORTEST_TIME: TimeScale(shortest, SOLVED),
             "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
         }
 

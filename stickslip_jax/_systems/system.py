@@ -104,14 +104,19 @@ class System(Checked):
         model = self.switched_model(smooth, solver)
         if not isinstance(model, OneContactModel):
             raise ValueError(
-                f"Argument system must have one contact here, but a {type(self).__name__} with {model.contacts} contacts "
-                "was given: follow it with simulate and method=Exact()."
+                f"Argument system must have one contact here, but a {type(self).__name__} with {model.contacts} "
+                "contacts was given: follow it with simulate and method=Exact()."
             )
         return model
 
     @abc.abstractmethod
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         """The time scales of the system and of its excitation, by name."""
+
+    @property
+    def has_fixed_time_scales(self) -> bool:
+        """Whether the motion has no other time scales than `time_scales`, whatever the state."""
+        return False
 
     def usual_step(self, excitation: Excitation) -> Scalar:
         """An upper bound (s) of most steps where a fast motion needs shorter ones than are allowed; else infinity."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._types import Number
+from .._types import Array, Number
 from .switched_model import Base
 from .system import System
 
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from .switched_system import SwitchedSystem
 
 _SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
+_ONE_CONTACT = (
+    "a system has one dry-friction contact: smooth the force of any other, F jax.numpy.tanh(v / width) with a small "
+    "width."
+)
+_NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
 _AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 
@@ -40,15 +45,20 @@ def check_fields(system: "SwitchedSystem") -> None:
             f"Argument state_names of a {type(system).__name__} must be a tuple of two names or more, but "
             f"{_checks.show(names)} was given."
         )
-    _checks.numeric("static_ratio", system.static_ratio)
-    if not _checks.is_traced(system.static_ratio) and system.static_ratio < 1:
+    kind = type(system).__name__
+    with _checks.traceable(f"The property static_ratio of {kind}"):
+        ratio = system.static_ratio
+    _checks.numeric("static_ratio", ratio)
+    if not _checks.is_traced(ratio) and ratio < 1:
         raise ValueError(
-            f"Argument static_ratio must be at least 1, but {system.static_ratio} was given: a stick holds at least as "
+            f"Argument static_ratio must be at least 1, but {ratio} was given: a stick holds at least as "
             "well as a slip."
         )
     for name in ("shortest_time", "speed_scale"):
-        if getattr(system, name) is not None:
-            _checks.positive(name, getattr(system, name))
+        with _checks.traceable(f"The property {name} of {kind}"):
+            value = getattr(system, name)
+        if value is not None:
+            _checks.positive(name, value)
 
 
 def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
@@ -57,14 +67,35 @@ def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
     """
     kind, zero = type(system).__name__, jnp.zeros(())
     y, base = tuple(jnp.asarray(value, float) for value in y0), Base(zero, zero)
+    traced = jax.tree.map(jnp.asarray, system)  # as engines hold it: its numbers are arrays that JAX traces
+    for name in ("shortest_time", "static_ratio"):
+        with _checks.traceable(f"The property {name} of {kind}"):
+            jax.make_jaxpr(lambda system, name=name: getattr(system, name))(traced)
     try:
-        rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in _SHARES]
+        with _checks.traceable(f"The method rates of {kind}"):
+            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in _SHARES]
+            jax.make_jaxpr(type(system).rates)(traced, zero, y, base, zero)
+    except (IndexError, TypeError) as error:
+        if not _takes_two(system, zero, y, base):
+            raise
+        raise ValueError(
+            f"Argument rates of a {kind} must take one number as friction, but it takes several; {_ONE_CONTACT}"
+        ) from error
     except ValueError as error:  # rates unpacks the state into another number of variables
+        if isinstance(error.__cause__, (TypeError, jax.errors.JAXTypeError)):
+            raise
         raise ValueError(
             f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
         ) from error
     _check_rates(kind, rates[0], len(y))
-    velocity = system.relative_velocity(zero, y, base)
+    with _checks.traceable(f"The method relative_velocity of {kind}"):
+        velocity = system.relative_velocity(zero, y, base)
+        jax.make_jaxpr(type(system).relative_velocity)(traced, zero, y, base)
+    if isinstance(velocity, (tuple, list)) or np.size(velocity) > 1:
+        number = len(velocity) if isinstance(velocity, (tuple, list)) else np.size(velocity)
+        raise ValueError(
+            f"Argument relative_velocity of a {kind} must return one number, but {number} were given; {_ONE_CONTACT}"
+        )
     if not _is_scalar(velocity):
         raise ValueError(
             f"Argument relative_velocity of a {kind} must return a scalar, but {_checks.show(velocity)} was given."
@@ -72,6 +103,7 @@ def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
     gradient = jax.grad(lambda y: jnp.asarray(system.relative_velocity(zero, y, base), float))(y)
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((rates, gradient))):
         return
+    _check_smooth(system, y, base)
     _check_affine(kind, np.array([[float(rate) for rate in row] for row in rates]), np.array(gradient, float))
 
 
@@ -88,6 +120,44 @@ def _check_rates(kind: str, rates: object, size: int) -> None:
                 f"Argument rates of a {kind} must return scalars, but number {number} of shape {np.shape(rate)} was "
                 "given."
             )
+
+
+def _takes_two(system: "SwitchedSystem", t: Array, y: tuple[Array, ...], base: Base) -> bool:
+    """Whether the rates of `system` can be asked for with two numbers as friction."""
+    try:
+        system.rates(t, y, base, jnp.zeros(2))
+    except Exception:  # of a user's code
+        return False
+    return True
+
+
+def _check_smooth(system: "SwitchedSystem", y: tuple[Array, ...], base: Base) -> None:
+    """Check that the rates do not jump where a number of the state passes zero, its initial value, or another number.
+
+    There the sign of a velocity changes that somebody writes for a second contact.
+    """
+    values = [float(value) for value in y]
+    places = [(i, centre) for i in range(len(y)) for centre in sorted({0.0, *values})]
+    step = float(np.sqrt(np.finfo(y[0].dtype).eps)) * max(1.0, *map(abs, values))
+    near = np.array(values) * np.ones((len(places), 4, 1))
+    for row, (i, centre) in zip(near, places, strict=True):
+        row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
+    columns = tuple(jnp.asarray(near.reshape(-1, len(y)).T, y[0].dtype))
+    one, size = jnp.ones(()), len(near) * 4
+    found = jax.vmap(lambda *state: tuple(map(jnp.asarray, system.rates(jnp.zeros(()), state, base, one))))(*columns)
+    rates = np.stack([np.broadcast_to(np.asarray(rate, float), size) for rate in found], -1).reshape(len(near), 4, -1)
+    far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
+    most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
+    jumps = (close > _JUMP * far) & (close > _AFFINE * most)
+    if not np.any(jumps):
+        return
+    place, number = (int(index) for index in np.argwhere(jumps)[0])
+    state, centre = places[place]
+    raise ValueError(
+        f"Argument rates of a {type(system).__name__} must be smooth functions of the state, but rate number {number} "
+        f"jumps from {rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number {state} of the state "
+        f"passes {centre:g}; {_ONE_CONTACT}"
+    )
 
 
 def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:

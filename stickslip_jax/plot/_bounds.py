@@ -11,6 +11,7 @@ from .. import _checks
 from .._systems.motor_cart import MotorCart, stick_duration_bound
 from .._systems.system import unphased
 from . import _parts, _style
+from ._legends import legend_above
 from ._types import Voltage
 
 _POINTS = 1441  # every quarter of a degree
@@ -66,5 +67,5 @@ def stick_bounds(
     ax.autoscale(axis="y")  # to all curves that have been drawn, also in axes that share this one's scale
     ax.set_ylim(bottom=0)
     longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
-    _style.legend_above(ax, columns=2 if longest_label > _LONG else 3)
+    legend_above(ax, columns=2 if longest_label > _LONG else 3)
     return ax

@@ -5,13 +5,16 @@ from matplotlib.axes import Axes
 
 from .. import _checks
 from .._statistics.convergence import Convergence, HistogramConvergence
-from .._statistics.estimate import check_level
+from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from . import _parts, _style
+from ._legends import legend_above
 
 _FEWEST = 10  # samples: intervals from fewer are so wide that the others could not be seen beside them
 
 
-def convergence(result: Convergence | HistogramConvergence, *, level: float = 0.9, ax: Axes | None = None) -> Axes:
+def convergence(
+    result: Convergence | HistogramConvergence, *, level: float = DEFAULT_LEVEL, ax: Axes | None = None
+) -> Axes:
     """Draw an estimate, or the distance between two joint histograms, against the number of samples.
 
     Args:
@@ -41,7 +44,10 @@ def convergence(result: Convergence | HistogramConvergence, *, level: float = 0.
         _draw_estimates(ax, result, level)
     else:
         _draw_distances(ax, result)
-    _style.legend_above(ax, columns=1)
+    if ax.has_data():
+        for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:
+            _style.log_axis(axis)
+    legend_above(ax, columns=1)
     return ax
 
 

@@ -2,14 +2,17 @@
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from .. import _checks
-from .._statistics.estimate import Estimate, check_level
+from .._statistics.estimate import DEFAULT_LEVEL, Estimate, check_level
 from . import _parts, _style
 from ._labeled import Labeled, is_labeled, labeled
+from ._legends import legend_above
 from ._types import LabeledData, Numbers
 
 Uncertainty: TypeAlias = Literal["bars", "band"]
@@ -20,7 +23,7 @@ def curve(
     y: Sequence[Estimate] | Numbers | str | None = None,
     *,
     errors: Numbers | LabeledData | str | None = None,
-    level: float | None = 0.9,
+    level: float | None = DEFAULT_LEVEL,
     uncertainty: Uncertainty = "bars",
     along: str | None = None,
     xlabel: str | None = None,
@@ -45,8 +48,9 @@ def curve(
         uncertainty: How these are drawn, "bars" or "band".
         along: Of an array with two dimensions, which is on the abscissa; by default the first.
         xlabel: Name of the abscissa, with its unit, where nothing else says it.
-        ylabel: Name of the ordinate, likewise.
-        label: Name of the curve in the legend; of several, before the value of the other coordinate.
+        ylabel: Name of the ordinate, likewise. By default all quantities whose names are known.
+        label: Name of the curve in the legend; of several, before the value of the other coordinate. By default the
+            quantity, where curves of several are in the same axes.
         xlog: Whether the abscissa is logarithmic.
         ylog: Whether the ordinate is logarithmic. Values of zero or less are left out then, and counted.
         ax: Where to draw; by default the axes of a new figure.
@@ -63,10 +67,27 @@ def curve(
     else:
         curves = _of_numbers(x, y, errors, level, label)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    ax.set_xlabel(_name("xlabel", xlabel, curves.xlabel, ax.get_xlabel()))
-    ax.set_ylabel(_name("ylabel", ylabel, curves.ylabel, ax.get_ylabel()))
+    ax.set_xlabel(_name("xlabel", xlabel, None if ax.get_xlabel() else curves.xlabel, ax.get_xlabel()))
+    ax.set_ylabel(_name("ylabel", ylabel, _ylabel(ax, curves.ylabel), ax.get_ylabel()))
     _draw_all(ax, curves, uncertainty, level, (xlog, ylog))
     return ax
+
+
+_QUANTITIES: WeakKeyDictionary[Line2D, str] = WeakKeyDictionary()
+"""What the curves that have been drawn show, with units."""
+
+
+def _quantities(ax: Axes) -> list[str]:
+    """What the curves in `ax` show, each once."""
+    return list(dict.fromkeys(_QUANTITIES[line] for line in ax.lines if line in _QUANTITIES))
+
+
+def _ylabel(ax: Axes, known: str | None) -> str | None:
+    """The name of the ordinate with another curve, of the `known` quantity; None for the name that there is."""
+    before, there = _quantities(ax), ax.get_ylabel()
+    if known is None or (there and there != _parts.wrapped(",\n".join(before))):
+        return None
+    return ",\n".join(dict.fromkeys([*before, known]))
 
 
 class _Curve(NamedTuple):
@@ -164,14 +185,14 @@ def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.n
 
 
 def _name(argument: str, given: str | None, known: str | None, before: str) -> str:
-    """The name of an axis: what is given, else what it has already, else what is known."""
-    name = given or before or known
+    """The name of an axis: what is given, else what is known, else what it has already."""
+    name = given or known or before
     if not name:
         raise ValueError(
             f"Argument {argument} must be given, the name of the axis with its unit, because what is drawn does not "
             "say it."
         )
-    return name
+    return _parts.wrapped(name)
 
 
 def _draw_all(
@@ -189,17 +210,21 @@ def _draw_all(
         _parts.whole_numbers(ax.xaxis)
     if ylog:
         ax.set_yscale("log")
-    drawn = [_draw(ax, curves.x, one, uncertainty, ylog) for one in curves.curves]
+    drawn = [_draw(ax, curves.x, one, uncertainty, ylog, curves.ylabel) for one in curves.curves]
+    if len(_quantities(ax)) > 1:
+        for line in ax.lines:
+            if line in _QUANTITIES and str(line.get_label()).startswith("_"):
+                line.set_label(_QUANTITIES[line])
     if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
         _parts.note(ax, "no values")
     for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
         _style.log_axis(axis)
     if any(np.any(np.isfinite(one.low)) for one in curves.curves):
         _explain(ax, uncertainty, level)
-    _style.legend_above(ax, columns=2)
+    legend_above(ax, columns=2)
 
 
-def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: bool) -> bool:
+def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: bool, quantity: str | None) -> bool:
     """Draw a curve with its uncertainty; whether there was anything to draw."""
     values, low, high, label = one
     left_out = ylog & (values <= 0)
@@ -223,7 +248,10 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
     elif np.any(known):
         sides = np.stack([values - low, high - values])[:, known]
         ax.errorbar(x[known], values[known], sides, ls="none", ecolor=color, elinewidth=1.0, capsize=2.0)
-    ax.plot(x, values, color=color, ls=style, lw=_style.SLIP_WIDTH, marker=_style.marker_of(x), ms=3.5, label=label)
+    look = {"color": color, "ls": style, "lw": _style.SLIP_WIDTH, "marker": _style.marker_of(x), "ms": 3.5}
+    (line,) = ax.plot(x, values, label=label, **look)
+    if quantity is not None:
+        _QUANTITIES[line] = quantity
     return True
 
 
@@ -234,4 +262,4 @@ def _explain(ax: Axes, uncertainty: Uncertainty, level: float | None) -> None:
     for line in list(ax.lines):
         if line.get_label() == text:
             line.remove()
-    ax.plot([], [], ls="none", marker=marker, ms=9, color=_style.FORWARD, label=text)
+    ax.plot([], [], ls="none", marker=marker, ms=9, color=_style.FORWARD, mew=1.5, label=text)

@@ -11,6 +11,7 @@ from .. import _checks
 from .._statistics.distribution import DEFAULT_BINS, Distribution
 from .._statistics.estimate import Estimate
 from . import _parts, _style
+from ._legends import legend_above
 from ._sticks import complete_sticks, edges_of_bins, outside
 from ._types import Bins, SimulatedSticks
 
@@ -72,7 +73,7 @@ def histogram(
     ax.set_xlim(edges.min(), edges.max())
     ax.autoscale(axis="y")
     ax.set_ylim(bottom=0)
-    _style.legend_above(ax, columns=1)
+    legend_above(ax, columns=1)
     return ax
 
 
@@ -94,7 +95,7 @@ def _say_empty(ax: Axes, text: str, earlier: list[StepPatch]) -> None:
         _parts.note(ax, text)
         return
     ax.plot([], [], ls="none", label=text)
-    _style.legend_above(ax, columns=1)
+    legend_above(ax, columns=1)
 
 
 class _Bars(NamedTuple):
@@ -160,7 +161,9 @@ def _bars_of_sticks(result: SimulatedSticks, bins: Bins | None) -> _Bars:
 
 def _draw_mean(ax: Axes, mean: Estimate, color: str) -> None:
     """The mean, with its standard error to both sides."""
+    label = f"mean {_parts.with_error(mean)}"
     if np.isfinite(mean.standard_error):
         ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
         ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
-    ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=f"mean {_parts.with_error(mean)}")
+        label += " (shaded: ±)"
+    ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=label)

@@ -10,11 +10,13 @@ from .._statistics.joint import JointDistribution
 from .._systems.system import System
 from . import _parts, _style
 from ._cells import Cells, cells_of_pairs, cells_of_sticks, number_of_bins
+from ._legends import legend_above, plain_numbers
 from ._stick_positions import finish, placed_sticks
 from ._types import JointBins, SeveralAxes, SimulatedSticks, Voltage
 
 _ALSO = ', or a JointDistribution such as ensemble.statistics.joint("duration", "position")'
 _MEANS = 20  # bins at most of the conditional mean
+_ROOM = 0.6  # of the width of the figure, for the legend above the joint histogram
 _LARGEST = 1500  # square points: the area of an atom that holds all pairs
 
 
@@ -114,8 +116,8 @@ def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
     main, *others = panels
     if not cells.empty:
         norm = LogNorm() if log else Normalize(vmin=0)
-        mesh = main.pcolormesh(*cells.edges, cells.density.T, cmap="viridis_r", norm=norm, rasterized=True)
-        main.plot([], [], ls="none", marker="s", color=mesh.cmap(0.5), label=cells.label)
+        mesh = main.pcolormesh(*cells.edges, cells.density.T, cmap=_style.SHADES, norm=norm, rasterized=True)
+        main.plot([], [], ls="none", label=cells.label)
         _style.figure_of(main).colorbar(mesh, ax=list(panels), label=_parts.density_label(*cells.units))
     for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
         label = _parts.density_label(cells.units[axis]).replace(" density", "\ndensity")
@@ -129,7 +131,8 @@ def _draw_atoms(main: Axes, joint: JointDistribution) -> None:
     atoms = joint.atoms
     if not len(atoms.share):
         return
-    label = f"atoms: {_parts.counted(len(atoms.share), 'point')}, {100 * atoms.share.sum():.1f} % of the pairs"
+    number, share = len(atoms.share), f"{100 * atoms.share.sum():.1f} % of the pairs"
+    label = f"{number:,} points that {share} lie on" if number > 1 else f"a point that {share} lie on"
     look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
     main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
 
@@ -154,7 +157,9 @@ def _finished(panels: tuple[Axes, ...], cells: Cells) -> tuple[Axes, ...]:
         right.set_ylim(main.get_ylim())
         above.set_ylim(bottom=0)
         right.set_xlim(left=0)
-    _style.legend_above(*others[:1], main, columns=1)
+    legend_above(*others[:1], main, columns=1, room=_ROOM if others else None)
+    for ax in others[1:]:
+        plain_numbers(ax.xaxis)
     return panels
 
 

@@ -5,15 +5,18 @@ from matplotlib.axes import Axes
 
 from .. import _checks
 from .._ensemble.result import Ensemble
-from .._statistics.estimate import check_level
+from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
 from . import _parts, _style
+from ._legends import legend_above
 from ._sticks import require_ensemble
 
 _BOTTOM = 0.3  # of the height of the axes, for the shares
 
 
-def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float = 0.9, ax: Axes | None = None) -> Axes:
+def means_by_order(
+    result: Ensemble, quantity: str = "duration", *, level: float = DEFAULT_LEVEL, ax: Axes | None = None
+) -> Axes:
     """Draw the mean over the samples of the i-th stick's duration, start or position, or of a slip's, against i.
 
     Each mean is over the samples that have an i-th one, with its confidence interval. Where not all samples have one,
@@ -56,20 +59,20 @@ def means_by_order(result: Ensemble, quantity: str = "duration", *, level: float
     means = [order.distributions[quantity].mean for order in present]
     values = np.array([mean.value for mean in means])
     low, high = np.array([mean.interval(level) for mean in means]).T
-    label = f"mean, {_parts.interval_name(level)}"
+    label = f"mean; bars: {_parts.interval_name(level)}"
     look = {"color": _style.STICK if body == "stick" else _style.MASS, "lw": _style.SLIP_WIDTH}
     known = np.isfinite(low)
     if np.any(known):
         errors = (values - low)[known], (high - values)[known]
-        ax.errorbar(numbers[known], values[known], errors, ls="none", capsize=3, **look)
+        ax.errorbar(numbers[known], values[known], errors, ls="none", marker="o", ms=4, capsize=3, label=label, **look)
     else:
         label = "mean (no interval from one sample)"
-    ax.plot(numbers, values, ls="none", marker="o", ms=4, label=label, **look)
+    ax.plot(numbers, values, ls="none", marker="o", ms=4, label="_mean" if np.any(known) else label, **look)
     _parts.whole_numbers(ax.xaxis)
     ax.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
     shares = np.array([order.share.value for order in present])
     others = () if np.all(shares == 1) else (_draw_shares(ax, numbers, shares, body),)
-    _style.legend_above(ax, *others, columns=2)
+    legend_above(ax, *others, columns=2)
     return ax
 
 

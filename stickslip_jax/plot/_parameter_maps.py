@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import PolyCollection
-from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from .. import _checks
 from . import _parts, _style
+from ._contours import draw_contours
 from ._labeled import is_labeled, labeled
+from ._legends import legend_above
 from ._types import LabeledData, Numbers
 
 _GRAY = "#DDDDDD"
@@ -55,9 +55,9 @@ def parameter_map(
         xlog: Whether the abscissa is logarithmic.
         ylog: Whether the ordinate is logarithmic.
         log: Whether the colours are logarithmic. Values that are not positive are drawn like missing ones then.
-        contours: Whether to draw lines of equal values, too, except in flat regions, where their course is chance:
-            where the slope is below a quarter of that of values that change evenly over the map, or, with `errors`,
-            below four of its standard errors.
+        contours: Whether to draw lines of equal values, too. Left out are short ones and those in flat regions, where
+            their course is chance: where the slope is below four of its standard errors, which follow from `errors`,
+            or without them from the scatter of neighbouring values about a plane.
         limits: Values of the first and the last colour, such as ``(0, 1)`` for shares, so that maps can be compared; by
             default the smallest and the largest value.
         ax: Where to draw; by default the axes of a new figure.
@@ -136,6 +136,8 @@ def _norm(limits: tuple[float | int, float | int] | None, log: bool) -> Normaliz
 def _draw(ax: Axes, grid: _Map, norm: Normalize, contours: bool, error_share: float) -> None:
     """The cells, what is said of them in the legend, and the axes."""
     log = isinstance(norm, LogNorm)
+    for axis, edges, is_log in zip((ax.xaxis, ax.yaxis), grid.edges, grid.logs, strict=True):
+        _set_axis(axis, edges, is_log)
     if log:
         grid = grid._replace(values=np.where(grid.values > 0, grid.values, np.nan))
     unknown = np.isnan(grid.values)
@@ -147,26 +149,28 @@ def _draw(ax: Axes, grid: _Map, norm: Normalize, contours: bool, error_share: fl
         _draw_values(ax, grid, norm, contours)
     if grid.errors is not None:
         _draw_uncertain(ax, grid, grid.errors, error_share)
-    for axis, edges, is_log in zip((ax.xaxis, ax.yaxis), grid.edges, grid.logs, strict=True):
-        _set_axis(axis, edges, is_log)
-    ax.set_xlabel(grid.names[0])
-    ax.set_ylabel(grid.names[1])
-    _style.legend_above(ax, columns=1)
+    ax.set_xlabel(_parts.wrapped(grid.names[0]))
+    ax.set_ylabel(_parts.wrapped(grid.names[1]))
+    legend_above(ax, columns=1)
 
 
 def _draw_values(ax: Axes, grid: _Map, norm: Normalize, contours: bool) -> None:
     """The colours, their scale, and lines of equal values."""
     cells = np.ma.masked_invalid(grid.values).T
-    mesh = ax.pcolormesh(*grid.edges, cells, cmap="viridis_r", norm=norm, rasterized=True)
+    mesh = ax.pcolormesh(*grid.edges, cells, cmap=_style.SHADES, norm=norm, rasterized=True)
     known = cells.compressed()
     sides = (known.min() < norm.vmin, known.max() > norm.vmax)
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(sides, "neither")
-    bar = _style.figure_of(ax).colorbar(mesh, ax=ax, label=grid.names[2], extend=extend)
+    bar = _style.figure_of(ax).colorbar(mesh, ax=ax, label=_parts.wrapped(grid.names[2]), extend=extend)
     if contours and np.nanmin(grid.values) < np.nanmax(grid.values):
         values, errors = grid.values, grid.errors
         if isinstance(norm, LogNorm):
             values, errors = np.log(values), None if errors is None else errors / values
-        _draw_contours(ax, bar, grid, _flat(values, errors))
+        lowest, highest = np.nanmin(grid.values), np.nanmax(grid.values)
+        levels = [level for level in bar.get_ticks() if lowest < level < highest]
+        if levels:
+            scaled = np.log(levels) if isinstance(norm, LogNorm) else levels
+            draw_contours(ax, grid.centers, values, errors, list(scaled), [f"{level:g}" for level in levels])
 
 
 def _set_axis(axis: Axis, edges: np.ndarray, is_log: bool) -> None:
@@ -176,34 +180,6 @@ def _set_axis(axis: Axis, edges: np.ndarray, is_log: bool) -> None:
     if is_log:
         (ax.set_xscale if axis is ax.xaxis else ax.set_yscale)("log")
         _style.log_axis(axis)
-
-
-def _flat(values: np.ndarray, errors: np.ndarray | None) -> np.ndarray:
-    """Where the values around a cell hardly change, so that the course of lines would be chance, (nx, ny).
-
-    The slope, per cell, is that of a plane through the three by three cells around. If these have independent errors,
-    each of its two components has `_SLOPE_ERROR` times their standard error, and by chance the slope exceeds four times
-    that in one of 3000 cells (Rayleigh's distribution, exp(-8)).
-    """
-    slope = np.hypot(_slope(values), _slope(values.T).T)
-    least = np.full(values.shape, (np.nanmax(values) - np.nanmin(values)) / (4 * (max(values.shape) - 1)))
-    if errors is not None:
-        least = np.maximum(least, 4 * _SLOPE_ERROR * np.nan_to_num(errors, nan=np.inf))
-    return slope < least
-
-
-_SLOPE_ERROR = 6**-0.5  # of (a + b + c - d - e - f) / 6
-
-
-def _slope(values: np.ndarray) -> np.ndarray:
-    """The change of `values` (nx, ny) from row to row, averaged over three columns; one-sided at the ends and NaN."""
-    wide = np.pad(values, 1, constant_values=np.nan)
-    columns = np.stack([wide[:, :-2], wide[:, 1:-1], wide[:, 2:]])
-    number = np.isfinite(columns).sum(axis=0)
-    mean = np.where(number > 0, np.nansum(columns, axis=0) / np.maximum(number, 1), np.nan)
-    before, here, after = mean[:-2], mean[1:-1], mean[2:]
-    both = (after - before) / 2
-    return np.nan_to_num(np.where(np.isnan(both), np.where(np.isnan(after), here - before, after - here), both))
 
 
 def _checked(x: object, y: object, values: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -252,17 +228,3 @@ def _draw_uncertain(ax: Axes, grid: _Map, errors: np.ndarray, share: float) -> N
         label += ", or not known"
     look = {"facecolor": "none", "edgecolor": _style.SERIES[2], "hatch": "...", "lw": 0}
     ax.add_collection(PolyCollection(corners, label=label, **look), autolim=False)
-
-
-def _draw_contours(ax: Axes, bar: Colorbar, grid: _Map, flat: np.ndarray) -> None:
-    """Labelled lines of equal values, at the ticks of the colour bar, interpolated between the centres of the cells."""
-    lowest, highest = np.nanmin(grid.values), np.nanmax(grid.values)
-    levels = [level for level in bar.get_ticks() if lowest < level < highest]
-    if not levels:
-        return
-    known = np.ma.masked_array(grid.values, np.isnan(grid.values) | flat).T
-    halo: list[AbstractPathEffect] = [withStroke(linewidth=2, foreground="white")]
-    lines = ax.contour(*grid.centers, known, levels=levels, colors=_style.MASS, linewidths=0.8)
-    lines.set_path_effects(halo)
-    for text in ax.clabel(lines, fontsize="small", fmt="%g"):
-        text.set_path_effects(halo)

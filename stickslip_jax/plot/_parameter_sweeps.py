@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
@@ -10,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
+from .._statistics.estimate import DEFAULT_LEVEL
+from .._sweep.dataset import shown_statistics
 from . import _parts, _style
 from ._curves import curve
 from ._labeled import is_labeled
@@ -20,11 +21,15 @@ if TYPE_CHECKING:
     import xarray
 
 _MOST_CURVES = 4  # of several values of a parameter; more make a map
-_PANEL, _LABEL_WIDTH = (5.6, 4.2), 40
+_PANEL = (5.6, 4.2)  # inches
 
 
 def parameter_sweep(
-    results: "xarray.Dataset", names: Sequence[str], *, level: float | None = 0.9, axes: SeveralAxes | None = None
+    results: "xarray.Dataset",
+    names: Sequence[str] | None = None,
+    *,
+    level: float | None = DEFAULT_LEVEL,
+    axes: SeveralAxes | None = None,
 ) -> tuple[Axes, ...]:
     """Draw statistics of a parameter sweep, each in axes of its own.
 
@@ -33,7 +38,8 @@ def parameter_sweep(
 
     Args:
         results: As `Sweep.run` returns it, with one or two dimensions of points; ``results.isel(...)`` chooses of more.
-        names: Of the variables to draw, such as ``["mean_stick_duration"]``.
+        names: Of the variables to draw, such as ``["mean_stick_duration"]``; by default those that ``stickslip show``
+            prints: the statistics of totals, and derivatives.
         level: Of the confidence intervals, as in `curve`.
         axes: Where to draw, one for each name; by default those of a new figure.
 
@@ -45,6 +51,9 @@ def parameter_sweep(
     """
     if not is_labeled(results) or not hasattr(results, "data_vars"):
         raise ValueError(f"Argument results must be a Dataset of a Sweep, but {_checks.show(results)} was given.")
+    if names is None:
+        dataset: Any = results
+        names = shown_statistics(dataset) if "samples" in dataset else ()
     if not isinstance(names, (list, tuple)) or not names or not all(name in results for name in names):
         known = ", ".join(map(str, results.data_vars))
         raise ValueError(
@@ -86,14 +95,11 @@ def _draw(ax: Axes, results: Any, name: str, level: float | None) -> None:
         # Lines between cells of which many are not there yet would be scraps.
         complete = not np.any(np.isnan(np.asarray(values)))
         xlog, ylog = (logs[one] for one in dimensions)
-        label = fill(label, _LABEL_WIDTH)
         parameter_map(data, variable, xlog=xlog, ylog=ylog, label=label, contours=complete, ax=ax)
     else:
         along = next((one for one in dimensions if one != few), few)
         bands = "bars" if len(dimensions) == 1 else "band"
         curve(results, name, along=along, xlog=logs[along], uncertainty=bands, level=level, ax=ax)
-    ax.set_xlabel(fill(ax.get_xlabel(), _LABEL_WIDTH))
-    ax.set_ylabel(fill(ax.get_ylabel(), _LABEL_WIDTH))
 
 
 def _is_geometric(values: np.ndarray) -> bool:

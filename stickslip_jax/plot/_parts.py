@@ -1,6 +1,8 @@
 """What the figures of statistics share: names of axes, notes in empty axes, outlines of histograms, rectangles."""
 
+import re
 from contextlib import suppress
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,6 +40,16 @@ def checked_errors(errors: object, values: np.ndarray) -> np.ndarray:
 def interval_name(level: float) -> str:
     """The name of confidence intervals at `level` in legends."""
     return f"{100 * level:.4g} % confidence interval"
+
+
+def wrapped(text: str, letters: int = 40) -> str:
+    """`text` in lines of so many letters, by default those that fit beside axes of the usual size.
+
+    Formulas stay whole, and so do the lines that it has.
+    """
+    guarded = re.sub(r"\$[^$]*\$", lambda formula: formula[0].replace(" ", "\0"), text)
+    lines = [fill(line, max(letters, 10), break_long_words=False) for line in guarded.split("\n")]
+    return "\n".join(lines).replace("\0", " ")
 
 
 def quantity_label(name: str, unit: str) -> str:

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from .. import _checks
 from .._excitation.ground import GroundMotion
 from .._simulation.result import Simulation
-from .._systems.system import Coordinate
 from . import _style
+from ._legends import legend_above
 from ._trajectory import Phase, check_simulation, check_window, has_steady_base, joined, phases_of
 from ._types import Window
 
@@ -46,6 +46,8 @@ def phase_portrait(
     result: Simulation,
     *,
     window: Window | None = None,
+    x: str | None = None,
+    y: str | None = None,
     abscissa: str = _POSITION,
     energy_regions: bool = False,
     ax: Axes | None = None,
@@ -54,14 +56,18 @@ def phase_portrait(
 
     Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
     black while it moves backward, and pale blue while it is at rest; on other bases slip is purple. Crosses mark the
-    centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, eq. 3), if the friction
+    centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, equation 3), if the friction
     coefficient is constant and there is no force and no ground motion; on a base that moves in one direction only, the
     centre for a mass slower than the base: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
-    against the angle modulo 2 pi; its sticks are points. For your own system, the second coordinate against the first.
+    against the angle modulo 2 pi; its sticks are points. For your own system, the second coordinate against the first,
+    or any other two.
 
     Args:
         result: A result of `simulate`, one trajectory that reached ``t1``.
         window: First and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
+        x: Name of the coordinate on the abscissa, such as "angle", or "position 2" of `SwitchedSystem.state_names`; by
+            default the first one.
+        y: Name of that on the ordinate, likewise; by default the second one.
         abscissa: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
             which undamped slip arcs are circles, as in the paper.
         energy_regions: Whether to shade where a slip takes energy from the base: where the mass moves in its direction
@@ -77,8 +83,11 @@ def phase_portrait(
     """
     check_simulation(result)
     window = check_window(window, float(result.t1))
-    first, second = result.system.coordinates[:2]
+    chosen = _chosen(result, x, y)
+    first, second = (result.system.coordinates[number] for number in chosen)
     choices = (_POSITION,) if first.period or result.system.natural_frequency is None else (_POSITION, _SCALED)
+    if chosen != (0, 1):
+        choices = (_POSITION,)
     if abscissa not in choices:
         names = " or ".join(map(repr, choices))
         raise ValueError(
@@ -86,10 +95,11 @@ def phase_portrait(
             "given."
         )
     _checks.truth("energy_regions", energy_regions)
-    if energy_regions and not has_steady_base(result):
+    if energy_regions and not (has_steady_base(result) and chosen == (0, 1)):
         raise ValueError(
             "Argument energy_regions must be False unless a mass and spring moves on a base of piecewise-constant "
-            f"velocity, but a {type(result.system).__name__} on {_checks.show(result.base)} was given."
+            "velocity and its velocity is drawn against its position, but True was given for a "
+            f"{type(result.system).__name__} on {_checks.show(result.base)}, {second.name} against {first.name}."
         )
     ax = _style.axes_or_new(ax, (5.0, 4.6))
     phases = phases_of(result, window)
@@ -97,16 +107,35 @@ def phase_portrait(
         for velocity in set(np.unique([phase.base_velocity[0] for phase in phases])) - {0}:
             ax.axhspan(0, velocity, color=_style.FED, alpha=0.25, lw=0, label="friction feeds energy in")
     if first.period:
-        _draw_periodic(ax, phases, first, second)
+        _draw_periodic(ax, phases, result, chosen)
     else:
-        _draw_plane(ax, result, phases, abscissa)
-    _style.legend_above(ax, columns=2)
+        _draw_plane(ax, result, phases, chosen, abscissa)
+    legend_above(ax, columns=2)
     return ax
 
 
-def _draw_plane(ax: Axes, one: Simulation, phases: list[Phase], abscissa: str) -> None:
-    """The second coordinate against the first, or against the first times the natural angular frequency."""
-    first, second = one.system.coordinates[:2]
+def _chosen(one: Simulation, x: str | None, y: str | None) -> tuple[int, int]:
+    """The numbers of the coordinates called `x` and `y`, by default the first two."""
+    names = [coordinate.name for coordinate in one.system.coordinates]
+    for argument, name in (("x", x), ("y", y)):
+        if name is not None and name not in names:
+            raise ValueError(
+                f"Argument {argument} must be the name of a coordinate of the {type(one.system).__name__}, one of "
+                f"{', '.join(map(repr, names))}, but {_checks.show(name)} was given."
+            )
+    chosen = 0 if x is None else names.index(x), 1 if y is None else names.index(y)
+    if chosen[0] == chosen[1]:
+        given = f"x={_checks.show(x)}" if y is None else f"y={_checks.show(y)}"
+        raise ValueError(
+            f"Arguments x and y must be two different coordinates, but {names[chosen[0]]!r} is both with {given}; "
+            f"give both, of {', '.join(map(repr, names))}."
+        )
+    return chosen
+
+
+def _draw_plane(ax: Axes, one: Simulation, phases: list[Phase], pair: tuple[int, int], abscissa: str) -> None:
+    """One coordinate against the other, or against it times the natural angular frequency."""
+    first, second = (one.system.coordinates[number] for number in pair)
     scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
     for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
         chosen = [phase for phase in phases if belongs(phase)]
@@ -114,9 +143,10 @@ def _draw_plane(ax: Axes, one: Simulation, phases: list[Phase], abscissa: str) -
             ends = np.cumsum([len(phase.times) + 1 for phase in chosen]) - 2
             starts = ends + 1 - [len(phase.times) for phase in chosen]
             marked = np.union1d(starts, ends).tolist()
-            ax.plot(scale * joined(chosen, 0), joined(chosen, 1), label=label, markevery=marked, **look)
+            x, y = (joined(chosen, number) for number in pair)
+            ax.plot(scale * x, y, label=label, markevery=marked, **look)
     center = one.system.slip_center
-    if center is not None and not isinstance(one.base, GroundMotion):
+    if center is not None and not isinstance(one.base, GroundMotion) and pair == (0, 1):
         look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
         directions = _directions(one, phases)
         label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
@@ -138,18 +168,20 @@ def _directions(one: Simulation, phases: list[Phase]) -> np.ndarray:
     return np.array([-1.0, 1.0])
 
 
-def _draw_periodic(ax: Axes, phases: list[Phase], first: Coordinate, second: Coordinate) -> None:
-    """The second coordinate against the first modulo its period; sticks in which neither changes are points."""
+def _draw_periodic(ax: Axes, phases: list[Phase], one: Simulation, pair: tuple[int, int]) -> None:
+    """One coordinate against the other modulo its period; sticks in which neither changes are points."""
+    first, second = (one.system.coordinates[number] for number in pair)
     assert first.period is not None
     period = first.period
-    still = [phase for phase in phases if phase.sticks and np.ptp(phase.state[:2], axis=1).max() == 0]
+    still = [phase for phase in phases if phase.sticks and all(np.ptp(phase.state[number]) == 0 for number in pair)]
     points = set(map(id, still))
     for label, belongs, look in _ALIKE:
         chosen = [phase for phase in phases if belongs(phase) and id(phase) not in points]
         if chosen:
-            ax.plot(*_wrapped(joined(chosen, 0), joined(chosen, 1), period), label=label, **look)
+            x, y = (joined(chosen, number) for number in pair)
+            ax.plot(*_wrapped(x, y, period), label=label, **look)
     if still:
-        angles, speeds = np.transpose([[values[0] for values in phase.state[:2]] for phase in still])
+        angles, speeds = np.transpose([[phase.state[number][0] for number in pair] for phase in still])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
     name = _style.angle_axis(ax, period)

@@ -7,6 +7,7 @@ from matplotlib.collections import PolyCollection
 from .. import _checks
 from .._ensemble.result import Ensemble
 from . import _parts, _style
+from ._legends import legend_above
 from ._sticks import require_ensemble
 from ._trajectory import check_window
 from ._types import Window
@@ -55,5 +56,5 @@ def stick_raster(result: Ensemble, *, samples: int = 100, window: Window | None 
     _parts.whole_numbers(ax.yaxis)
     ax.set_xlabel("time $t$ (s)")
     ax.set_ylabel("realisation" if result.finished == result.samples else "realisation (of those that finished)")
-    _style.legend_above(ax, columns=1)
+    legend_above(ax, columns=1)
     return ax

@@ -7,18 +7,21 @@ from matplotlib.axes import Axes
 
 from .. import _checks
 from .._sensitivity.estimate import Sensitivity
-from . import _style
+from .._statistics.estimate import DEFAULT_LEVEL, check_level
+from . import _parts, _style
+from ._legends import legend_above
 
-_INTERVAL = 1.96  # standard errors: 95 % of a normal distribution
 
-
-def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, ax: Axes | None = None) -> Axes:
-    """Draw the derivative of one statistic against the value of the parameter, with a band of 95 % confidence.
+def sensitivity_curve(
+    results: Sequence[Sensitivity], *, pathwise: bool = True, level: float = DEFAULT_LEVEL, ax: Axes | None = None
+) -> Axes:
+    """Draw the derivative of one statistic against the value of the parameter, with a band of confidence.
 
     Args:
         results: Results of `sensitivity` for one statistic and one parameter at different values, in any order. They
             know the value of the parameter.
         pathwise: Whether to draw the pathwise part alone, too, which leaves out sticks that appear and vanish.
+        level: Of the confidence intervals that make the band, by the normal distribution.
         ax: Where to draw; by default the axes of a new figure.
 
     Returns:
@@ -27,7 +30,7 @@ def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, 
     Raises:
         ValueError: For arguments of another kind, and if statistics or parameters differ.
     """
-    points = _checked(results)
+    points, width = _checked(results), _width(level)
     parameters = {point.parameter for point in points}
     if len(parameters) > 1:
         raise ValueError(
@@ -41,8 +44,8 @@ def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, 
         for name in ("derivative", "standard_error", "pathwise")
     )
     values, color = values[order], _style.SERIES[0]
-    low, high = derivatives - _INTERVAL * errors, derivatives + _INTERVAL * errors
-    ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label="95 % band")
+    low, high = derivatives - width * errors, derivatives + width * errors
+    ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=_parts.interval_name(level))
     ax.plot(values, derivatives, color=color, lw=_style.SLIP_WIDTH, marker="o", ms=3.5, label="corrected")
     if pathwise and np.any(np.isfinite(paths)):
         ax.plot(values, paths, color=_style.SERIES[4], lw=_style.SLIP_WIDTH, ls="--", label="pathwise part alone")
@@ -50,18 +53,24 @@ def sensitivity_curve(results: Sequence[Sensitivity], *, pathwise: bool = True, 
     first = points[0]
     ax.set_xlabel(first.parameter)
     ax.set_ylabel(_title(first))
-    _style.legend_above(ax)
+    legend_above(ax)
     return ax
 
 
-def tornado(results: Mapping[str, Sensitivity] | Sequence[Sensitivity], *, ax: Axes | None = None) -> Axes:
+def tornado(
+    results: Mapping[str, Sensitivity] | Sequence[Sensitivity],
+    *,
+    level: float = DEFAULT_LEVEL,
+    ax: Axes | None = None,
+) -> Axes:
     """Draw the sensitivities of one statistic to several parameters as bars, the largest on top.
 
-    The error bars are intervals of 95 % confidence.
+    Blue bars point to the right: the statistic grows with the parameter. Orange ones, to the left: it shrinks.
 
     Args:
         results: Of `sensitivity` for one statistic and several parameters, best with ``elasticity=True``, so that the
             parameters can be compared; or several such results for one parameter each.
+        level: Of the confidence intervals that are drawn as error bars, by the normal distribution.
         ax: Where to draw; by default the axes of a new figure.
 
     Returns:
@@ -71,17 +80,34 @@ def tornado(results: Mapping[str, Sensitivity] | Sequence[Sensitivity], *, ax: A
         ValueError: For arguments of another kind, and if statistics differ.
     """
     bars = _checked(list(results.values()) if isinstance(results, Mapping) else results)
-    ax = _style.axes_or_new(ax, (5.6, 0.45 * len(bars) + 1.4))
+    width = _width(level)
+    ax = _style.axes_or_new(ax, (5.6, 0.45 * len(bars) + 2.0))
     bars = sorted(bars, key=lambda bar: abs(bar.derivative))
     heights = np.arange(len(bars))
     sizes = np.array([bar.derivative for bar in bars])
-    errors = np.array([_INTERVAL * bar.standard_error for bar in bars])
-    colors = [_style.SERIES[0] if size >= 0 else _style.SERIES[4] for size in sizes]
-    ax.barh(heights, sizes, xerr=errors, color=colors, height=0.62, capsize=2.5, ecolor="black")
+    errors = np.array([width * bar.standard_error for bar in bars])
+    shown = {"height": 0.62, "ecolor": _style.MASS, "capsize": 2.5}
+    for chosen, color, label in (
+        (~(sizes < 0), _style.SERIES[0], "grows with the parameter"),
+        (sizes < 0, _style.SERIES[4], "shrinks with it"),
+    ):
+        if np.any(chosen):
+            ax.barh(heights[chosen], sizes[chosen], xerr=errors[chosen], color=color, label=label, **shown)
+    if np.any(np.isfinite(errors)):
+        ax.plot([], [], ls="none", marker="_", ms=12, color=_style.MASS, label=f"bars: {_parts.interval_name(level)}")
     ax.axvline(0, color="black", lw=0.8)
     ax.set_yticks(heights, [bar.parameter for bar in bars])
     ax.set_xlabel(_title(bars[0]))
+    legend_above(ax, columns=2)
     return ax
+
+
+def _width(level: float) -> float:
+    """Half the width of a confidence interval, in standard errors."""
+    check_level(level)
+    from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
+    return float(special.ndtri((1 + level) / 2))
 
 
 def _checked(results: Sequence[Sensitivity]) -> list[Sensitivity]:
@@ -100,6 +126,6 @@ def _checked(results: Sequence[Sensitivity]) -> list[Sensitivity]:
 
 def _title(one: Sensitivity) -> str:
     if one.is_elasticity:
-        return f"elasticity of the\n{one.statistic}"
+        return f"elasticity of the\n{one.statistic}\n(% per % of the parameter)"
     unit = "" if one.unit == "1" else f"\n({one.unit} per unit of the parameter)"
     return f"derivative of the\n{one.statistic}{unit}"

@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 
 from .. import _checks
 from .._statistics.distribution import Distribution
-from .._statistics.estimate import Estimate, check_level
+from .._statistics.estimate import DEFAULT_LEVEL, Estimate, check_level
 from . import _parts, _style
+from ._legends import legend_above
 from ._types import Numbers
 
 _FREQUENCY_RATIO = r"frequency ratio $r = f_\mathrm{b}\,/\,(\omega/2\pi)$ (dimensionless)"
@@ -20,7 +21,7 @@ def stick_fraction_curve(
     fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers,
     *,
     errors: Numbers | Sequence[Numbers] | None = None,
-    level: float = 0.9,
+    level: float = DEFAULT_LEVEL,
     xlabel: str | None = None,
     label: str | None = None,
     band_label: str | None = None,
@@ -59,7 +60,7 @@ def stick_fraction_curve(
     for name, text in (("xlabel", xlabel), ("label", label), ("band_label", band_label)):
         _checks.text(name, text, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    color = _style.SERIES[len(ax.lines) % len(_style.SERIES)]
+    color, style = _style.free_look(ax)
     order = np.argsort(values, kind="stable")
     values, mean, low, high = (column[order] for column in (values, *100 * curve.points))
     if np.any(np.isfinite(low)):
@@ -68,10 +69,11 @@ def stick_fraction_curve(
     known = np.isfinite(mean)
     label = curve.label if label is None else label
     marker = _style.marker_of(values)
-    ax.plot(values[known], mean[known], color=color, lw=_style.SLIP_WIDTH, marker=marker, ms=3.5, label=label)
+    look = {"color": color, "ls": style, "lw": _style.SLIP_WIDTH, "marker": marker, "ms": 3.5}
+    ax.plot(values[known], mean[known], label=label, **look)
     ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
     ax.set_ylabel("stick fraction $T_s$ (%)")
-    _style.legend_above(ax, columns=2, lines_first=True)
+    legend_above(ax, columns=2, lines_first=True)
     return ax
 
 

@@ -4,6 +4,7 @@ from matplotlib.axes import Axes
 
 from .._systems.system import System
 from . import _style
+from ._legends import legend_above
 from ._stick_positions import finish, placed_sticks
 from ._types import SimulatedSticks, Voltage
 
@@ -50,5 +51,5 @@ def stick_map(
         ax.scatter(sticks.position, sticks.duration, s=size, alpha=alpha, lw=0, color=_style.STICK, rasterized=many)
         ax.plot([], [], ls="none", marker="o", ms=4, mew=0, color=_style.STICK, label=sticks.label)
     finish(ax, sticks)
-    _style.legend_above(ax, columns=1)
+    legend_above(ax, columns=1)
     return ax

@@ -1,4 +1,4 @@
-"""What all figures share: colours, new axes, the place of the legend.
+"""What all figures share: colours, new axes, their scales.
 
 The colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind readers can distinguish.
 """
@@ -6,13 +6,13 @@ The colours are those of Okabe and Ito ("Color universal design", 2008), which c
 import math
 from collections.abc import Iterable, Sequence
 
+import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.colors import to_rgba
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.typing import ColorType
 
@@ -27,11 +27,14 @@ FORWARD = "#999999"
 BACKWARD = "#000000"
 AT_REST = "#56B4E9"
 EITHER_WAY = "#CC79A7"
-BAND = "#F0E442"
+BAND = "#999999"
 FED = "#009E73"
 SERIES = ("#0072B2", "#009E73", "#CC79A7", "#000000", "#E69F00")
 
-LINES = ("-", "--", ":", "-.")
+LINES = ("-", "--", "-.", ":")
+
+SHADES = LinearSegmentedColormap.from_list("shades", mpl.colormaps["YlGnBu"](np.linspace(0.22, 1.0, 256)))
+"""Colours of values in maps, the darker the larger. None is white, which stands for nothing."""
 
 STICK_WIDTH = 3.2
 SLIP_WIDTH = 1.2
@@ -55,7 +58,8 @@ def free_color(preferred: str, used: Iterable[ColorType]) -> str:
 def free_look(ax: Axes) -> tuple[str, str]:
     """Colour and line style of the next curve in `ax`: those that no curve in it has yet."""
     taken = {(to_rgba(line.get_color()), line.get_linestyle()) for line in ax.lines}
-    looks = [(color, style) for style in LINES for color in SERIES]
+    # Neighbours differ in both, for prints without colours.
+    looks = [(SERIES[number % len(SERIES)], LINES[number % len(LINES)]) for number in range(len(SERIES) * len(LINES))]
     return next((look for look in looks if (to_rgba(look[0]), look[1]) not in taken), looks[0])
 
 
@@ -64,11 +68,15 @@ def marker_of(points: np.ndarray) -> str | None:
     return "o" if len(points) <= 60 else None
 
 
-def time_axis(ax: Axes, window: Window) -> None:
-    """Limit the abscissa of `ax` to the `window` of time, and name it unless axes below have the name."""
+def time_axis(ax: Axes, window: Window, t1: float | None = None) -> None:
+    """Limit the abscissa of `ax` to the `window` of time, and name it unless axes below have the name.
+
+    `t1`: the end of the motion (s), where its beginning was chosen for the user; the name says so.
+    """
     ax.set_xlim(window)
     if ax.xaxis.get_tick_params().get("labelbottom", True):
-        ax.set_xlabel("time $t$ (s)")
+        part = "" if t1 is None or window[1] == t1 else f": the first {window[1]:g} s of {t1:g} s"
+        ax.set_xlabel(f"time $t$ (s){part}")
 
 
 def log_axis(axis: Axis) -> None:
@@ -121,26 +129,6 @@ def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tu
             "given."
         )
     return found
-
-
-def legend_above(ax: Axes, *others: Axes, columns: int = 3, lines_first: bool = False) -> None:
-    """Put one legend for `ax` and `others`, if anything has a label, above `ax`, where it hides no data.
-
-    Each label is listed once.
-
-    `lines_first`: whether lines come before areas, so that of two columns each holds one kind.
-    """
-    handles = {}
-    for one in (ax, *others):
-        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    if not handles:
-        return
-    if lines_first:
-        handles = dict(sorted(handles.items(), key=lambda item: not isinstance(item[1], Line2D)))
-    ax.legend(
-        handles.values(), handles.keys(), loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False
-    )
 
 
 def angle_axis(ax: Axes, period: float) -> str:

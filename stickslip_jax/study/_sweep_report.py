@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from textwrap import wrap
@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._statistics.estimate import format_with_error
-from .._statistics.totals import STATISTICS
 from .._status import Status
-from .._sweep.dataset import SweepStatus
+from .._sweep.dataset import SweepStatus, point_dimensions, shown_statistics, statistics_of_points
 from ._errors import StudyError
 
 if TYPE_CHECKING:
@@ -52,25 +51,15 @@ def chosen_statistics(dataset: "xarray.Dataset", names: Sequence[str] = ()) -> l
 
     Raises StudyError for a name that is no statistic with an error at each point.
     """
-    dimensions = point_dimensions(dataset)
-    known = [
-        str(name)
-        for name, variable in dataset.data_vars.items()
-        if f"{name}_error" in dataset and variable.dims == dimensions
-    ]
     if not names:
-        return [name for name in known if name in STATISTICS or name.startswith("d_")] or known
+        return shown_statistics(dataset)
+    known = statistics_of_points(dataset)
     for name in names:
         if name not in known:
             near = get_close_matches(name, known, n=1)
             hint = f"; did you mean {near[0]}?" if near else "."
             raise StudyError(f"option --statistics must name some of {', '.join(known)}, but {name} was given{hint}")
     return list(names)
-
-
-def point_dimensions(dataset: "xarray.Dataset") -> tuple[Hashable, ...]:
-    """The dimensions of the points."""
-    return dataset["samples"].dims
 
 
 def sweep_table(dataset: "xarray.Dataset", names: Sequence[str]) -> str:

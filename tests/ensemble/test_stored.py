@@ -153,6 +153,21 @@ def test_what_a_version_with_fewer_columns_stored_loads(keep):
         ss.Ensemble.from_xarray(data.drop_vars("stick_position"))
 
 
+@pytest.mark.parametrize("missing", ["base_invalid", "solver_failed"])
+def test_statuses_that_a_version_did_not_know_did_not_happen(kept, missing):
+    data = kept.to_xarray()
+    del data.attrs[f"samples_{missing}"]
+    assert ss.Ensemble.from_xarray(data).status_counts == kept.status_counts
+
+
+def test_statuses_that_happened_cannot_be_missing(kept):
+    data = kept.to_xarray()
+    data.attrs |= {"samples_finished": kept.samples - 1}
+    message = r"\AArgument dataset must be a whole ensemble as it was stored, but .*; load the original file\.\Z"
+    with pytest.raises(ValueError, match=message):
+        ss.Ensemble.from_xarray(data)
+
+
 def test_sums_that_a_version_did_not_make_are_missing(kept):
     """As of a quantity that was summed by later versions only; here all but the last of today's."""
     sums = kept.accumulator

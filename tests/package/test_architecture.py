@@ -30,6 +30,7 @@ ROWS = (
     "_diffrax",
     "_files",
     "_html",
+    "_conventions",
     "_fields",
     "_processor",
     "_forks",

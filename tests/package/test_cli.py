@@ -303,6 +303,28 @@ def test_interrupted_process_leaves_nothing(tmp_path, number, code, seconds):
     assert os.listdir() == ["case.toml"]
 
 
+@pytest.mark.parametrize("arguments", [["--help"], ["study", "--print-config"]])
+def test_output_that_nobody_reads_to_its_end_is_no_failure(arguments):
+    """As in ``stickslip ... | head``: no message, and the exit code of a process that SIGPIPE ended."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run(
+            [*COMMAND, *arguments], stdout=writing, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+        )
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
+
+
+def test_another_broken_pipe_is_told(capsys, tmp_path, monkeypatch):
+    def broken(*arguments, **options):
+        raise BrokenPipeError("of a worker")
+
+    monkeypatch.setattr("stickslip_jax.study._run.run_study", broken)
+    assert "of a worker" in _refused(capsys, ["study", config_file(tmp_path, SMALL)], code=1)
+
+
 def test_answers_without_a_simulation_do_not_start_jax():
     code = """
 import sys

@@ -101,7 +101,7 @@ def test_stick_fractions_of_any_parameter_and_kind_in_one_figure(many):
     percent = 100 * many.statistics.stick_fraction.mean.value
     assert line(ax, "mean").get_ydata() == pytest.approx([percent] * 2)
     assert line(ax, "estimate").get_ydata() == pytest.approx([percent] * 2)
-    assert texts(ax) == ["numbers", "mean", "estimate", "90 % of the realisations", "t"]
+    assert texts(ax) == ["numbers", "mean", "estimate", "95 % of the realisations", "t"]
     assert len({drawn.get_color() for drawn in ax.lines}) == 3
     assert ax.get_xlabel() == "belt speed (m/s)"
     assert plot.stick_fraction_curve([1.0, 2.0], [0.1, 0.2]).get_legend() is None

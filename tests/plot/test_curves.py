@@ -54,14 +54,14 @@ def test_curve_of_estimates(ensembles):
     assert drawn.get_ydata().tolist() == [estimates[place].value for place in order]
     ((x, low, high),) = bars_of(ax)
     assert x.tolist() == [0.5, 1, 2]
-    assert np.column_stack([low, high]) == pytest.approx(np.array([estimates[place].interval(0.9) for place in order]))
-    assert texts(ax) == ["mean", "bars: 90 % confidence interval"]
+    assert np.column_stack([low, high]) == pytest.approx(np.array([estimates[place].interval(0.95) for place in order]))
+    assert texts(ax) == ["mean", "bars: 95 % confidence interval"]
     assert [ax.get_xlabel(), ax.get_ylabel()] == ["belt speed (m/s)", "mean stick duration (pooled) (s)"]
-    # Another one into the same axes: another look, the names stay, what the bars are is said once and last.
+    # Another one into the same axes: another look, the names of both, what the bars are is said once and last.
     same = plot.curve(SPEEDS, [many.statistics.duration.median for many in ensembles], label="median", ax=ax)
     assert same is ax
-    assert texts(ax) == ["mean", "median", "bars: 90 % confidence interval"]
-    assert ax.get_ylabel() == "mean stick duration (pooled) (s)"
+    assert texts(ax) == ["mean", "median", "bars: 95 % confidence interval"]
+    assert ax.get_ylabel() == "mean stick duration (pooled) (s),\nmedian of stick duration (s)"
     first, second = curves(ax)
     assert first.get_color() != second.get_color()
 

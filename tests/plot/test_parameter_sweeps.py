@@ -47,6 +47,15 @@ def test_two_parameters_are_a_map():
         assert len([label for label in labels if label.startswith("standard error above")]) == marks
 
 
+def test_without_names_those_that_the_command_shows():
+    results = _results((5,)).rename(share="stick_fraction", share_error="stick_fraction_error")
+    results["samples"] = (("mu",), np.full(5, 10))
+    (ax,) = plot.parameter_sweep(results)
+    assert ax.get_ylabel() == "stick share"
+    with pytest.raises(ValueError, match="Argument names must be a list of variables of the results, some of share,"):
+        plot.parameter_sweep(_results((5,)))
+
+
 def test_bad_arguments(annotations_unchecked):
     wrong = [
         (({"share": 1}, ["share"]), "results must be a Dataset of a Sweep"),

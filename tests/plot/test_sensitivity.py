@@ -53,6 +53,11 @@ def test_tornado_has_the_largest_on_top():
     assert [bar.get_width() for bar in ax.patches] == [0.1, 0.9, -1.4]
     assert "elasticity" in ax.get_xlabel()
     assert np.all(np.diff(ax.get_yticks()) > 0)
+    said = {text.get_text() for text in ax.get_legend().get_texts()}
+    assert said == {"grows with the parameter", "shrinks with it", "bars: 95 % confidence interval"}
+    colours = {bar.get_facecolor() for bar in ax.patches if bar.get_width() > 0}
+    assert len(colours) == 1
+    assert colours.isdisjoint({bar.get_facecolor() for bar in ax.patches if bar.get_width() < 0})
 
 
 def test_given_axes_are_used():

@@ -42,7 +42,10 @@ def test_histogram_draws_density_errors_and_mean(many):
     assert span.get_width() == pytest.approx(2 * distribution.mean.standard_error)
     assert span.get_x() + span.get_width() / 2 == pytest.approx(distribution.mean.value)
     shown = str(distribution.mean).partition(": ")[2].replace("+-", "±")
-    assert texts(ax) == [f"{len(sticks.duration):,} values in 200 samples; bars: standard error", f"mean {shown}"]
+    assert texts(ax) == [
+        f"{len(sticks.duration):,} values in 200 samples; bars: standard error",
+        f"mean {shown} (shaded: ±)",
+    ]
     assert ax.get_xlim() == (edges[0], edges[-1])
 
 
@@ -89,7 +92,7 @@ def test_joint_histogram_and_its_sides(many, log):
     assert main.get_ylim() == right.get_ylim()
     share = 100 * (1 - spread.mean())
     assert len(joint.atoms.share) == 1
-    atoms = f"atoms: 1 point, {share:.1f} % of the pairs"
+    atoms = f"a point that {share:.1f} % of the pairs lie on"
     assert texts(above) == [f"{len(sticks.duration):,} pairs", atoms]
 
 
@@ -112,13 +115,13 @@ def test_joint_histogram_with_the_conditional_mean(many):
     means = many.statistics.joint(("duration", 1), ("duration", 2)).conditional_mean(20)
     _, low, high = error_bars(main)
     assert (high - low) / 2 == pytest.approx(np.nan_to_num(means.error[filled]))  # of a single pair no bar
-    assert "mean duration of stick 2 given the duration of stick 1" in texts(above)
+    assert "mean duration of stick 2 given the duration\nof stick 1" in texts(above)
 
 
 @pytest.mark.parametrize("quantity", ["slip_start", "slip_duration"])
 def test_means_of_slips_by_order(many, quantity):
     ax = plot.means_by_order(many, quantity)
-    numbers, values = line(ax, "mean").get_data()
+    numbers, values = line(ax, "_mean").get_data()
     of_slips = [many.statistics.slips.order(int(number)).distributions[quantity] for number in numbers]
     assert values.tolist() == [one.mean.value for one in of_slips]
     assert len(numbers) > 5
@@ -130,7 +133,7 @@ def test_means_of_slips_by_order(many, quantity):
 def test_means_by_order(many, quantity):
     sticks = many.numbered_sticks()
     ax = plot.means_by_order(many, quantity, level=0.8)
-    numbers, values = line(ax, "mean").get_data()
+    numbers, values = line(ax, "_mean").get_data()
     most = sticks.count.max()
     assert most < many.statistics.orders  # the last orders are absent
     assert numbers.tolist() == list(range(1, most + 1))
@@ -149,7 +152,7 @@ def test_means_by_order(many, quantity):
     ax.figure.draw_without_rendering()
     top = max(below.transData.transform((0, height))[1] for height in heights)
     assert top < min(ax.transData.transform((0, value))[1] for value in low)
-    assert texts(ax) == ["mean, 80 % confidence interval", "share of samples"]
+    assert texts(ax) == ["mean; bars: 80 % confidence interval", "share of samples"]
 
 
 def test_raster_draws_each_stick_in_its_row(many):
@@ -192,7 +195,7 @@ def test_maps_and_durations_of_the_sticks_retained(many):
         assert drawn.tolist() == np.column_stack([sticks.position, sticks.duration])[complete].tolist()
         part = " of the first 60 samples" if samples == 60 else ""
         more = f" ({np.sum(used & ~complete):,} more, cut by the horizon, left out)"
-        assert texts(ax) == [f"{complete.sum():,} sticks{part}{more}"]
+        assert [text.replace("\n", " ") for text in texts(ax)] == [f"{complete.sum():,} sticks{part}{more}"]
         assert texts(plot.histogram(ensemble)) == texts(ax)
 
 

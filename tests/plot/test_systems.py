@@ -349,3 +349,79 @@ def test_a_motor_needs_three_axes(one):
         ValueError, match=r"Argument axes must hold three matplotlib Axes \(angle, angular velocity, cur"
     ):
         plot.time_history(one, axes=plt.figure().subplots(2))
+
+
+class TwoMasses(ss.SwitchedSystem):
+    """Two masses in a row on springs of 1 N/m, the second of which rubs on the base."""
+
+    mass: float = 1.0  # kg, of each
+
+    @property
+    def state_names(self):
+        return "position 1 in m", "velocity 1 in m/s", "position 2 in m", "velocity 2 in m/s"
+
+    def rates(self, t, y, base, friction):
+        pull = y[2] - y[0]
+        return y[1], (pull - y[0]) / self.mass, y[3], (-pull - 0.3 * friction) / self.mass
+
+    def relative_velocity(self, t, y, base):
+        return y[3] - base.velocity
+
+    @property
+    def shortest_time(self):
+        return 2 * np.pi / 1.618
+
+
+@pytest.fixture(scope="module")
+def two():
+    return ss.simulate(TwoMasses(), ss.Harmonic(1.0, 0.8), t1=12.0, y0=(0.0, 0.0, 1.0, 0.0))
+
+
+def test_base_of_an_own_system_has_a_panel(two):
+    *panels, last = plot.time_history(two)
+    assert (len(panels), last.get_ylabel(), last.get_xlabel()) == (4, "base velocity (m/s)", "time $t$ (s)")
+    times, velocity = line(last, "base").get_data()
+    assert velocity == pytest.approx(np.cos(0.8 * times), abs=1e-12)
+    assert "base" in [text.get_text() for text in panels[0].get_legend().get_texts()]
+    assert len(plot.time_history(two, axes=plt.figure().subplots(4))) == 4
+
+
+@pytest.mark.parametrize(("x", "y", "pair"), [(None, None, (0, 1)), ("position 2", "velocity 2", (2, 3))])
+def test_portrait_of_chosen_coordinates(two, x, y, pair):
+    ax = plot.phase_portrait(two, x=x, y=y)
+    names = two.system.state_names
+    assert [ax.get_xlabel(), ax.get_ylabel()] == [names[at].replace(" in ", " (") + ")" for at in pair]
+    points = np.concatenate([piece for drawn in ax.lines for piece in segments(drawn)])
+    states = np.column_stack([exact(two, np.unique(np.asarray(two.step_starts)))[0][at] for at in pair])
+    assert np.all(np.min(np.linalg.norm(points[None] - states[:, None], axis=2), axis=1) < 1e-9)
+
+
+@of("motor")
+def test_portrait_of_a_current(one):
+    ax = plot.phase_portrait(one, x="angular velocity", y="current")
+    assert [ax.get_xlabel(), ax.get_ylabel()] == [r"angular velocity $\dot\alpha$ (rad/s)", "current $c$ (A)"]
+    drawn = line(ax, "stick")
+    assert len(segments(drawn)) == int(one.sticks.count)
+    assert np.nanmax(np.abs(drawn.get_xdata())) == 0
+    against_angle = plot.phase_portrait(one, y="current")
+    assert against_angle.get_xlim() == (0, FULL_CIRCLE)
+
+
+def test_bad_coordinates(two, annotations_unchecked):
+    for options, message in (
+        (
+            {"x": "angle"},
+            "Argument x must be the name of a coordinate of the TwoMasses, one of 'position 1', 'velocity 1",
+        ),
+        ({"y": 2}, "Argument y must be the name of a coordinate of the TwoMasses, .* but 2 was given"),
+        (
+            {"x": "velocity 1"},
+            "Arguments x and y must be two different .*'velocity 1' is both with x='velocity 1'; give",
+        ),
+        ({"x": "position 2", "y": "position 2"}, "Arguments x and y must be two different coordinates"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plot.phase_portrait(two, **options)
+    plain = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, COULOMB), ss.Constant(0.3), t1=2.0)
+    with pytest.raises(ValueError, match=r"energy_regions must be False unless .* position against velocity"):
+        plot.phase_portrait(plain, x="velocity", y="position", energy_regions=True)

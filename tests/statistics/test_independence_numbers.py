@@ -16,6 +16,11 @@ from stickslip_jax._statistics.independence import independent, independent_and_
 from stickslip_jax._statistics.verdicts import HypothesisTest, holm
 
 
+def unwrapped(verdict):
+    """The text of a verdict, each of its sentences on one line."""
+    return str(verdict).replace("\n    ", " ")
+
+
 def by_sample(sticks, values=None):
     """The values (durations) of each sample, as a list of arrays."""
     values = sticks.end - sticks.start if values is None else values
@@ -90,7 +95,7 @@ class TestNumbers:
         for quantity, used, left in (("duration", 4, 1), ("slip_duration", 3, 1), ("position", 5, 0)):
             verdict = identically_distributed(sticks, quantity, starts_before=math.inf)
             assert verdict.values == used
-            assert (f"left out {left}," in repr(verdict)) == (left > 0)
+            assert (f"left out {left}," in unwrapped(verdict)) == (left > 0)
         # By default the longest of its kind counts back from 9 s: 2 s; 5 s, the last slip; the same for positions,
         # whose slips before them begin at 0, 2, 5, 0 and 3 s.
         for quantity, used in (("duration", 4), ("slip_duration", 2), ("position", 4)):
@@ -175,7 +180,7 @@ class TestEdges:
         verdict = identically_distributed(sticks, orders=10, starts_before=math.inf)
         assert verdict.rejected is False
         assert verdict.tests[0].sizes == (20, 20, 20)
-        assert "Orders left out, with fewer than 5 values: 4, 5, 6, 7, 8, 9, 10." in str(verdict)
+        assert "Orders left out, with fewer than 5 values: 4, 5, 6, 7, 8, 9, 10." in unwrapped(verdict)
         assert identically_distributed(sticks, orders=(3, 4)).rejected is None
         assert independent(sticks, lag=3).rejected is None
 
@@ -219,7 +224,8 @@ class TestEdges:
 
     def test_words(self):
         verdict = independent_and_identical(iid(np.random.default_rng(11)), significance=0.01)
-        lines = str(verdict).splitlines()
+        assert max(map(len, str(verdict).splitlines())) <= 100
+        lines = unwrapped(verdict).splitlines()
         assert lines[0] == (
             "Are the stick durations independent and identically distributed? No evidence against it at the 1 % level."
         )

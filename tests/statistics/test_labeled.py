@@ -84,7 +84,10 @@ def test_tables_of_other_formats_are_refused(many, tmp_path, annotations_uncheck
 
 def test_summary_says_what_the_statistics_say(many):
     text, statistics = repr(many.summary()), many.statistics
-    rows = {line.split("  ")[0]: line for line in text.splitlines() if "  " in line}
+    rows: dict = {}  # of the tables in two parts: both, one after the other
+    for line in text.splitlines():
+        if "  " in line:
+            rows[line.split("  ")[0]] = rows.get(line.split("  ")[0], "") + line
     for name, of in (("stick duration (s)", statistics.duration), ("number of slips", statistics.slip_count)):
         mean, error = re.search(r"(\d+\.\d+) \+- (\d+\.\d+)", rows[name]).groups()
         assert float(mean) == pytest.approx(of.mean.value, abs=0.6 * 10 ** -len(mean.partition(".")[2]))
@@ -97,8 +100,10 @@ def test_summary_says_what_the_statistics_say(many):
         for table, of in ((of_sticks, statistics), (of_slips, statistics.slips)):
             (row,) = (line for line in table.splitlines() if line.split()[0] == str(number))
             assert f"{of.order(number).start.mean.value:.2f}"[:3] in row
-    widths = {len(line) for line in text.split("\n\n")[1].splitlines()[1:]}
-    assert len(widths) == 1, "columns are aligned"
+    lines = text.split("\n\n")[1].splitlines()[1:]
+    for part in (lines[: len(lines) // 2 + 1], lines[len(lines) // 2 + 1 :]):
+        assert len({len(line) for line in part}) == 1, "columns are aligned"
+    assert max(map(len, text.splitlines())) <= 100
     markup = many.summary()._repr_html_()
     assert markup.count("<tr>") == markup.count("</tr>") == 3 + 8 + 4 + 4
     assert "<td>stick duration (s)</td>" in markup

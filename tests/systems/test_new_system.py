@@ -170,6 +170,8 @@ def test_figures(one, many):
     upper, lower = plot.time_history(one)
     assert [panel.get_ylabel() for panel in (upper, lower)] == ["position $x$ (m)", r"velocity $\dot x$ (m/s)"]
     assert {line.get_label() for line in upper.lines} == {"mass", "mass, stick"}
+    base = next(line for line in lower.lines if line.get_label() == "base")
+    assert np.all(base.get_ydata() == SPEED)
     (band,) = upper.collections
     assert np.abs(band.get_paths()[0].vertices[:, 1]).max() == pytest.approx(SYSTEM.edge)
     portrait = plot.phase_portrait(one)

@@ -277,7 +277,7 @@ def bent(self, t, y, base, friction):
         (bad(rates=lambda *_: (0.0,)), {}, r"rates of a Bad must return a tuple of 2 numbers, .* but 1 was given"),
         (bad(rates=lambda *_: 1.0), {}, r"rates of a Bad must return a tuple of 2 numbers, .* but 1.0 was given"),
         (bad(rates=lambda *_: (0.0, jnp.ones(3))), {}, r"rates .* must return scalars, but number 1 of shape \(3,\)"),
-        (bad(relative_velocity=lambda *_: jnp.ones(2)), {}, r"relative_velocity .* must return a scalar, but"),
+        (bad(relative_velocity=lambda *_: jnp.ones(2)), {}, r"relative_velocity .* must return one number, but 2"),
         (bad(shortest_time=None), {"base": ss.Constant(1.0)}, r"method must give the step, .* property shortest_time"),
         (bad(shortest_time=-1.0), {}, r"shortest_time must be positive, but -1.0 was given"),
         (bad(state_names=("x",)), {}, r"state_names of a Bad must be a tuple of two names or more, but"),

@@ -15,6 +15,7 @@ from .method import Exact, Regularized
 from .stopping_scan import padded_length
 
 _USUAL = StepCount(1.0, 1.0)
+_ACCURATE = 6  # times as many steps as a time scale needs at least: fixed steps are then hardly ever shortened
 
 
 def step_for(system: System, excitation: Excitation, method: Exact | Regularized) -> Scalar:
@@ -54,6 +55,13 @@ def step_for(system: System, excitation: Excitation, method: Exact | Regularized
                     f"s, but {given} was given; between longer steps sticks could be missed."
                 )
     return step
+
+
+def accurate_step(system: System, excitation: Excitation, step: float) -> float:
+    """The fixed `step` (s), or if shorter that to which the time scales that are known let it be shortened."""
+    scales = system.time_scales(excitation, None).values()
+    longest = _known([of.time / of.steps.least for of in scales if of.time is not None])
+    return min([step, *(time / _ACCURATE for time in longest)])
 
 
 def max_steps_advice(system: System, excitation: Excitation, method: Exact | Regularized, t1: Scalar) -> str:

@@ -14,12 +14,12 @@ from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.system import System
 from ..._types import Array, Scalar
 from ..common.method import Regularized
-from ..common.time_scales import step_for
+from ..common.time_scales import accurate_step, step_for
 from .solve import table_sizes
 from .switch import Switch
 
 _MOST_ADAPTIVE_STEPS = 16384
-_TRIES, _FEW = 2, 256  # of shortened steps where static friction exceeds kinetic friction
+_TRIES, _FEW = 2, 256  # of shortened steps
 
 
 def resolved(system: System, excitation: Excitation, method: Regularized, dtype) -> Regularized:
@@ -71,7 +71,8 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 
 
 def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
-    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each segment.
+    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each segment,
+    twice that where steps must be shorter.
 
     Where JAX traces a time scale, the given step counts: a trajectory whose steps must be shorter may run out of them.
     Raises NotKnown where `t1` or the given step is traced, ValueError for a step that is too long for the shortest
@@ -82,8 +83,13 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
         shortest = smallest(step)
     except NotKnown:
         shortest = smallest(method.step)
+    known = all(of.time is not None for of in system.time_scales(excitation, None).values())
+    if known and system.has_fixed_time_scales:
+        steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
+        return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
+    shortest = accurate_step(system, excitation, shortest)
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
-    return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
+    return _TRIES * steps + _FEW
 
 
 def _state_scales(system: System, excitation: Excitation, dtype) -> Array:

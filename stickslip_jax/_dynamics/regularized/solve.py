@@ -169,8 +169,8 @@ def detect_in_step(
         criterion, detector, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
     )
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
-    # A base acceleration that is NaN hides sticks, although the motion does not need it: `status_of`.
-    hidden = live & (jnp.isnan(seen.slope0) | jnp.isnan(seen.slope1))
+    # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `status_of`.
+    hidden = live & ~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1))
     stick_time = jnp.where(hidden, jnp.nan, moved.totals.stick_time)
     moved = moved._replace(totals=moved.totals._replace(stick_time=stick_time))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))

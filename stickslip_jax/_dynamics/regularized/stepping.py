@@ -16,7 +16,7 @@ from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
 from ..._systems.one_contact import OneContactModel
 from ..._systems.switched_model import NOISE_ULPS, State
-from ..._types import FloatArray, IntArray
+from ..._types import BoolArray, FloatArray, IntArray
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws, following_segments
 from .implicit_step import implicit_step
@@ -25,7 +25,8 @@ from .stick_detector import Criterion, Step, StickDetector, detect, start_detect
 from .switch import Switch
 
 _TIME_ULPS = 4  # the round-off of the time, in units in the last place
-_GROWTH = 8  # of a step that was shortened
+_GROWTH = 8  # of a step that was shortened, at most
+_SAFETY, _LEAST_ERROR = 0.9, 1e-3
 
 
 class Field(NamedTuple):
@@ -76,7 +77,8 @@ class Field(NamedTuple):
 class FixedLane(NamedTuple):
     """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too.
 
-    `limit`: of the next step, s, where static friction exceeds kinetic friction; else None.
+    `limit`: of the next step, s, by the error of the last one and by what static friction holds or lets go; None where
+    all steps may be as long as the given one.
     """
 
     t: FloatArray
@@ -115,7 +117,8 @@ def start_fixed(
     zero = jnp.zeros((), dtype)
     y = tuple(jnp.asarray(value, dtype) for value in y0)
     speed = field.model.relative_velocity(field.model.forcing(zero, segment_laws.segments(segment_states)), zero, y)
-    limit = jnp.full((), jnp.inf, dtype) if field.model.friction.static_exceeds_kinetic else None
+    may_be_short = field.model.friction.static_exceeds_kinetic or not field.model.time_scales_are_known
+    limit = jnp.full((), jnp.inf, dtype) if may_be_short else None
     detector = start_detector(criterion, speed, y[0], quantities)
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
@@ -132,7 +135,8 @@ def advance_fixed(
 ) -> tuple[FixedLane, StickRecord, Passage]:
     """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`.
 
-    Where static friction exceeds kinetic friction, the step may be rejected: the lane stays, and tries a shorter one.
+    The step may be rejected, for its error or where static friction exceeds kinetic friction: the lane stays, and tries
+    a shorter one.
     """
     forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
     live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
@@ -144,11 +148,12 @@ def advance_fixed(
     # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = longest * (1 + 1e-6) >= left
     h = jnp.where(to_stop, left, longest)
-    band = None if lane.limit is None else field.band(forcing, lane.t, lane.y)
-    y = implicit_step(field.model, field.switch, forcing, lane.y, h, band)
+    band = field.band(forcing, lane.t, lane.y) if field.model.friction.static_exceeds_kinetic else None
+    y, error = implicit_step(field.model, field.switch, forcing, lane.y, h, band)
     seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
-    # A base acceleration that is NaN would hide sticks, although the motion does not need it: `NOT_FINITE`.
-    y = (jnp.where(jnp.isnan(seen.slope1), jnp.nan, y[0]), *y[1:])
+    # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `NOT_FINITE`.
+    known = jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)
+    y = (jnp.where(known, y[0], jnp.nan), *y[1:])
 
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
@@ -158,12 +163,23 @@ def advance_fixed(
     detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
     accepted = live
-    if band is not None:
-        again, length = shortened(seen, band)
+    if lane.limit is not None:
+        inaccurate, change = (jnp.zeros((), bool), _GROWTH) if error is None else _judged(error)
+        again, length = inaccurate, lax.stop_gradient(h * change)
+        if band is not None:
+            passes, until = shortened(seen, band)
+            again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
         accepted = live & ~again
         stays = lane._replace(steps=lane.steps + 1, limit=length)
-        moved = moved._replace(limit=jnp.minimum(_GROWTH * lax.stop_gradient(longest), step))
+        moved = moved._replace(limit=jnp.minimum(lax.stop_gradient(longest * change), step))
         moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
     return moved, record, Passage(lane.t, lane.y, rates, end_rates)
+
+
+def _judged(error: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Whether a step of this `error`, over the allowed one, is too inaccurate, and how many times as long the next one
+    may be.
+    """
+    return error > 1, jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)

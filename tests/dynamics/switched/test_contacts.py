@@ -141,3 +141,16 @@ def test_laws_of_different_kinds():
         assert count >= 2
         assert np.allclose(both.of_contact(i).sticks.start[:count], alone.sticks.start[:count], rtol=0, atol=1e-9)
         assert np.allclose(both.final_state[i::2], alone.final_state, rtol=0, atol=1e-9)
+
+
+def test_the_table_of_sticks_names_their_contacts():
+    system = ss.LinearStructure(np.ones(3), CHAIN, CHAIN / 10, on_base(3, 1.0, ss.Coulomb(0.3)))
+    one = ss.simulate(system, ss.Constant(0.0), t1=12.0, y0=(-1, 1, -1, -1, 1, 1))
+    table = one.to_pandas()
+    assert table["contact"].tolist() == [0, 0, 1, 2, 2]
+    assert table["order"].tolist() == [1, 2, 1, 1, 2]
+    assert table["ending"].tolist() == ["RELEASED", "HORIZON", "HORIZON", "RELEASED", "HORIZON"]
+    assert np.allclose(table["start_s"], [4.63544896516, 7.34343581525, 6.78298795467, 4.96043120202, 8.37062952656])
+    with pytest.raises(ValueError, match="of_contact"):
+        one.to_xarray()
+    assert one.of_contact(2).to_xarray()["stick_count"] == 2

@@ -1,6 +1,7 @@
 """Labelled arrays of xarray with the attributes of the CF conventions."""
 
 from collections.abc import Mapping
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
@@ -28,3 +29,8 @@ def labeled_dataset(variables: Entries, coordinates: Entries, attributes: Mappin
     except ImportError:
         raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
     return xr.Dataset(variables, coordinates, {"Conventions": "CF-1.11", **attributes})
+
+
+def flags(codes: type[IntEnum]) -> dict[str, Any]:
+    """The attributes of a variable that holds these codes."""
+    return {"flag_values": [int(code) for code in codes], "flag_meanings": " ".join(code.name for code in codes)}
