@@ -34,6 +34,8 @@ class LinearStructure(System):
         damping: N s/m (or N m s/rad), likewise; None is zero.
         contacts: Up to 64, each a `Contact`.
         force: External forces, N (or N m): for each mass None, a number or a `Signal`; None for no forces.
+        uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
+            Found from the numbers; to be given only where JAX traces the masses or directions.
 
     Raises:
         ValueError: For a mass that is singular, matrices that are not symmetric or of another size, contacts that
@@ -48,9 +50,9 @@ class LinearStructure(System):
     uncoupled: bool | None = eqx.field(static=True, default=None)
 
     def __post_init__(self):
-        check_structure(self)
+        check_structure(self.mass, self.stiffness, self.damping, self.contacts, self.force)
         if self.uncoupled is None:
-            object.__setattr__(self, "uncoupled", is_uncoupled(self))
+            object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, self.contacts))
 
     @property
     def size(self) -> int:

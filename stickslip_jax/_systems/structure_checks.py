@@ -1,6 +1,6 @@
 """Checks of the arguments of a `LinearStructure`."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -8,48 +8,46 @@ from .. import _checks
 from .._excitation.smooth import Signal
 from .contact import Contact
 
-if TYPE_CHECKING:
-    from .structure import LinearStructure
-
 MOST_CONTACTS = 64
 _ROUND_OFF = 1e-10  # of the largest entry of a matrix
 _LEAST = 1e-12  # the smallest eigenvalue over the largest: a smaller one is round-off
 
 
-def check_structure(structure: "LinearStructure") -> None:
+def check_structure(mass: Any, stiffness: Any, damping: Any, contacts: Any, force: Any) -> None:
     """Raises ValueError for matrices and contacts that do not fit each other, or have no unique motion."""
-    size = _check_matrix("mass", structure.mass, None)
-    _check_matrix("stiffness", structure.stiffness, size)
-    if structure.damping is not None:
-        _check_matrix("damping", structure.damping, size)
-    _check_mass(structure.mass)
-    _check_contacts(structure, size)
-    if structure.force is None:
+    size = _check_matrix("mass", mass, None)
+    _check_matrix("stiffness", stiffness, size)
+    if damping is not None:
+        _check_matrix("damping", damping, size)
+    _check_mass(mass)
+    _check_contacts(mass, contacts, size)
+    if force is None:
         return
-    if not isinstance(structure.force, tuple) or len(structure.force) != size:
-        raise _checks.refused(
-            "force", f"be a tuple of {size} forces, one for each mass (None for no force)", structure.force
-        )
-    for number, force in enumerate(structure.force):
-        if force is not None and not isinstance(force, Signal):
+    if not isinstance(force, tuple) or len(force) != size:
+        raise _checks.refused("force", f"be a tuple of {size} forces, one for each mass (None for no force)", force)
+    for number, part in enumerate(force):
+        if part is not None and not isinstance(part, Signal):
             try:
-                _checks.numeric(f"force[{number}]", force)
+                _checks.numeric(f"force[{number}]", part)
             except ValueError:
-                raise _checks.refused(f"force[{number}]", "be a number, a Signal or None", force) from None
+                raise _checks.refused(f"force[{number}]", "be a number, a Signal or None", part) from None
 
 
-def is_uncoupled(structure: "LinearStructure") -> bool:
+def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
     """Whether no two contacts have an effect on each other; False where it is not known."""
-    contacts = structure.contacts
-    if any(_checks.is_traced(value) for value in (structure.mass, *(contact.direction for contact in contacts))):
+    if not _is_known(mass, contacts):
         return False
-    gain = _gain(structure)
+    gain = _gain(mass, contacts)
     return bool(np.all(gain == np.diag(np.diag(gain))))
 
 
-def _gain(structure: "LinearStructure") -> np.ndarray:
-    directions = np.stack([np.asarray(contact.direction, float) for contact in structure.contacts])
-    mass = np.asarray(structure.mass, float)
+def _is_known(mass: Any, contacts: tuple[Contact, ...]) -> bool:
+    return not any(_checks.is_traced(value) for value in (mass, *(contact.direction for contact in contacts)))
+
+
+def _gain(mass: Any, contacts: tuple[Contact, ...]) -> np.ndarray:
+    directions = np.stack([np.asarray(contact.direction, float) for contact in contacts])
+    mass = np.asarray(mass, float)
     by_force = directions.T / mass[:, None] if mass.ndim == 1 else np.linalg.solve(mass, directions.T)
     return directions @ by_force
 
@@ -89,8 +87,7 @@ def _check_mass(value: Any) -> None:
         )
 
 
-def _check_contacts(structure: "LinearStructure", size: int) -> None:
-    contacts = structure.contacts
+def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
     if not isinstance(contacts, tuple) or not contacts or not all(isinstance(c, Contact) for c in contacts):
         raise _checks.refused("contacts", "be a tuple of one Contact or more", contacts)
     if len(contacts) > MOST_CONTACTS:
@@ -105,9 +102,9 @@ def _check_contacts(structure: "LinearStructure", size: int) -> None:
             raise ValueError(
                 f"Argument direction of contact {number} must not be zero: such a contact moves with no mass."
             )
-    if any(_checks.is_traced(value) for value in (structure.mass, *(c.direction for c in contacts))):
+    if not _is_known(mass, contacts):
         return
-    eigenvalues = np.linalg.eigvalsh(_gain(structure))
+    eigenvalues = np.linalg.eigvalsh(_gain(mass, contacts))
     if eigenvalues[0] <= _LEAST * eigenvalues[-1]:
         raise ValueError(
             "Argument contacts must be independent of each other, but the relative velocity of one is implied by "
