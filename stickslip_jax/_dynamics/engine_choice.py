@@ -66,6 +66,11 @@ class BySteps(NamedTuple):
     def lanes(self, y0: tuple[Number, ...], dtype: DType) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
         system, _, method, t1 = self.arguments
+        if system.switched_model(None, method.solver).contacts is not None:
+            raise ValueError(
+                f"Argument system of an ensemble must have one contact, but a {type(system).__name__} with several was "
+                "given: follow its samples by jax.vmap over simulate."
+            )
         excitation, step = self.arguments.checked_step("law")
         self.arguments.check_length()
         # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Bool, Float, Int, Real
 
 from .._status import Ending
@@ -55,10 +56,10 @@ class Totals(NamedTuple):
     stick_time: FloatArray
 
 
-def start_totals(dtype) -> Totals:
-    """The totals of a trajectory at its beginning, all zero."""
-    none = jnp.zeros((), jnp.int32)
-    return Totals(none, none, jnp.zeros((), dtype))
+def start_totals(dtype, shape: tuple[int, ...] = ()) -> Totals:
+    """The totals of a trajectory at its beginning, all zero; of several contacts of this `shape`."""
+    none = jnp.zeros(shape, jnp.int32)
+    return Totals(none, none, jnp.zeros(shape, dtype))
 
 
 def with_stick(totals: Totals, is_stick: BoolArray, censored: BoolArray, duration: FloatArray) -> Totals:
@@ -87,10 +88,10 @@ def closed_up(records: StickRecord) -> StickRecord:
     return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1))
 
 
-def no_stick(dtype: Any, quantities: Iterable[str]) -> StickRecord:
-    """The record of a step in which no stick ended, with these `quantities`."""
-    zero = jnp.zeros((), dtype)
-    return StickRecord(zero, zero, zero, dict.fromkeys(quantities, zero), jnp.asarray(-1, jnp.int8))
+def no_stick(dtype: Any, quantities: Iterable[str], shape: tuple[int, ...] = ()) -> StickRecord:
+    """The record of a step in which no stick ended, with these `quantities`; of several contacts of this `shape`."""
+    zero = jnp.zeros(shape, dtype)
+    return StickRecord(zero, zero, zero, dict.fromkeys(quantities, zero), jnp.full(shape, -1, jnp.int8))
 
 
 class Sticks(eqx.Module):
@@ -106,6 +107,8 @@ class Sticks(eqx.Module):
       end of the previous stick (or the start of the simulation) to `position`; 0 where no slip comes before. Times the
       stiffness it is the change of the spring force in that slip, the force drop of stick-slip experiments.
     - `ending`: an `Ending` code: 0 RELEASED, 1 BASE_SWITCHED, 2 HORIZON (censored by the end of the simulation).
+    - `contact`: of a system with several contacts, the number of each stick's contact, from 0 (-1 outside `mask`);
+      None where there is one. Sticks of all contacts are then in the order of their starts.
     """
 
     start: Float[AnyArray, "*batch slots"]
@@ -114,6 +117,7 @@ class Sticks(eqx.Module):
     slip_displacement: Float[AnyArray, "*batch slots"]
     ending: Int[AnyArray, "*batch slots"]
     mask: Bool[AnyArray, "*batch slots"]
+    contact: Int[AnyArray, "*batch slots"] | None = None
 
     @property
     def duration(self) -> Float[AnyArray, "*batch slots"]:
@@ -155,8 +159,32 @@ class Slips(eqx.Module):
 
 
 def sticks_in_order(records: StickRecord) -> Sticks:
-    """The `Sticks` in the records of one trajectory, arrays (records,); differentiable, fixed size."""
-    return sticks_of(closed_up(records))
+    """The `Sticks` in the records of one trajectory, arrays (records,) or (records, contacts); differentiable, fixed
+    size.
+    """
+    if records.ending.ndim == 1:
+        return sticks_of(closed_up(records))
+    number = jnp.broadcast_to(jnp.arange(records.ending.shape[1], dtype=jnp.int32), records.ending.shape)
+    flat, number = jax.tree.map(lambda column: column.reshape(-1), (records, number))
+    is_stick = flat.ending >= 0
+    # A record is made when a stick ends; sticks are in the order of their starts.
+    order = jnp.argsort(jnp.where(is_stick, lax.stop_gradient(flat.start), jnp.inf), stable=True)
+    flat, number, is_stick = jax.tree.map(lambda column: column[order], (flat, number, is_stick))
+    columns = {name: jnp.where(is_stick, values, jnp.nan) for name, values in flat.columns.items()}
+    return Sticks(**columns, ending=flat.ending, mask=is_stick, contact=jnp.where(is_stick, number, -1))
+
+
+def of_contact(sticks: Sticks, contact: int) -> Sticks:
+    """The sticks of one contact, of the same size."""
+    chosen = sticks.mask & (sticks.contact == contact)
+    order = jnp.argsort(~chosen, axis=-1, stable=True)
+    mask = jnp.take_along_axis(chosen, order, axis=-1)
+
+    def fill(values, padding):
+        return jnp.where(mask, jnp.take_along_axis(values, order, axis=-1), padding)
+
+    columns = {name: fill(getattr(sticks, name), jnp.nan) for name in NUMBERS}
+    return Sticks(**columns, ending=fill(sticks.ending, -1), mask=mask)
 
 
 def sticks_of(ordered: StickRecord) -> Sticks:

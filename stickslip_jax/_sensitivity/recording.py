@@ -123,7 +123,7 @@ class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArr
         self, shared: SwitchedShared, sample: StepSample, motion: StepMotion, drawn: None
     ) -> tuple[StepMotion, Trace]:
         lane, crossed = motion
-        model = self.engine.system.switched_model(sample.smooth, self.engine.solver)
+        model = self.engine.system.one_contact_model(sample.smooth, self.engine.solver)
         moved, stick = advance(model, *shared, lane)
         if not self.with_distances:
             return StepMotion(moved, crossed), Trace(stick, None, None)
@@ -140,7 +140,7 @@ class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArr
         engine, shared = self.engine, self.shared(candidates.t.dtype)
 
         def of(candidate, smooth):
-            return distances_of_step(engine.system.switched_model(smooth, engine.solver), *shared, candidate)
+            return distances_of_step(engine.system.one_contact_model(smooth, engine.solver), *shared, candidate)
 
         return jax.vmap(of)(candidates, smooth)
 

@@ -21,7 +21,8 @@ from .._dynamics.switched.lane import Lane
 from .._excitation.segments import SegmentState
 from .._numerics.primal import without_derivatives
 from .._numerics.roots import steepest_fall
-from .._systems.switched_model import Segments, State, SwitchedModel
+from .._systems.one_contact import OneContactModel
+from .._systems.switched_model import Segments, State
 from .._types import BoolArray, FloatArray
 from .boundaries import BoundaryDistances, SignedDistance
 
@@ -107,7 +108,7 @@ def crossed_after(segment_laws: SegmentLaws, t1: FloatArray, step: Step) -> Floa
 
 @sharing
 def is_candidate(
-    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
+    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
 ) -> BoolArray:
     """Whether the step may be close to a boundary."""
     return _outcome_of(*without_derivatives((model, segment_laws, t1, step_length, step))).is_candidate
@@ -115,7 +116,7 @@ def is_candidate(
 
 @sharing
 def distances_of_step(
-    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
+    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
 ) -> BoundaryDistances:
     """The signed distances of a step for which `is_candidate` is true."""
     # What has no derivatives decides and searches; the rest is evaluated once, at the instants found.
@@ -153,7 +154,7 @@ def distances_of_step(
 
 
 def _outcome_of(
-    model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
+    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
 ) -> _Outcome:
     sticking = step.sign == 0
     tau = step.end - step.t
@@ -209,14 +210,14 @@ def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray)
     return jnp.where(is_ratio, s / age, s), jnp.where(is_ratio, (d * age - s) / (age * age), d)
 
 
-def _flow(model: SwitchedModel, inputs: PyTree, y: State, length: FloatArray, sign: FloatArray) -> State:
+def _flow(model: OneContactModel, inputs: PyTree, y: State, length: FloatArray, sign: FloatArray) -> State:
     # The branch that is not chosen must stay finite too: see `advance`.
     slid = model.slip(inputs, y, jnp.where(sign == 0, 0, length), sign)
     return _either(sign == 0, model.stick(inputs, y, length), slid)
 
 
 def _search(
-    model: SwitchedModel, segments: Segments, start: _Start, step: Step, outcome: _Outcome, step_length: FloatArray
+    model: OneContactModel, segments: Segments, start: _Start, step: Step, outcome: _Outcome, step_length: FloatArray
 ) -> _Root:
     """The instants (2,) at which the distances are evaluated, one on each flow: roots of a residual.
 
@@ -290,7 +291,7 @@ def _replaced(end: _Bracket, new: _Bracket, by_new: BoolArray) -> _Bracket:
     return _either(by_new, new, end._replace(weight=end.weight / 2))
 
 
-def _at(model: SwitchedModel, segments: Segments, start: _Start, tau: FloatArray) -> _AtRoot:
+def _at(model: OneContactModel, segments: Segments, start: _Start, tau: FloatArray) -> _AtRoot:
     """Time, state and guard at the instants `tau` (2,) on both flows, with their derivatives."""
     # A solver must not be given steps longer than its limit.
     parts = 1 if model.steps_may_be_long else len(_INCREMENTS)
@@ -311,7 +312,7 @@ def _at(model: SwitchedModel, segments: Segments, start: _Start, tau: FloatArray
 
 
 def _grazing(
-    model: SwitchedModel, segments: Segments, step: Step, outcome: _Outcome, here: _Root, then: _AtRoot
+    model: OneContactModel, segments: Segments, step: Step, outcome: _Outcome, here: _Root, then: _AtRoot
 ) -> tuple[SignedDistance, FloatArray]:
     """The grazing distance, minus the minimum of the measure, and when that is reached (s)."""
     fixed, is_ratio = lax.stop_gradient(step), _after_crossing(step)
@@ -331,7 +332,7 @@ def _grazing(
 
 
 def _switch_without_stop(
-    model: SwitchedModel, segments: Segments, fixed: Step, outcome: _Outcome, here: _Root, then: _AtRoot
+    model: OneContactModel, segments: Segments, fixed: Step, outcome: _Outcome, here: _Root, then: _AtRoot
 ) -> tuple[FloatArray, BoolArray]:
     """When the mode would have switched, had the segment not ended (s), and whether it would."""
     falls = outcome.falls & here.found & (then.slope < 0)
@@ -344,7 +345,7 @@ def _switch_without_stop(
     return when, falls & ((fixed.sign == 0) | sticks)
 
 
-def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Step, outcome: _Outcome) -> BoolArray:
+def _is_undone(model: OneContactModel, segment_laws: SegmentLaws, fixed: Step, outcome: _Outcome) -> BoolArray:
     """Whether the excitation's next segment undoes a switch of mode just before it."""
     if not segment_laws.all:
         return jnp.zeros_like(outcome.falls)
@@ -359,7 +360,7 @@ def _is_undone(model: SwitchedModel, segment_laws: SegmentLaws, fixed: Step, out
 
 
 def _crossing(
-    model: SwitchedModel, segments: Segments, step: Step, outcome: _Outcome, across: _Root, then: _AtRoot
+    model: OneContactModel, segments: Segments, step: Step, outcome: _Outcome, across: _Root, then: _AtRoot
 ) -> SignedDistance:
     """How far friction is from being unable to hold an arrival, near the edge of the band beyond which it would cross.
 

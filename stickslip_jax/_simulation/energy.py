@@ -17,7 +17,8 @@ from .._dynamics.switched.run import Beginnings, state_in_step
 from .._events.sticks import Sticks
 from .._status import Ending
 from .._systems import energy
-from .._systems.switched_model import F, SwitchedModel
+from .._systems.one_contact import OneContactModel
+from .._systems.switched_model import F
 from .._types import Array, BoolScalar, FloatScalar, Scalar, State
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def _sum(terms: energy.Terms) -> FloatScalar:
 
 def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float[Array, "*times"]:
     """The friction force of a `Simulation` at `times`; see there."""
-    model = one.system.switched_model(one._path.smooth, None)
+    model = one.system.one_contact_model(one._path.smooth, None)
     energy.require_known(one.system, model, "friction_force")
     found = _forces(model, one._path, one.method, one.sticks, one.time_reached, times.reshape(-1))
     return found.reshape(times.shape)
@@ -87,7 +88,7 @@ def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float
 
 @jax.jit
 def _forces(
-    model: SwitchedModel, path: Path, method: Exact | Regularized, sticks: Sticks, last: FloatScalar, times: Times
+    model: OneContactModel, path: Path, method: Exact | Regularized, sticks: Sticks, last: FloatScalar, times: Times
 ) -> Times:
     def at(time: FloatScalar) -> FloatScalar:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
@@ -106,7 +107,7 @@ def _forces(
     return jax.vmap(at)(times)
 
 
-def _coefficient(model: SwitchedModel[F], forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
+def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
     """The signed friction coefficient in a stick, or in a slip of this sign."""
     none = jnp.zeros_like(y[0])
     slip = model.slip_direction(y, sign) * model.friction.slip_coefficient(model.relative_velocity(forcing, none, y))
@@ -125,7 +126,7 @@ def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
         y0 = tuple(path.state(jnp.zeros_like(one.time_reached)))
         path = follow_steps(one.system, one.base, Exact(), one.t1, y0, one.time_reached.dtype).path
         assert isinstance(path, StepPath)
-    model = one.system.switched_model(path.smooth, path.solver)
+    model = one.system.one_contact_model(path.smooth, path.solver)
     energy.require_known(one.system, model, "energies")
     energy.require_energy(one.system)
     lengths = jnp.append(path.beginnings.t[1:], one.time_reached) - path.beginnings.t
@@ -135,7 +136,7 @@ def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
 
 
 @jax.jit
-def _energies(model: SwitchedModel, beginnings: Beginnings, last: FloatScalar, times: Times, rule: _Rule) -> Energies:
+def _energies(model: OneContactModel, beginnings: Beginnings, last: FloatScalar, times: Times, rule: _Rule) -> Energies:
     def worked(begun: Beginnings, h: FloatScalar) -> energy.Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 

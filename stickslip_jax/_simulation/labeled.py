@@ -8,7 +8,7 @@ import numpy as np
 
 from .._conventions import Entries, labeled_dataset
 from .._dynamics.common.method import Exact, Regularized
-from .._events.sticks import NUMBERS, FlatSticks, Slips, Sticks
+from .._events.sticks import NUMBERS, FlatSticks, Slips, Sticks, of_contact
 from .._events.tables import Columns, slip_variables, stick_columns, stick_variables
 from .._systems.system import Coordinate
 
@@ -17,8 +17,18 @@ if TYPE_CHECKING:
 
 
 def columns_of(sticks: Sticks, position: Coordinate) -> Columns:
-    """The columns of the table of the sticks of one trajectory. `position`: what the position of a stick is."""
-    return stick_columns(*_in_order(sticks), position)
+    """The columns of the table of the sticks of one trajectory. `position`: what the position of a stick is.
+
+    Of several contacts, those of one after those of another, with the number of the contact.
+    """
+    if sticks.contact is None:
+        return stick_columns(*_in_order(sticks), position)
+    last = int(np.max(np.asarray(sticks.contact), initial=-1))
+    parts = [columns_of(of_contact(sticks, number), position) for number in range(last + 1)]
+    numbers = np.repeat(np.arange(last + 1), [len(part["order"]) for part in parts])
+    empty = columns_of(of_contact(sticks, -2), position)
+    columns = {name: np.concatenate([empty[name], *(part[name] for part in parts)]) for name in empty}
+    return {"contact": numbers} | columns
 
 
 def dataset_of(

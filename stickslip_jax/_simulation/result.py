@@ -1,5 +1,6 @@
 """One simulated trajectory: `Simulation`."""
 
+import dataclasses
 import os
 import warnings
 from functools import partial
@@ -15,7 +16,7 @@ from .. import _checks, _html
 from .._conventions import flags, variable
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.path import Path
-from .._events.sticks import Slips, Sticks, Totals, slips_between
+from .._events.sticks import Slips, Sticks, Totals, of_contact, slips_between
 from .._events.tables import table_of, write_table
 from .._excitation.excitation import BaseMotion
 from .._methods import WithMethods
@@ -74,7 +75,28 @@ class Simulation(WithMethods):
 
     @property
     def slips(self) -> Slips:
+        if self.sticks.contact is not None:
+            raise ValueError("Slips are those of one contact here: take simulation.of_contact(number).slips.")
         return slips_between(self.sticks, self.time_reached)
+
+    def of_contact(self, number: int) -> "Simulation":
+        """The same trajectory with the sticks, slips and totals of one contact.
+
+        Args:
+            number: Of the contact, from 0.
+
+        Returns:
+            A simulation whose sticks and totals are those of this contact.
+
+        Raises:
+            ValueError: For a system with one contact, and for a number that is not one of its contacts.
+        """
+        if self.sticks.contact is None:
+            raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
+        contacts = self.totals.sticks.shape[-1]
+        _checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
+        parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
+        return dataclasses.replace(self, sticks=of_contact(self.sticks, number), totals=parts)
 
     @property
     def stick_time(self) -> Float[Array, "*batch"]:
@@ -155,6 +177,7 @@ class Simulation(WithMethods):
 
         The columns are those of `Ensemble.write_sticks` without the number of the sample:
 
+        - `contact`, only of a system with several: the number of the contact, from 0;
         - `order`: 0 for a stick that begins at t = 0 (`is_initial_rest`), else from 1;
         - `start_s`, `end_s`, `duration_s`;
         - `position_m`, `slip_displacement_m`: of a `MotorCart` in rad, of a system of your own in the unit of its first
@@ -248,7 +271,7 @@ class Simulation(WithMethods):
         return jnp.asarray(times, self.sticks.start.dtype)
 
     def _repr_html_(self) -> str | None:
-        if not self._is_one:
+        if not self._is_one or self.sticks.contact is not None:
             return None  # then __repr__ is shown
         status = Status(int(self.status))
         rows = [
@@ -280,8 +303,14 @@ class Simulation(WithMethods):
         if status != Status.FINISHED:
             stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
             return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
-        fraction = 100 * float(self.stick_fraction)
         near = f", {int(self.near_grazing_count)} near-grazing" if self.near_grazing_count else ""
+        if self.sticks.contact is not None:
+            counts = ", ".join(str(int(count)) for count in self.totals.sticks)
+            return (
+                f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: sticks of its contacts: "
+                f"{counts}{near}, {status.meaning}"
+            )
+        fraction = 100 * float(self.stick_fraction)
         return (
             f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
             f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{near}, "

@@ -10,7 +10,8 @@ from .._claims import keeps
 from .._types import FloatScalar, Scalar, State
 from .mass_spring import OscillatorForcing, OscillatorModel
 from .motor_cart import CartModel, MotorCart
-from .switched_model import F, SwitchedModel
+from .one_contact import OneContactModel
+from .switched_model import F
 from .system import System
 
 Terms: TypeAlias = dict[str, FloatScalar]
@@ -25,24 +26,24 @@ class Powers(NamedTuple):
 
 
 @singledispatch
-def friction_force(model: SwitchedModel, y: State, coefficient: FloatScalar) -> FloatScalar:
+def friction_force(model: OneContactModel, y: State, coefficient: FloatScalar) -> FloatScalar:
     """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
     raise NotImplementedError  # not reached: `require_known` refuses what is not registered below
 
 
 @singledispatch
-def stored_energies(model: SwitchedModel, y: State) -> Terms:
+def stored_energies(model: OneContactModel, y: State) -> Terms:
     """The energies stored in the state, J."""
     raise NotImplementedError  # not reached: `require_known` refuses what is not registered below
 
 
 @singledispatch
-def powers(model: SwitchedModel[F], forcing: F, y: State, force: FloatScalar) -> Powers:
+def powers(model: OneContactModel[F], forcing: F, y: State, force: FloatScalar) -> Powers:
     """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
     raise NotImplementedError  # not reached: `require_known` refuses what is not registered below
 
 
-def require_known(system: System, model: SwitchedModel, name: str) -> None:
+def require_known(system: System, model: OneContactModel, name: str) -> None:
     """Check that friction forces of `system` are known in newtons, not only as shares. Raises ValueError otherwise."""
     if not any(keeps(model, kind, "rates", "rates_under") for kind in (OscillatorModel, CartModel)):
         raise ValueError(
@@ -60,7 +61,7 @@ def require_energy(system: System) -> None:
         )
 
 
-def fastest_decay(model: SwitchedModel) -> Scalar:
+def fastest_decay(model: OneContactModel) -> Scalar:
     """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
     if not isinstance(model, OscillatorModel) or model.system.damping is None:
         return 0.0

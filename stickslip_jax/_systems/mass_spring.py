@@ -27,8 +27,9 @@ from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_s
 from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .built_in import is_built_in
 from .friction import FrictionLaw, times_of_slips
+from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
-from .switched_model import Base, FloatPair, Segments, SwitchedModel, base_motion
+from .switched_model import Base, FloatPair, Segments, base_motion
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
@@ -210,7 +211,7 @@ class OscillatorForcing(NamedTuple):
     load_slope: FloatScalar
 
 
-class OscillatorModel(SwitchedModel[OscillatorForcing]):
+class OscillatorModel(OneContactModel[OscillatorForcing]):
     """A `MassSpring` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts. State: x (m), x' (m/s)."""
 
     system: MassSpring

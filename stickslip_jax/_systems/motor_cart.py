@@ -41,7 +41,8 @@ from .._types import (
     State,
 )
 from .friction import Coulomb, FrictionLaw
-from .switched_model import FloatPair, Segments, SwitchedModel
+from .one_contact import OneContactModel
+from .switched_model import FloatPair, Segments
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
 
 _LONGEST_TURN = 0.13  # of the motor in a step, in units of its `angle_scale`
@@ -267,7 +268,7 @@ def _asin_within(sine: FloatArray) -> FloatArray:
     return jnp.where(within, jnp.arcsin(jnp.where(within, sine, 0)), jnp.sign(sine) * (math.pi / 2))
 
 
-class CartModel(SwitchedModel[FloatScalar]):
+class CartModel(OneContactModel[FloatScalar]):
     """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
 
     system: MotorCart
@@ -331,7 +332,7 @@ class CartModel(SwitchedModel[FloatScalar]):
         return jnp.where(sign == 0, stick, slip)
 
     def at_rest(self, forcing: FloatScalar, y: State) -> BoolScalar:
-        return jnp.abs(y[1]) <= self.noise(forcing, y)
+        return jnp.abs(y[1]) <= self.noise(forcing, y, jnp.ones_like(y[1]))
 
     def slip_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         sine, cosine = sincos(y[0])

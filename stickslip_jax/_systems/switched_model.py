@@ -1,7 +1,8 @@
 """A system under its excitation, as the engines integrate it: how it slips and sticks, and when each ends.
 
 Exact dynamics uses the slips, the sticks and the guards; regularised dynamics the rates under any friction force and
-the relative velocity. All arrays are scalars, those of one trajectory: the engines make batches with ``jax.vmap``.
+the relative velocity. All arrays are those of one trajectory: the engines make batches with ``jax.vmap``. What belongs
+to a contact (the sign of its mode, its guard) is a scalar where there is one contact, else an array (contacts,).
 """
 
 import abc
@@ -12,8 +13,7 @@ import jax.numpy as jnp
 
 from .._excitation.segments import Segment
 from .._excitation.smooth import Signal
-from .._types import BoolScalar, FloatScalar, State
-from .friction import FrictionLaw
+from .._types import BoolArray, DType, FloatArray, FloatScalar, Number, State
 
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
 
@@ -22,6 +22,8 @@ F = TypeVar("F")
 
 
 FloatPair: TypeAlias = tuple[FloatScalar, FloatScalar]
+Guard: TypeAlias = tuple[FloatArray, FloatArray]
+"""The guards of the contacts, and their time derivatives."""
 
 
 class Segments(NamedTuple):
@@ -49,6 +51,43 @@ def base_motion(
     return Base(velocity + smooth.value(t + tau), slope + smooth.rate(t + tau))
 
 
+class Question(NamedTuple):
+    """Which contacts are asked whether friction holds them, their relative velocities being zero.
+
+    Attributes:
+        sign: The mode of the others.
+        asked: Those that are asked.
+        released: Of those asked, what slips in any case: its stick has just reached its limit.
+        goes_on: Of those asked, what has stuck so far: round-off at the limit does not release it.
+    """
+
+    sign: FloatArray
+    asked: BoolArray
+    released: BoolArray
+    goes_on: BoolArray
+
+
+class Decision(NamedTuple):
+    """What friction does with the contacts that were asked.
+
+    Attributes:
+        holds: Whether it holds them.
+        release_sign: The sign of the relative velocity where it does not.
+        guard: The guard of a stick there, of which the sign decided.
+        guard_rate: Its time derivative.
+    """
+
+    holds: BoolArray
+    release_sign: FloatArray
+    guard: FloatArray
+    guard_rate: FloatArray
+
+
+def chosen_state(chosen: BoolArray, new: State, old: State) -> State:
+    """One of two states."""
+    return tuple(jnp.where(chosen, a, b) for a, b in zip(new, old, strict=True))
+
+
 class SwitchedModel(eqx.Module, Generic[F]):
     """A system under its excitation.
 
@@ -60,46 +99,60 @@ class SwitchedModel(eqx.Module, Generic[F]):
 
     steps_may_be_long: ClassVar[bool] = False
 
+    @property
+    def contacts(self) -> int | None:
+        """The number of contacts, where modes are arrays (contacts,); None for one contact, whose mode is a scalar."""
+        return None
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        """The state with these numbers, one for each coordinate of the system."""
+        return tuple(jnp.asarray(value, dtype) for value in y0)
+
+    def numbers(self, y: State) -> State:
+        """The numbers of the state `y`, one for each coordinate of the system."""
+        return y
+
+    def stick_position(self, y: State) -> FloatArray:
+        """What is recorded as the position of a stick that begins in the state `y`, for each contact."""
+        return y[0]
+
     @abc.abstractmethod
     def forcing(self, t: FloatScalar, segments: Segments) -> F:
         """The excitation from time t (s) on, until a segment ends."""
 
-    @abc.abstractmethod
-    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        """The state after a slip of duration `h` (s) with relative velocity of this `sign`."""
+    def flow(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray) -> State:
+        """The state after the time `h` (s) in the mode of this `sign`, 0 in a stick."""
+        return self.flow_and_error(forcing, y, h, sign)[0]
 
-    def slip_and_error(
-        self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar
+    @abc.abstractmethod
+    def flow_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
     ) -> tuple[State, FloatScalar | None]:
-        """The result of `slip`, and its relative error; None where the step is known to be short enough."""
-        return self.slip(forcing, y, h, sign), None
+        """The result of `flow`, and its relative error; None where the step is known to be short enough."""
 
     @abc.abstractmethod
-    def stick(self, forcing: F, y: State, h: FloatScalar) -> State:
-        """The state after a stick of duration `h` (s)."""
-
-    def stick_and_error(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
-        """The result of `stick`, and its relative error or None."""
-        return self.stick(forcing, y, h), None
-
-    @abc.abstractmethod
-    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         """The time derivative of the state; `sign` is 0 in a stick."""
 
-    def at_rest(self, forcing: F, y: State) -> BoolScalar:
+    @abc.abstractmethod
+    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+        """The relative velocity of each contact, m/s."""
+
+    def at_rest(self, forcing: F, y: State) -> BoolArray:
         """Whether the relative velocity is zero, but for round-off, at `tau` 0."""
-        return jnp.abs(self.relative_velocity(forcing, jnp.zeros_like(y[0]), y)) <= self.noise(forcing, y)
+        velocity = self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
+        return jnp.abs(velocity) <= self.noise(forcing, y, jnp.ones_like(velocity))
 
-    def noise(self, forcing: F, y: State) -> FloatScalar:
-        """The round-off of the guard of a slip at `tau` 0."""
-        return NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(forcing, y, jnp.ones_like(y[0]))
+    def noise(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
+        """The round-off of the guard at `tau` 0."""
+        return NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(forcing, y, sign)
 
-    def slip_sign(self, forcing: F, y: State) -> FloatScalar:
+    def slip_sign(self, forcing: F, y: State) -> FloatArray:
         """The sign of the relative velocity at and right after `tau` 0, for a state that is not `at_rest`."""
-        return jnp.sign(self.relative_velocity(forcing, jnp.zeros_like(y[0]), y))
+        return jnp.sign(self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y))
 
     @abc.abstractmethod
-    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         """Guard of the mode, positive while the stick or slip lasts, and its time derivative.
 
         In a slip: ``sign`` times the relative velocity. In a stick (`sign` 0): ``1 - (f / f_max)^2``, where f is the
@@ -107,63 +160,25 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """
 
     @abc.abstractmethod
-    def guard_scale(self, forcing: F, y: State, sign: FloatScalar) -> FloatScalar:
+    def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
         """The size of the terms that cancel in the guard: the scale of its round-off."""
 
-    @abc.abstractmethod
-    def on_base(self, forcing: F, y: State) -> State:
-        """The state at `tau` 0 with the relative velocity made exactly zero."""
+    @property
+    def coupled(self) -> bool:
+        """Whether friction in one contact has an effect on the relative velocity of another."""
+        return False
 
     @abc.abstractmethod
-    def can_stick(self, forcing: F, y: State) -> BoolScalar:
-        """Whether friction can hold a stick at `tau` 0, the relative velocity being zero."""
+    def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
+        """The state at `tau` 0 with the relative velocity made exactly zero where contacts are `resting`."""
 
     @abc.abstractmethod
-    def release_sign(self, forcing: F, y: State) -> FloatScalar:
-        """The sign of the relative velocity after a release at `tau` 0."""
+    def decided(self, forcing: F, y: State, question: Question) -> Decision:
+        """What friction does at `tau` 0 with the contacts at rest that are asked."""
 
-    def step_limit(self, age: FloatScalar, step: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
+    def step_limit(self, age: FloatArray, step: FloatScalar, y: State, sign: FloatArray) -> FloatScalar:
         """The longest step to take from `y`, `age` (s) after the last event at rest.
 
         Transients may need shorter steps at first, and a stick may allow longer ones.
         """
         return step
-
-    @property
-    def time_scales_are_known(self) -> bool:
-        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
-        return False
-
-    @property
-    @abc.abstractmethod
-    def friction(self) -> FrictionLaw:
-        """The friction law of the contact."""
-
-    @abc.abstractmethod
-    def rates_under(self, forcing: F, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
-        """The time derivative of the state under this signed friction coefficient; affine in it."""
-
-    def slip_direction(self, y: State, sign: FloatScalar) -> FloatScalar:
-        """The sign that the friction coefficient of `rates_under` has in a slip of this `sign`."""
-        return sign
-
-    @abc.abstractmethod
-    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatScalar:
-        """The relative velocity, m/s."""
-
-    @abc.abstractmethod
-    def relative_acceleration(self, forcing: F, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
-        """The time derivative of the relative velocity, where the state changes with `rates`, m/s^2."""
-
-    def effect_of_friction(self, forcing: F, tau: FloatScalar, y: State) -> FloatPair:
-        """The relative acceleration without friction, and what a friction coefficient of 1 adds to it, m/s^2."""
-        free, under_one = (
-            self.relative_acceleration(forcing, tau, y, self.rates_under(forcing, tau, y, jnp.full_like(tau, number)))
-            for number in (0.0, 1.0)
-        )
-        return free, under_one - free
-
-    def holding_coefficient(self, forcing: F, tau: FloatScalar, y: State) -> FloatScalar:
-        """The signed friction coefficient that keeps the relative velocity constant; 0 where friction has no effect."""
-        free, gain = self.effect_of_friction(forcing, tau, y)
-        return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)

@@ -24,7 +24,8 @@ from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import BoolScalar, ExplicitSolver, FloatScalar, Number, Scalar, Solver, State
 from .friction import Coulomb, FrictionLaw
-from .switched_model import Base, FloatPair, Segments, SwitchedModel, base_motion
+from .one_contact import OneContactModel
+from .switched_model import Base, FloatPair, Segments, base_motion
 from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
 from .user_system_checks import check_fields, check_motion
 
@@ -216,7 +217,7 @@ class _Contact(NamedTuple):
         return -self.drift * self.per_gain
 
 
-class GeneralModel(SwitchedModel[GeneralForcing]):
+class GeneralModel(OneContactModel[GeneralForcing]):
     """A `SwitchedSystem` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts."""
 
     system: SwitchedSystem

@@ -15,6 +15,7 @@ from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
 from .._types import AnyArray, Array, ExplicitSolver, Number, Scalar, Solver
+from .one_contact import OneContactModel
 from .switched_model import SwitchedModel
 
 
@@ -97,6 +98,16 @@ class System(Checked):
             smooth: The smooth part of the excitation, None if there is none.
             solver: What integrates slips; None for the closed form where there is one.
         """
+
+    def one_contact_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> OneContactModel:
+        """The `switched_model` of a system with one contact. Raises ValueError for a system with several."""
+        model = self.switched_model(smooth, solver)
+        if not isinstance(model, OneContactModel):
+            raise ValueError(
+                f"Argument system must have one contact here, but a {type(self).__name__} with {model.contacts} "
+                "contacts was given: follow it with simulate and method=Exact()."
+            )
+        return model
 
     @abc.abstractmethod
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:

@@ -53,6 +53,9 @@ def test_every_field_of_numbers_is_described(kind):
     others |= {"speed", "alternating", "harmonics"} if kind in (ss.SemiMarkovSwitching, ss.GaussianProcess) else set()
     others |= {"durations", "values", "slopes", "may_jump"} if kind is ss.VelocitySegments else set()
     others |= {"smoothing"} if kind is ss.Recorded else set()  # in words
+    others |= {"direction"} if kind is ss.Contact else set()
+    # Matrices, which have checks of their own.
+    others |= {"mass", "stiffness", "damping", "contacts", "uncoupled"} if kind is ss.LinearStructure else set()
     assert {field.name for field in dataclasses.fields(kind)} - set(described(kind)) <= others
 
 

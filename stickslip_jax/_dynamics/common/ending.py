@@ -13,7 +13,7 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that has ended or is given up."""
     finite = jnp.isfinite(lane.t + t1)
     for value in lane.y:
-        finite = finite & jnp.isfinite(value)
+        finite = finite & _all(jnp.isfinite(value))
     unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
     code = jnp.where(finite, jnp.where(lane.t < t1, unfinished, Status.FINISHED), Status.NOT_FINITE)
     for segment_state in lane.segment_states:  # one that cannot be may have made the state infinite
@@ -25,7 +25,7 @@ def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
     """Whether the trajectory has ended: by the horizon, the end of the base motion, a NaN, or too many loop steps."""
     finite = jnp.ones((), bool)
     for value in lane.y:
-        finite = finite & jnp.isfinite(value)
+        finite = finite & _all(jnp.isfinite(value))
     return ~(lane.t < t1) | is_spent(lane) | (lane.steps >= most_steps) | ~finite
 
 
@@ -35,3 +35,7 @@ def is_spent(lane: Any) -> BoolArray:
     for segment_state in lane.segment_states:
         spent = spent | segment_state.spent
     return spent
+
+
+def _all(each: BoolArray) -> BoolArray:
+    return each if each.ndim == 0 else jnp.all(each)

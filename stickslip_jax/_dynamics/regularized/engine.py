@@ -148,7 +148,7 @@ def solve_batch(
 
 def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field:
     """The regularised field of `system` under a realised smooth excitation."""
-    return Field(system.switched_model(smooth, None), Switch(method.width, method.shape))
+    return Field(system.one_contact_model(smooth, None), Switch(method.width, method.shape))
 
 
 def criterion_of(method: Regularized) -> Criterion:

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 
 from ..._numerics.primal import without_derivatives
 from ..._systems.friction import FrictionLaw
-from ..._systems.switched_model import State, SwitchedModel
+from ..._systems.one_contact import OneContactModel
+from ..._systems.switched_model import State
 from ..._types import FloatArray
 from .balance_root import balance_root
 from .static_balance import balance_with_static
@@ -38,7 +39,7 @@ _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
 def implicit_step(
-    model: SwitchedModel, switch: Switch, forcing: object, y: State, h: FloatArray, band: FloatArray | None = None
+    model: OneContactModel, switch: Switch, forcing: object, y: State, h: FloatArray, band: FloatArray | None = None
 ) -> tuple[State, FloatArray | None]:
     """The state after one step of length `h` (s) from the state `y`, and its estimated error over the allowed one; None
     where the time scales, which the given step suits, are known.
@@ -72,7 +73,7 @@ class _Stage(NamedTuple):
     kink: State
 
 
-def _error(model: SwitchedModel, forcing: object, y: State, h: FloatArray, middle: _Stage, end: _Stage) -> FloatArray:
+def _error(model: OneContactModel, forcing: object, y: State, h: FloatArray, middle: _Stage, end: _Stage) -> FloatArray:
     """The estimated error of a step from `y` by its two stages, over the allowed one; at most 1 is accurate enough."""
     first = model.rates_under(forcing, jnp.zeros_like(h), y, jnp.zeros_like(h))
     last = model.rates_under(forcing, h, end.state, jnp.zeros_like(h))
@@ -88,7 +89,7 @@ def _error(model: SwitchedModel, forcing: object, y: State, h: FloatArray, middl
 
 
 def _stage(
-    model: SwitchedModel,
+    model: OneContactModel,
     switch: Switch,
     forcing: object,
     tau: FloatArray,

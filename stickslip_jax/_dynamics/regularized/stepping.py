@@ -14,7 +14,8 @@ from ..._compiler import sharing
 from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
-from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
+from ..._systems.one_contact import OneContactModel
+from ..._systems.switched_model import NOISE_ULPS, State
 from ..._types import BoolArray, FloatArray, IntArray
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws, following_segments
@@ -31,7 +32,7 @@ _SAFETY, _LEAST_ERROR = 0.9, 1e-3
 class Field(NamedTuple):
     """A system under its excitation, with friction regularised by `switch`."""
 
-    model: SwitchedModel
+    model: OneContactModel
     switch: Switch
 
     def rates(self, forcing: object, tau: FloatArray, y: State) -> State:

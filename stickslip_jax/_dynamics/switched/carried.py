@@ -16,13 +16,16 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
+from ..._numerics.over_contacts import any_of, sum_of
 from ..._numerics.own_derivative import OwnDerivative
-from ..._systems.switched_model import State, SwitchedModel
+from ..._systems.switched_model import State, SwitchedModel, chosen_state
 from ..._types import BoolArray, FloatArray
 
 
 class HowItEnds(NamedTuple):
-    """Whether a step moves at all; if so, whether it ends at an event, or at the end of a segment or the horizon."""
+    """Whether a step moves at all; if so, of which contact's mode the end ends it (`at_event`; of one at most), or
+    whether the end of a segment or the horizon does.
+    """
 
     moves: BoolArray
     at_event: BoolArray
@@ -55,18 +58,18 @@ def _carried_jvp(primals, tangents):
     by = (tangents[0], tangents[1], tangents[2])
 
     def flow(model, forcing, y):
-        sticking = sign == 0
-        # The branch that is not chosen must be finite too: a slip over a stick's long step may overflow.
-        slid, held = model.slip(forcing, y, jnp.where(sticking, 0, tau), sign), model.stick(forcing, y, tau)
-        moved = tuple(jnp.where(sticking, a, b) for a, b in zip(held, slid, strict=True))
-        moved = tuple(jnp.where(ends.moves, a, b) for a, b in zip(moved, y, strict=True))
+        moved = chosen_state(ends.moves, model.flow(forcing, y, tau, sign), y)
         return moved, model.guard(forcing, tau, moved, sign)[0]
 
     _, (d_reached, d_guard) = eqx.filter_jvp(flow, (model, forcing, y), by)
     _, rate = model.guard(forcing, tau, tuple(reached), sign)
     d_left = jnp.zeros_like(tau) if tangents[3] is None else tangents[3]
-    d_event = -_or_zero(d_guard, tau) / jnp.where(ends.at_event, rate, -1)
-    d_tau = jnp.where(ends.at_event, d_event, jnp.where(ends.at_stop, d_left, 0))
+    d_event = -_or_zero(d_guard, rate) / jnp.where(ends.at_event, rate, -1)
+    at_stop = jnp.where(ends.at_stop, d_left, 0)
+    if rate.ndim:
+        d_tau = jnp.where(any_of(ends.at_event), sum_of(jnp.where(ends.at_event, d_event, 0)), at_stop)
+    else:
+        d_tau = jnp.where(ends.at_event, d_event, at_stop)
     rates = model.rates(forcing, tau, tuple(reached), sign)
     d_reached = tuple(_or_zero(d, v) + r * d_tau for d, v, r in zip(d_reached, reached, rates, strict=True))
     return (tau, *reached), (d_tau, *d_reached)

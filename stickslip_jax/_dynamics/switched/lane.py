@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
 from ..._events.stick_quantities import Remembered
 from ..._events.sticks import Totals
 from ..._excitation.segments import SegmentState
@@ -15,7 +13,11 @@ NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # fraction of the guard's scale
 
 
 class Lane(NamedTuple):
-    """Loop state of one trajectory. `sign`: that of the relative velocity, 0 in a stick."""
+    """Loop state of one trajectory.
+
+    Of each contact (scalars, or arrays (contacts,)): `sign`, that of the relative velocity, 0 in a stick; `event`, and
+    what belongs to sticks.
+    """
 
     t: FloatArray
     y: State
@@ -32,8 +34,3 @@ class Lane(NamedTuple):
     at_start: BoolArray
     near_grazing_count: IntArray
     segment_states: tuple[SegmentState, ...]
-
-
-def chosen_state(chosen: BoolArray, new: State, old: State) -> State:
-    """One of two states."""
-    return tuple(jnp.where(chosen, a, b) for a, b in zip(new, old, strict=True))

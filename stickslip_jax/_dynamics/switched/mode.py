@@ -7,16 +7,18 @@ from jax import lax
 
 from ..._events.stick_quantities import StickSpan, measured
 from ..._events.sticks import StickRecord, ending_of, with_stick
-from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
+from ..._numerics.over_contacts import any_of
+from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel
 from ..._types import BoolArray, FloatArray
 from ..common.segments import SegmentLaws, following_segments
-from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane, chosen_state
+from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 
 
 class Stop(NamedTuple):
     """How a time step ended: on an event of the mode (`landed`), or where a segment ends or at the horizon (`at_stop`).
 
-    `brief`: a slip that ended there would end where it began, but for round-off.
+    `landed`: of each contact, whether its mode ended there. `brief`: its slip would end where it began, but for
+    round-off.
     """
 
     landed: BoolArray
@@ -25,7 +27,7 @@ class Stop(NamedTuple):
 
 
 class _Mode(NamedTuple):
-    """The state with its mode, `sign` (0 in a stick). `at_rest`: whether an event found the mass at rest.
+    """The state with its mode, `sign` (0 in a stick). `at_rest`: whether an event found the contact at rest.
 
     `margin`: the size of the stick guard (0 where friction just holds) where it was decided whether the mass sticks,
     infinity elsewhere.
@@ -50,7 +52,7 @@ def switched(
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     mode = _mode_after(model, forcing, lane, stop, ended, jumped)
     at_horizon = stop.at_stop & ~(lane.t < t1)
-    following, record = _with_mode(lane, mode, ended & jumped, at_horizon)
+    following, record = _with_mode(lane, mode, model.stick_position(mode.y), ended & jumped, at_horizon)
     return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
 
 
@@ -59,34 +61,47 @@ def _mode_after(
 ) -> _Mode:
     """The mode from here on. `ended`: whether a segment ended here; `jumped`: whether the base velocity jumped."""
     was_stick = lane.sign == 0
-    on_base = model.on_base(forcing, lane.y)
-    holds = model.can_stick(forcing, on_base)
     resting = model.at_rest(forcing, lane.y)
-    guard, guard_rate = _stick_guard(model, forcing, on_base)
-    # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
-    # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
-    turned = jnp.where(was_stick | (resting & ~stop.brief), model.release_sign(forcing, on_base), -lane.sign)
-    sign = jnp.where(stop.landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
     # The end of a segment. A slip goes on unless the base jumps; everything else is decided as at a start.
-    slipping = (lane.sign != 0) & ~jumped
+    resolve = ended & (was_stick | jumped)
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
     goes_on = was_stick & ~jumped
-    at_limit = goes_on & _is_not_below(guard, guard_rate, lane.t)
-    resolved_y, resolved_sign = resolved_mode(model, forcing, lane.y, resting | goes_on, at_limit)
-    resolve = ended & ~slipping
-    sign = jnp.where(resolve, resolved_sign, sign)
+    asked, stays = stop.landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_stick)
+    if model.coupled:
+        # Where one mode changes, the friction that other sticks need changes too.
+        stays = was_stick & any_of(stop.landed) & ~stop.landed
+        asked, goes_on = asked | stays, goes_on | stays
+    released = stop.landed & was_stick
+    holds, release_sign, guard, guard_rate = model.decided(
+        forcing, lane.y, Question(lane.sign, asked, released, goes_on & ~released)
+    )
+    # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
+    # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
+    turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -lane.sign)
+    sign = jnp.where(stop.landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
+    at_limit = goes_on & is_not_below(guard, guard_rate, lane.t)
+    held_or_released = jnp.where(holds | at_limit, 0, release_sign)
+    resolved = jnp.where(resting | goes_on, held_or_released, model.slip_sign(forcing, lane.y))
+    sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
     # A mass that sticks has the base's velocity to the last bit.
-    y = chosen_state(resolve, resolved_y, chosen_state(stop.landed & (sign == 0), on_base, lane.y))
-    at_rest = stop.landed & (resting | (sign == 0))
-    decided = (stop.landed & ~was_stick) | (ended & ((jumped & resting) | goes_on))
+    rests = (resolve & (resting | goes_on)) | (stop.landed & (sign == 0))
+    y = model.at_base_velocity(forcing, lane.y, rests)
+    at_rest = (stop.landed & (resting | (sign == 0))) | (stays & (sign != 0))
+    decided = (stop.landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
     return _Mode(y, sign, at_rest, jnp.where(decided, jnp.abs(guard), jnp.inf))
 
 
-def _with_mode(lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray) -> tuple[Lane, StickRecord]:
-    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
+def _with_mode(
+    lane: Lane, mode: _Mode, position: FloatArray, jumped: BoolArray, at_horizon: BoolArray
+) -> tuple[Lane, StickRecord]:
+    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any.
+
+    `position`: of a stick that would begin or end there.
+    """
     was_stick, sticks = lane.sign == 0, mode.sign == 0
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start)
-    stick = StickSpan(lane.stick_start, lane.t, lane.stick_position, left_at=mode.y[0])
+    now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
+    stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
     quantities, remembered = measured(lane.remembered, over, stick)
     ending = ending_of(over, ~at_horizon & ~jumped, at_horizon)
     record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
@@ -100,28 +115,20 @@ def _with_mode(lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray
         event=jnp.where(mode.at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
-        stick_position=jnp.where(begins, mode.y[0], lane.stick_position),
+        stick_position=jnp.where(begins, position, lane.stick_position),
         remembered=remembered,
     )
     return following, record
 
 
-def resolved_mode(
-    model: SwitchedModel, forcing: object, y: State, resting: BoolArray, at_limit: BoolArray | bool = False
-) -> tuple[State, FloatArray]:
-    """The state and the sign of the mode of a mass in the state `y`, given whether it is `resting` on the base.
-
-    `at_limit`: whether it sticks on although the force is at the limit, but for round-off.
-    """
-    on_base = model.on_base(forcing, y)
-    held = model.can_stick(forcing, on_base) | at_limit
-    held_or_released = jnp.where(held, 0, model.release_sign(forcing, on_base))
-    return chosen_state(resting, on_base, y), jnp.where(resting, held_or_released, model.slip_sign(forcing, y))
-
-
-def margin_at_start(model: SwitchedModel, forcing: object, y: State, resting: BoolArray) -> FloatArray:
-    """The size of the stick guard where a trajectory begins at rest, infinity where it does not."""
-    return jnp.where(resting, jnp.abs(_stick_guard(model, forcing, y)[0]), jnp.inf)
+def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[State, FloatArray, FloatArray]:
+    """The state, the sign of the mode and the margin (see `_Mode`) of a trajectory that begins in the state `y`."""
+    resting = model.at_rest(forcing, y)
+    slips = model.slip_sign(forcing, y)
+    never = jnp.zeros_like(resting)
+    holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, resting, never, never))
+    sign = jnp.where(resting, jnp.where(holds, 0, release_sign), slips)
+    return model.at_base_velocity(forcing, y, resting), sign, jnp.where(resting, jnp.abs(guard), jnp.inf)
 
 
 def is_tie(margin: FloatArray) -> BoolArray:
@@ -129,12 +136,6 @@ def is_tie(margin: FloatArray) -> BoolArray:
     return margin < 2 * NEAR_GRAZING[margin.dtype.itemsize]
 
 
-def _stick_guard(model: SwitchedModel, forcing: object, on_base: State) -> tuple[FloatArray, FloatArray]:
-    """The guard of a stick, and its time derivative, now."""
-    none = jnp.zeros_like(on_base[0])
-    return model.guard(forcing, none, on_base, none)
-
-
-def _is_not_below(guard: FloatArray, guard_rate: FloatArray, t: FloatArray) -> BoolArray:
+def is_not_below(guard: FloatArray, guard_rate: FloatArray, t: FloatArray) -> BoolArray:
     """Whether the guard of a stick is not below zero, but for its own round-off and that of the time."""
     return guard >= -jnp.finfo(t.dtype).eps * (2 * NOISE_ULPS + CLOCK_ULPS * t * jnp.abs(guard_rate))

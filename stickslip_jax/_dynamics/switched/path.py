@@ -87,4 +87,5 @@ def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> 
     done = with_slopes(run, system, excitation, solver, t1, y0, step, most=_MOST_SLOPES)
     lane = done.lane
     path = StepPath(system, excitation, solver, done.beginnings)
-    return Run(sticks_in_order(done.records), lane.totals, done.status, lane.t, lane.y, lane.near_grazing_count, path)
+    state = system.switched_model(excitation.signal, solver).numbers(lane.y)
+    return Run(sticks_in_order(done.records), lane.totals, done.status, lane.t, state, lane.near_grazing_count, path)

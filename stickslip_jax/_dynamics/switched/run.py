@@ -12,7 +12,7 @@ from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._numerics.known import NotKnown, largest, smallest
-from ..._systems.switched_model import Segments, State
+from ..._systems.switched_model import Segments, State, SwitchedModel
 from ..._systems.system import System
 from ..._types import Array, DType, FloatArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
@@ -92,7 +92,7 @@ def run_trajectory(
         return following, (record, beginning(lane))
 
     def idle(lane):
-        return no_stick(dtype, ALL), beginning(lane)
+        return no_stick(dtype, ALL, lane.sign.shape), beginning(lane)
 
     lane, (records, beginnings) = stopping_scan(one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle)
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
@@ -101,15 +101,14 @@ def run_trajectory(
 def state_at(system: System, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
     """The state at one `time`, from the beginning of the step that contains it."""
     begun = beginnings.at(time)
-    return state_in_step(system.switched_model(excitation.signal, solver), begun, time - begun.t)
+    model = system.switched_model(excitation.signal, solver)
+    return model.numbers(state_in_step(model, begun, time - begun.t))
 
 
-def state_in_step(model: Any, begun: Beginnings, h: FloatArray) -> State:
+def state_in_step(model: SwitchedModel, begun: Beginnings, h: FloatArray) -> State:
     """The state at `h` (s) after the beginning of one step."""
     _, y, sign, segments = begun
-    forcing = model.forcing(begun.t, segments)
-    stuck, slid = model.stick(forcing, y, h), model.slip(forcing, y, jnp.where(sign == 0, 0, h), sign)
-    return tuple(jnp.where(sign == 0, a, b) for a, b in zip(stuck, slid, strict=True))
+    return model.flow(model.forcing(begun.t, segments), y, h, sign)
 
 
 def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar) -> int:

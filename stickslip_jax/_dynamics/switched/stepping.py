@@ -29,15 +29,16 @@ from ..._compiler import sharing
 from ..._events.stick_quantities import begin_quantities
 from ..._events.sticks import StickRecord, start_totals
 from ..._excitation.segments import SegmentState
+from ..._numerics.over_contacts import any_of, sum_of
 from ..._numerics.primal import without_derivatives
 from ..._numerics.roots import look_ahead
-from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel
-from ..._types import BoolArray, FloatArray, Number
+from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel, chosen_state
+from ..._types import BoolArray, BoolScalar, FloatArray, FloatScalar, Number
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws
 from .carried import HowItEnds, carried
-from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane, chosen_state
-from .mode import Stop, is_tie, margin_at_start, resolved_mode, switched
+from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
+from .mode import Stop, is_tie, mode_at_start, switched
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
 _ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
@@ -62,26 +63,24 @@ def start_lane(
     """
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
-    y = tuple(jnp.asarray(value, dtype) for value in y0)
     forcing = model.forcing(zero, segment_laws.segments(segment_states))
-    resting = model.at_rest(forcing, y)
-    y, sign = resolved_mode(model, forcing, y, resting)
-    margin = margin_at_start(model, forcing, y, resting)
+    y, sign, margin = mode_at_start(model, forcing, model.start(y0, dtype))
+    none_yet, position = jnp.zeros_like(sign), model.stick_position(y)
     return Lane(
         zero,
         y,
         sign,
         lax.stop_gradient(model.step_limit(zero, step, y, sign)),
         jnp.full((), jnp.inf, dtype),
-        zero,
+        none_yet,
         none,
         none,
-        zero,
-        y[0],
-        begin_quantities(y[0], quantities),
-        start_totals(dtype),
+        none_yet,
+        position,
+        begin_quantities(position, quantities),
+        start_totals(dtype, sign.shape),
         sign == 0,
-        is_tie(margin).astype(jnp.int32),
+        sum_of(is_tie(margin).astype(jnp.int32)),
         segment_states,
     )
 
@@ -100,7 +99,7 @@ def advance(
     trial = _tried(model, forcing, lane, jnp.where(to_stop, left, lane.target))
     verdict = _judged(trial, lane, left, step)
     at_event, at_stop = verdict.landed & ~verdict.at_once, verdict.taken & to_stop
-    tie, tie_if_abrupt = _close_calls(trial, verdict, lane, step, at_event, at_stop)
+    tie, tie_if_abrupt = _close_calls(trial, verdict, lane, step, verdict.ends & at_event, at_stop)
 
     # The step ends where it began, on the event (one Newton step from its end), or at its end.
     stays, delta = verdict.again | verdict.at_once, jnp.where(at_event, verdict.to_event, 0)
@@ -108,11 +107,12 @@ def advance(
     moving = zip(trial.reached, model.rates(forcing, trial.h, trial.reached, lane.sign), strict=True)
     y = chosen_state(stays, lane.y, tuple(value + delta * rate for value, rate in moving))
     model, lane = given[0], before
-    tau, *y = carried(*given, time_left, lane.sign, HowItEnds(~stays, at_event, at_stop), tau, y)
+    ends_by = HowItEnds(~stays, _only_first(verdict.ends & at_event), at_stop)
+    tau, *y = carried(*given, time_left, lane.sign, ends_by, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)
 
-    live = ~(lane.t >= t1) & ~is_spent(lane) & ~jnp.isnan(lane.y[0])
+    live = ~(lane.t >= t1) & ~is_spent(lane) & ~any_of(jnp.isnan(lane.y[0]))
     moved = lane._replace(
         t=t,
         y=_known(tuple(y), trial.s1 + trial.noise, verdict.again),
@@ -120,12 +120,12 @@ def advance(
         steps=lane.steps + 1,
     )
     # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
-    brief = verdict.at_once | (t - lane.event <= _LANDED[t.dtype.itemsize] * step + trial.clock)
-    ends = Stop(verdict.landed, brief, live & at_stop)
+    brief = (verdict.ends & verdict.at_once) | (t - lane.event <= _LANDED[t.dtype.itemsize] * step + trial.clock)
+    ends = Stop(verdict.ends, brief, live & at_stop)
     following, record, margin, abrupt = switched(model, segment_laws, moved, ends, t1)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
-    following = following._replace(near_grazing_count=lane.near_grazing_count + near_grazing)
+    following = following._replace(near_grazing_count=lane.near_grazing_count + sum_of(near_grazing))
     following = _with_target(following, model, trial, verdict, lane, step)
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
@@ -147,11 +147,7 @@ class _Trial(NamedTuple):
 
 
 def _tried(model: SwitchedModel, forcing: object, lane: Lane, h: FloatArray) -> _Trial:
-    sticking = lane.sign == 0
-    # Both modes are computed, one is chosen. A slip over a stick's long step may overflow: it gets no length.
-    slid, error = model.slip_and_error(forcing, lane.y, jnp.where(sticking, 0, h), lane.sign)
-    held, error_held = model.stick_and_error(forcing, lane.y, h)
-    y1, error = chosen_state(sticking, held, slid), _chosen(sticking, error_held, error)
+    y1, error = model.flow_and_error(forcing, lane.y, h, lane.sign)
     s0, d0 = model.guard(forcing, jnp.zeros_like(h), lane.y, lane.sign)
     s1, d1 = model.guard(forcing, h, y1, lane.sign)
     scale = model.guard_scale(forcing, y1, lane.sign)
@@ -165,19 +161,20 @@ def _tried(model: SwitchedModel, forcing: object, lane: Lane, h: FloatArray) -> 
 class _Verdict(NamedTuple):
     """What becomes of a step that was tried: it is `taken`, or ends in an event (`landed`), or is tried `again`.
 
-    - `at_once`: the event was at its beginning. `to_event`: from its end to the event, s; negative if it lies before.
-    - `inaccurate`: again, for its error. `hidden`: again, because a whole slip may hide in it.
-    - `where`: a guess of the event, as a fraction of the step. `lowest`: the guard's minimum inside (infinity: none).
+    - `ends`: of each contact, whether its mode ends there. `at_once`: the event was at the beginning of the step.
+    - `to_event`: from the end of the step to the event, s; negative if it lies before.
+    - `inaccurate`: again, for its error. `guess`: else the length to try, as a fraction of the step.
+    - `lowest`: the minimum inside of each contact's guard (infinity: none).
     """
 
-    taken: BoolArray
-    landed: BoolArray
-    again: BoolArray
-    at_once: BoolArray
-    inaccurate: BoolArray
-    hidden: BoolArray
-    to_event: FloatArray
-    where: FloatArray
+    taken: BoolScalar
+    landed: BoolScalar
+    again: BoolScalar
+    ends: BoolArray
+    at_once: BoolScalar
+    inaccurate: BoolScalar
+    to_event: FloatScalar
+    guess: FloatScalar
     lowest: FloatArray
 
 
@@ -200,18 +197,38 @@ def _judged(trial: _Trial, lane: Lane, left: FloatArray, step: FloatArray) -> _V
     early = (look.where < _AT_ONCE) & ~hidden
     at_once = look.falls & (s0 <= noise) & (early | (lane.tries > 2 * _MANY_TRIES))
     # An event at the very end of a segment is decided there, where all is known.
-    landed = at_once | ((is_near | (stalled & (d1 < 0))) & ~look.early & (h + to_event < left - clock))
+    ends = at_once | ((is_near | (stalled & (d1 < 0))) & ~look.early & (h + to_event < left - clock))
     # A guard that falls below zero inside, or turns so near to it that its minimum must be looked at.
-    again = ~landed & (look.falls | look.turns) & ~stalled
+    again = ~ends & (look.falls | look.turns) & ~stalled
+    # Up to the event that is expected; by halves where the expectations failed, down to round-off.
+    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
+    if ends.ndim:
+        ends, again, to_event, guess = _earliest(ends, again, at_once, to_event, guess, clock)
+        at_once = any_of(at_once)
+    landed = any_of(ends)
     # The error counts only if the step is not tried again anyway: it may be large because the step passes the event.
     inaccurate = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[itemsize])
     landed, again = landed & ~inaccurate, again | inaccurate
-    return _Verdict(~landed & ~again, landed, again, at_once, inaccurate, hidden, to_event, look.where, look.lowest)
+    return _Verdict(~landed & ~again, landed, again, ends & landed, at_once, inaccurate, to_event, guess, look.lowest)
+
+
+def _earliest(
+    ends: BoolArray, again: BoolArray, at_once: BoolArray, to_event: FloatArray, guess: FloatArray, clock: FloatArray
+) -> tuple[BoolArray, BoolScalar, FloatScalar, FloatScalar]:
+    """Of several contacts: which modes end in the step, whether it is tried again, the time from its end to the event,
+    and the length to try, as a fraction of it. The earliest event ends the step; the other modes go on.
+    """
+    # What was over when the step began comes first, then what falls inside, then what ends near the end of the step.
+    now, inside = jnp.any(at_once), jnp.any(again)
+    ends = jnp.where(now, at_once, ends & ~inside)
+    first = jnp.min(jnp.where(ends, to_event, jnp.inf))
+    ends = jnp.where(now, ends, ends & (to_event <= first + clock))
+    return ends, inside & ~now, first, jnp.min(jnp.where(again, guess, jnp.inf))
 
 
 def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
     """The state `y`, NaN (`NOT_FINITE`) after a step whose `guard` is NaN: it would never fall, whatever happens."""
-    return jnp.where(jnp.isnan(guard) & ~again, jnp.nan, y[0]), *y[1:]
+    return jnp.where(any_of(jnp.isnan(guard)) & ~again, jnp.nan, y[0]), *y[1:]
 
 
 def _close_calls(
@@ -241,9 +258,7 @@ def _with_target(
         by_error = _accurate_step(by_error, trial.h, trial.error, verdict.taken, verdict.inaccurate)
     longest = model.step_limit(following.t - following.event, step, following.y, following.sign)
     longest = jnp.minimum(longest, by_error)
-    # Up to the event that is expected; by halves where the expectations failed, down to round-off.
-    guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(verdict.hidden, _SHORTER, verdict.where))
-    target = jnp.where(verdict.again & ~verdict.inaccurate, guess * trial.h, longest)
+    target = jnp.where(verdict.again & ~verdict.inaccurate, verdict.guess * trial.h, longest)
     return following._replace(target=lax.stop_gradient(target), accurate_step=lax.stop_gradient(by_error))
 
 
@@ -265,8 +280,6 @@ def _first(times: Iterable[FloatArray]) -> FloatArray | float:
     return earliest
 
 
-def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-    """One of two error estimates; None stands for 0, and both None give None."""
-    if one is None and other is None:
-        return None
-    return jnp.where(first, 0 if one is None else one, 0 if other is None else other)
+def _only_first(of_each: BoolArray) -> BoolArray:
+    """The first of the contacts of which it is true: events that coincide end a step at the same time."""
+    return of_each if of_each.ndim == 0 else of_each & (jnp.cumsum(of_each) == 1)

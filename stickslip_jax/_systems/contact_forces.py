@@ -1,0 +1,139 @@
+"""The friction forces in several contacts at once, and which of the contacts they can hold.
+
+With the relative velocities g (contacts,), friction forces f against them and ``g' = drift - gain f``: in a slip f is
+the kinetic force with the sign of g; in sticks f is what keeps ``g' = 0``. `gain` is a matrix (contacts, contacts),
+for a mechanical system ``W M^-1 W^T`` with the directions W of the contacts; or, where friction in one contact has no
+effect on the others, its diagonal (contacts,).
+
+Which contacts at rest are held is a linear complementarity problem with bounds on both sides. Where static and kinetic
+friction are equal and the gain is positive definite it has one solution (Stewart and Trinkle 1996; Pfeiffer and
+Glocker 1996). Where static friction is larger the rule is one after the other: what stuck holds up to its static limit,
+the stick that needs the largest share of its limit breaks first and falls to kinetic friction, and then the rest are
+asked again.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from .._types import BoolArray, BoolScalar, FloatArray, IntArray
+from .switched_model import Question
+
+_UNROLLED = 8  # contacts, up to which elimination is written out: vectorised over lanes, unlike a call of a library
+_PASSES = 3  # for each contact: how often one may break, or be held again
+
+
+def is_diagonal(gain: FloatArray) -> bool:
+    """Whether the contacts have no effect on each other."""
+    return gain.ndim == 1
+
+
+def acceleration(gain: FloatArray, drift: FloatArray, force: FloatArray) -> FloatArray:
+    """The rates of the relative velocities under these friction forces."""
+    return drift - (gain * force if is_diagonal(gain) else _times(gain, force))
+
+
+def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: BoolArray) -> FloatArray:
+    """The forces with ``gain force = wanted`` in the `chosen` contacts; `given` ones in the others.
+
+    A gain of zero, of a contact that couples nothing, gives no force.
+    """
+    if is_diagonal(gain):
+        has_effect = chosen & (gain > 0)
+        return jnp.where(has_effect, wanted / jnp.where(has_effect, gain, 1), jnp.where(chosen, 0, given))
+    both = chosen[:, None] & chosen[None, :]
+    matrix = jnp.where(both, gain, jnp.eye(len(chosen), dtype=gain.dtype))
+    others = jnp.where(chosen, 0, given)
+    target = jnp.where(chosen, wanted - _times(gain, others), given)
+    return _linear_solve(matrix, target)
+
+
+def _times(gain: FloatArray, force: FloatArray) -> FloatArray:
+    # Not a matrix product: XLA fuses sums of few terms with what surrounds them.
+    return jnp.sum(gain * force[None, :], axis=1) if len(force) <= _UNROLLED else gain @ force
+
+
+def _linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots."""
+    size = len(target)
+    if size > _UNROLLED:
+        return jnp.linalg.solve(matrix, target)
+    rows = [[matrix[i, j] for j in range(size)] + [target[i]] for i in range(size)]
+    for k in range(size):
+        for i in range(k + 1, size):
+            factor = rows[i][k] / rows[k][k]
+            rows[i][k + 1 :] = [a - factor * b for a, b in zip(rows[i][k + 1 :], rows[k][k + 1 :], strict=True)]
+    solution: list[FloatArray] = []
+    for k in reversed(range(size)):
+        known = sum((rows[k][k + 1 + j] * value for j, value in enumerate(solution)), jnp.zeros_like(target[0]))
+        solution.insert(0, (rows[k][size] - known) / rows[k][k])
+    return jnp.stack(solution)
+
+
+class Limits(NamedTuple):
+    """The friction forces (contacts,) that are possible: in slips forward and backward, and at most in sticks that
+    would break into them. All are zero or positive.
+    """
+
+    forward: FloatArray
+    backward: FloatArray
+    static_forward: FloatArray
+    static_backward: FloatArray
+
+    def slip(self, sign: FloatArray) -> FloatArray:
+        """The force in a slip of this sign; 0 for the sign 0."""
+        return jnp.where(sign > 0, self.forward, jnp.where(sign < 0, -self.backward, 0))
+
+    def share(self, force: FloatArray) -> FloatArray:
+        """The `force` that a stick needs, over the largest one in its direction; infinite where none is possible."""
+        limit = jnp.where(force > 0, self.static_forward, self.static_backward)
+        can = limit > 0
+        return jnp.where(can, force / jnp.where(can, limit, 1), jnp.inf)
+
+
+class Settled(NamedTuple):
+    """The mode `sign` (contacts,) of every contact; of those asked, the `share` of its limit that a stick needs."""
+
+    sign: FloatArray
+    share: FloatArray
+
+
+def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray) -> Settled:
+    """Which contacts that are asked friction holds.
+
+    `slack`: by how much the share of a stick that goes on may exceed 1: round-off at the limit.
+    """
+    asked = question.asked
+
+    def shares(sign):
+        force = solved(gain, drift, limits.slip(sign), asked & (sign == 0))
+        return force, limits.share(force)
+
+    # What has just been released slips in the direction in which it is driven.
+    start = jnp.where(asked, 0, question.sign)
+    force, share = shares(start)
+    driven = jnp.where(force > 0, 1, -1).astype(drift.dtype)
+    start = jnp.where(question.released, driven, start)
+    allowed = 1 + jnp.where(question.goes_on, slack, 0)
+    if is_diagonal(gain):
+        breaks = asked & ~question.released & (jnp.abs(share) > allowed)
+        return Settled(jnp.where(breaks, driven, start), share)
+
+    def again(state: tuple[FloatArray, FloatArray, IntArray, BoolScalar]):
+        sign, decisive, passes, _ = state
+        force, share = shares(sign)
+        held, slips = asked & (sign == 0), asked & (sign != 0) & ~question.released
+        excess = jnp.where(held, jnp.abs(share) - allowed, -jnp.inf)
+        # A contact that others drive back is held again: its friction alone would reverse it.
+        back = jnp.where(slips, -sign * acceleration(gain, drift, force), -jnp.inf)
+        breaks = (excess == jnp.max(excess)) & (excess > 0)
+        returns = (back == jnp.max(back)) & (back > 0) & ~jnp.any(breaks)
+        decisive = jnp.where(held, share, decisive)
+        new = jnp.where(breaks, jnp.where(force > 0, 1, -1), jnp.where(returns, 0, sign)).astype(sign.dtype)
+        return new, decisive, passes + 1, jnp.any(breaks | returns)
+
+    most = _PASSES * len(drift) + 1
+    first = (start, share, jnp.zeros((), jnp.int32), jnp.any(asked))
+    sign, share, _, _ = lax.while_loop(lambda s: s[3] & (s[2] < most), again, first)
+    return Settled(sign, share)

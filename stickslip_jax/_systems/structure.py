@@ -1,0 +1,244 @@
+"""Linear structures with dry-friction contacts: masses, springs and dampers as matrices."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import _diffrax as diffrax
+from .._excitation.excitation import Excitation
+from .._excitation.segments import added
+from .._excitation.smooth import Signal
+from .._types import DType, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
+from .contact import Contact, entries_of, numbers_of
+from .contact_forces import Limits
+from .contacts_model import ContactsModel, Instant
+from .friction import FrictionLaw
+from .structure_checks import check_structure, is_uncoupled
+from .switched_model import Segments, base_motion
+from .system import SOLVED, Coordinate, System, TimeScale, shortest_period
+
+
+class LinearStructure(System):
+    """Masses, springs and dampers with several dry-friction contacts: ``M x'' + C x' + K x = f + sum of friction``.
+
+    The state is the d positions, then the d velocities. Every stick of every contact is found; `Simulation.sticks` has
+    a column `contact`, and `Simulation.of_contact` the sticks of one of them. Positions of sticks are the relative
+    displacements ``direction . positions``.
+
+    Args:
+        mass: kg (or kg m^2), (d, d) symmetric and positive definite, or (d,) for a diagonal one.
+        stiffness: N/m (or N m/rad), (d, d) symmetric, or (d,); zeros for masses without springs.
+        damping: N s/m (or N m s/rad), likewise; None is zero.
+        contacts: Up to 64, each a `Contact`.
+        force: External forces, N (or N m): for each mass None, a number or a `Signal`; None for no forces.
+        uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
+            Found from the numbers; to be given only where JAX traces the masses or directions.
+
+    Raises:
+        ValueError: For a mass that is singular, matrices that are not symmetric or of another size, contacts that
+            couple nothing or imply each other.
+    """
+
+    mass: Any = eqx.field(converter=numbers_of)
+    stiffness: Any = eqx.field(converter=numbers_of)
+    damping: Any = eqx.field(default=None, converter=numbers_of)
+    contacts: tuple[Contact, ...] = eqx.field(default=(), converter=entries_of)
+    force: tuple[Signal | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
+    uncoupled: bool | None = eqx.field(static=True, default=None)
+
+    def __post_init__(self):
+        check_structure(self.mass, self.stiffness, self.damping, self.contacts, self.force)
+        if self.uncoupled is None:
+            object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, self.contacts))
+
+    @property
+    def size(self) -> int:
+        """The number d of masses."""
+        return np.shape(self.mass)[0]
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        numbers = range(1, self.size + 1)
+        positions = [Coordinate(f"position {i}", "m", f"x_{{{i}}}") for i in numbers]
+        return (*positions, *(Coordinate(f"velocity {i}", "m/s", rf"\dot x_{{{i}}}") for i in numbers))
+
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel":
+        directions = jnp.stack([jnp.asarray(contact.direction, float) for contact in self.contacts])
+        by_force = _inverse_times(self.mass, directions.T)
+        # Contacts that share no mass, directly or through the mass matrix, have no effect on each other.
+        gain = jnp.sum(directions.T * by_force, axis=0) if self.uncoupled else directions @ by_force
+        return StructureModel(
+            solver=diffrax.Dopri8() if solver is None else solver,
+            smooth=smooth,
+            structure=self,
+            stiffness=_inverse_times(self.mass, _matrix(self.stiffness)),
+            damping=None if self.damping is None else _inverse_times(self.mass, _matrix(self.damping)),
+            directions=directions,
+            by_force=by_force,
+            gain=gain,
+            on_base=jnp.stack([jnp.asarray(contact.on_base, float) for contact in self.contacts]),
+            fastest=self.fastest,
+        )
+
+    @property
+    def fastest(self) -> FloatScalar:
+        """The highest natural angular frequency or decay rate, rad/s, of the structure without friction.
+
+        Sticks only constrain it, which raises none of them.
+        """
+        lowest = 1e-3 * jnp.sqrt(jnp.finfo(float).tiny)
+        squared = _largest_eigenvalue(self.mass, self.stiffness)
+        decay = 0.0 if self.damping is None else _largest_eigenvalue(self.mass, self.damping)
+        return jnp.maximum(jnp.maximum(jnp.sqrt(jnp.maximum(squared, 0)), decay), lowest)
+
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+        signals = [force for force in self.force or () if isinstance(force, Signal)]
+        scales = {
+            "shortest natural period or decay time": TimeScale(2 * np.pi / self.fastest, SOLVED),
+            "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
+        }
+        for number, signal in enumerate(signals):
+            scales[f"shortest period of force {number}"] = TimeScale(signal.shortest_period, SOLVED)
+        return scales
+
+    @property
+    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
+        return None, None
+
+    @property
+    def body_name(self) -> str:
+        return "structure"
+
+
+def _matrix(values: Any) -> FloatArray:
+    values = jnp.asarray(values, float)
+    return jnp.diag(values) if values.ndim == 1 else values
+
+
+def _inverse_times(mass: Any, matrix: FloatArray) -> FloatArray:
+    mass = jnp.asarray(mass, float)
+    return matrix / mass[:, None] if mass.ndim == 1 else jnp.linalg.solve(mass, matrix)
+
+
+def _largest_eigenvalue(mass: Any, matrix: Any) -> FloatScalar:
+    """Of ``matrix x = lambda mass x``, by Cholesky's decomposition of the mass."""
+    root = jnp.linalg.cholesky(_matrix(mass))
+    half = jax.scipy.linalg.solve_triangular(root, _matrix(matrix), lower=True)
+    return jnp.linalg.eigvalsh(jax.scipy.linalg.solve_triangular(root, half.T, lower=True))[-1]
+
+
+class StructureForcing(NamedTuple):
+    """The piecewise-linear parts of base velocity (m/s) and ground acceleration (m/s^2) from time `t` on."""
+
+    t: FloatScalar
+    base: FloatScalar
+    base_slope: FloatScalar
+    ground: FloatScalar
+    ground_slope: FloatScalar
+
+
+class StructureModel(ContactsModel[StructureForcing]):
+    """A `LinearStructure` on a base. State: positions (d,) and velocities (d,).
+
+    `stiffness`, `damping`, `by_force`: the matrices and the directions of the contacts, from the left by the inverse
+    of the mass.
+    """
+
+    smooth: Signal | None
+    structure: LinearStructure
+    stiffness: FloatArray
+    damping: FloatArray | None
+    directions: FloatArray
+    by_force: FloatArray
+    gain: FloatArray
+    on_base: FloatArray
+    fastest: FloatScalar
+
+    @property
+    def contacts(self) -> int:
+        return len(self.structure.contacts)
+
+    @property
+    def coupled(self) -> bool:
+        return not self.structure.uncoupled
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        size = self.structure.size
+        values = jnp.stack([jnp.asarray(value, dtype) for value in y0])
+        return values[:size], values[size:]
+
+    def numbers(self, y: State) -> State:
+        return tuple(part[i] for part in y for i in range(self.structure.size))
+
+    def stick_position(self, y: State) -> FloatArray:
+        return self._of(self.directions, y) @ y[0]
+
+    def time(self, forcing: StructureForcing) -> FloatScalar:
+        return forcing.t
+
+    def forcing(self, t: FloatScalar, segments: Segments) -> StructureForcing:
+        return StructureForcing(t, *added(t, segments.base), *added(t, segments.ground))
+
+    def instant(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> Instant:
+        base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
+        directions, on_base = self._of(self.directions, y), self._of(self.on_base, y)
+        pull = self._load(forcing, tau) - self._of(self.stiffness, y) @ y[0]
+        if self.damping is not None:
+            pull = pull - self._of(self.damping, y) @ y[1]
+        velocity = directions @ y[1] - on_base * base.velocity
+        drift = directions @ pull - on_base * base.acceleration
+        return Instant((y[1], pull), velocity, drift, self._of(self.gain, y))
+
+    def effect(self, forcing: StructureForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
+        return jnp.zeros_like(y[0]), -(self._of(self.by_force, y) @ force)
+
+    def limits(self, forcing: StructureForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
+        contacts = self.structure.contacts
+        normal = jnp.stack([jnp.asarray(contact.normal_force, velocity.dtype) for contact in contacts])
+        forces = normal[:, None] * _coefficients(tuple(contact.friction for contact in contacts), velocity)
+        return Limits(*forces.T)
+
+    def velocity_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
+        base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, jnp.zeros_like(forcing.t))
+        by_mass = jnp.abs(self._of(self.directions, y)) @ jnp.abs(y[1])
+        return by_mass + jnp.abs(self._of(self.on_base, y) * base.velocity)
+
+    def gross_changes(self, forcing: StructureForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
+        x, v = jnp.abs(y[0]), jnp.abs(y[1])
+        load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + jnp.abs(self._of(self.by_force, y)) @ friction
+        load = load + jnp.abs(self._of(self.stiffness, y)) @ x
+        if self.damping is not None:
+            load = load + jnp.abs(self._of(self.damping, y)) @ v
+        return h * (v + h * load), h * load
+
+    def _load(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+        """What ground and external forces do to each mass, m/s^2."""
+        ground = forcing.ground + tau * forcing.ground_slope
+        load = jnp.full((self.structure.size,), -ground)
+        if self.structure.force is None:
+            return load
+        t = forcing.t + tau
+        forces = [force.value(t) if isinstance(force, Signal) else force or 0.0 for force in self.structure.force]
+        applied = jnp.stack([jnp.asarray(force, t.dtype) for force in forces])
+        return load + _inverse_times(self.structure.mass, applied[:, None]).astype(t.dtype)[:, 0]
+
+    def _of(self, values: FloatArray, y: State) -> FloatArray:
+        return values.astype(y[0].dtype)
+
+
+def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatArray:
+    """The friction coefficients (contacts, 4) of slips forward and backward and of sticks that break into them."""
+
+    def of_one(law: FrictionLaw, v: FloatScalar) -> FloatArray:
+        one = jnp.ones_like(v)
+        values = [law.continued_coefficient(v, one), law.continued_coefficient(-v, -one)]
+        values += [law.stick_limit(one), law.stick_limit(-one)]
+        return jnp.stack([jnp.asarray(value, v.dtype) for value in values])
+
+    if len({jax.tree.structure(law) for law in laws}) == 1:  # the same law with other numbers
+        stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *laws)
+        return jax.vmap(of_one)(stacked, velocity)
+    return jnp.stack([of_one(law, velocity[i]) for i, law in enumerate(laws)])

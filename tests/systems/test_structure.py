@@ -1,0 +1,128 @@
+"""What a `LinearStructure` refuses, and what it tells of itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import stickslip_jax as ss
+
+DRY = ss.Coulomb(0.3)
+PAIR = np.array([[2.0, -1.0], [-1.0, 2.0]])
+
+
+def contact(*direction, **other):
+    return ss.Contact(direction, 1.0, DRY, **other)
+
+
+def pair(**changed):
+    given = {"mass": [1.0, 1.0], "stiffness": PAIR, "contacts": (contact(1.0, 0.0), contact(0.0, 1.0))}
+    return ss.LinearStructure(**(given | changed))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"mass": [1.0, 0.0]}, "Argument mass must be positive definite, but its smallest eigenvalue is 0"),
+        ({"mass": [[1.0, 2.0], [2.0, 1.0]]}, "Argument mass must be positive definite"),
+        ({"mass": [1.0, -1.0]}, "Argument mass must be positive definite"),
+        ({"mass": 1.0}, r"Argument mass must be a symmetric matrix \(d, d\) or its diagonal"),
+        ({"stiffness": [[2.0, -1.0], [0.0, 2.0]]}, r"Argument stiffness must be symmetric, but its entries \[0, 1\]"),
+        ({"stiffness": [1.0, 2.0, 3.0]}, r"Argument stiffness must be a symmetric matrix \(2, 2\)"),
+        ({"stiffness": [1.0, np.nan]}, "Argument stiffness must hold finite numbers"),
+        ({"damping": np.ones((2, 3))}, r"Argument damping must be a symmetric matrix \(2, 2\)"),
+        ({"contacts": ()}, "Argument contacts must be a tuple of one Contact or more"),
+        ({"contacts": contact(1.0, 0.0)}, "Argument contacts must be a tuple of one Contact or more"),
+        ({"contacts": (contact(1.0, 0.0, 0.0),)}, "Argument direction of contact 0 must hold 2 numbers"),
+        ({"contacts": (contact(0.0, 0.0),)}, "Argument direction of contact 0 must not be zero"),
+        ({"contacts": (contact(1.0, 0.0), contact(2.0, 0.0))}, "Argument contacts must be independent of each other"),
+        ({"contacts": (contact(1.0, 0.0),) * 65}, "Argument contacts must hold at most 64, but 65 were given"),
+        ({"force": (1.0,)}, "Argument force must be a tuple of 2 forces"),
+        ({"force": (1.0, "2")}, r"Argument force\[1\] must be a number, a Signal or None"),
+    ],
+)
+def test_what_a_structure_refuses(changed, message):
+    with pytest.raises(ValueError, match=message):
+        pair(**changed)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([1.0], -1.0, DRY), "Argument normal_force must be positive"),
+        ((1.0, 1.0, DRY), "Argument direction must be a sequence of numbers"),
+    ],
+)
+def test_what_a_contact_refuses(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ss.Contact(*arguments)
+
+
+def test_static_friction_below_kinetic_is_refused():
+    with pytest.raises(ValueError, match="mu_static"):
+        ss.Contact([1.0], 1.0, ss.Coulomb(0.3, 0.2))
+
+
+def test_shorthands():
+    assert np.array_equal(ss.Contact.of_mass(1, 3, 1.0, DRY).direction, [0, 1, 0])
+    between = ss.Contact.between(2, 0, 3, 1.0, DRY)
+    assert np.array_equal(between.direction, [-1, 0, 1])
+    assert between.on_base == 0
+    with pytest.raises(ValueError, match="Argument index must be"):
+        ss.Contact.of_mass(3, 3, 1.0, DRY)
+
+
+def test_contacts_that_share_no_mass_are_uncoupled():
+    assert pair().uncoupled
+    assert not pair(mass=[[2.0, 0.5], [0.5, 1.0]]).uncoupled
+    assert not pair(contacts=(contact(1.0, 0.0), contact(1.0, -1.0))).uncoupled
+
+
+def test_the_fastest_motion():
+    """The highest natural frequency, by NumPy; or the decay rate of strong damping."""
+    mass = np.array([[2.0, 0.5], [0.5, 1.0]])
+    highest = np.sqrt(np.max(np.linalg.eigvals(np.linalg.solve(mass, PAIR))))
+    assert float(pair(mass=mass).fastest) == pytest.approx(highest, rel=1e-12)
+    assert float(pair(damping=[100.0, 1.0]).fastest) == pytest.approx(100.0, rel=1e-12)
+
+
+LAW = ss.PoissonSwitching(1.0, 1.0)
+SMOOTHED = ss.Regularized(1e-3, step=0.01, threshold=1e-3, minimum_duration=0.01)
+ONE = {"base": ss.Constant(0.2), "t1": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: ss.simulate(s, **ONE, method=SMOOTHED), "with 2 contacts"),
+        (lambda s: ss.simulate_ensemble(s, LAW, t1=1.0, samples=2, key=jax.random.key(0)), "jax.vmap"),
+        (lambda s: ss.simulate(s, **ONE).slips, "of_contact"),
+        (lambda s: ss.simulate(s, **ONE).friction_force(0.5), "LinearStructure with 2 contacts"),
+        (lambda s: ss.simulate(s, **ONE).energies(0.5), "LinearStructure with 2 contacts"),
+        (lambda s: ss.simulate(s, **ONE).of_contact(2), "Argument number must be"),
+        (lambda s: ss.simulate(s, **ONE, y0=(1.0, 2.0)), "Argument y0 must"),
+    ],
+)
+def test_what_is_not_there_for_several_contacts_is_told(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(pair())
+
+
+def test_of_contact_needs_several_contacts():
+    one = ss.simulate(ss.MassSpring(1.0, 1.0, 1.0, DRY), **ONE)
+    with pytest.raises(ValueError, match="This system has one contact"):
+        one.of_contact(0)
+
+
+def test_numbers_that_jax_traces():
+    """Masses, directions and normal forces may be arguments of a function under jax.jit and jax.vmap."""
+
+    def end(mass, normal_force):
+        system = ss.LinearStructure(
+            jnp.stack([mass, 2 * mass]), PAIR, contacts=(ss.Contact([1.0, 0.0], normal_force, DRY),)
+        )
+        return ss.simulate(system, ss.Constant(0.2), t1=2.0, method=ss.Exact(step=0.05, max_steps=200)).final_state[0]
+
+    many = jax.jit(jax.vmap(end))(jnp.array([1.0, 2.0]), jnp.array([1.0, 3.0]))
+    alone = [float(end(1.0, 1.0)), float(end(2.0, 3.0))]
+    assert np.allclose(many, alone, rtol=1e-12, atol=0)
