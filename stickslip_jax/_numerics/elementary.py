@@ -39,7 +39,7 @@ _HALF_PI_PARTS = {
     np.dtype(np.float64): (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
     np.dtype(np.float32): (1.5703125, 4.837512969970703125e-4, 7.549789948768648e-8),
 }
-_TAN_PI_8 = 0.41421356237309503
+TAN_PI_8 = 0.41421356237309503
 
 
 def _horner(coefficients: tuple[float, ...], z: FloatArray) -> FloatArray:
@@ -98,7 +98,7 @@ def angle_of(y: FloatArray, x: FloatArray) -> FloatArray:
     """
     fold = folded(y, x)
     t = fold.numerator / jnp.where(fold.denominator == 0, 1, fold.denominator)
-    return unfolded(arc_tangent(t, t), fold)
+    return unfolded(arc_tangent(t), fold)
 
 
 class Fold(NamedTuple):
@@ -116,7 +116,7 @@ def folded(y: FloatArray, x: FloatArray) -> Fold:
     width = jnp.abs(x)
     least, most = jnp.minimum(width, y), jnp.maximum(width, y)
     # Fold [0, 1] to |t| <= tan(pi/8) with one division for both halves.
-    steep = least > _TAN_PI_8 * most
+    steep = least > TAN_PI_8 * most
     numerator = jnp.where(steep, least - most, least)
     return Fold(numerator, jnp.where(steep, least + most, most), steep, y > width, x < 0)
 
@@ -128,10 +128,10 @@ def unfolded(angle: FloatArray, fold: Fold) -> FloatArray:
     return jnp.where(fold.is_behind, np.pi - angle, angle)
 
 
-def arc_tangent(t: FloatArray, share: FloatArray) -> FloatArray:
-    """``share atan(t) / t`` for ``|t| <= tan(pi/8)``; ``atan(t)`` where `share` is t."""
+def arc_tangent(t: FloatArray) -> FloatArray:
+    """``atan(t)`` for ``|t| <= tan(pi/8)``."""
     z = t * t
-    return share - share * z * _horner(_ATAN, z)
+    return t - t * z * _horner(_ATAN, z)
 
 
 @angle_of.defjvp

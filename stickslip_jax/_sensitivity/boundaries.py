@@ -182,7 +182,7 @@ def _first_arc(
     # After a stick cut short by a reversal of the base, R >= q always (the excess is a square): no stick can appear.
     is_reversed = cut_velocity == -velocity
     # Back on the circle on which it left a stick, R = q for all parameters: the sign of the excess is round-off there.
-    not_tangent = (jnp.abs(excess) > touch(A, q, scales)) & (spring.omega > 0)
+    not_tangent = (jnp.abs(excess) > touch(A, spring.omega * q, scales)) & (spring.squared > 0)
     has_top = (q > 0) & is_below & ~is_reversed & not_tangent & (top < duration) & (motion.t + top < scales.t1)
     return _Arc(excess, top, is_below, has_top, is_below & (excess > 0) & (excess <= (2 * alpha) ** 2))
 

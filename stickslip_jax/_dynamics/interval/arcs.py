@@ -27,7 +27,7 @@ from jax import lax
 from ..._compiler import computed_once
 from ..._numerics.elementary import angle_of
 from ..._types import BoolArray, FloatArray
-from .spring import Spring, half_turn, quotient, slope_of_angle, swing, to_meeting
+from .spring import Spring, half_turn, quotient, slope_of_angle, swung, time_until, to_meeting
 
 # After a release at base velocity w the arc has R = w exactly. If the base velocity returns to w while the mass is on
 # that arc (perhaps after a rest, or half a turn about the other centre), the arc is tangent to it, and round-off must
@@ -84,8 +84,8 @@ class Passage(NamedTuple):
 class FirstArc(NamedTuple):
     """The arc from an interval's first state: its `side`, its offset `A` from the centre and the velocity `v`.
 
-    It meets the base velocity at the distance `H` from the centre, at `position`, after `time`; `excess`
-    ``= H^2 = R^2 - w2 q^2``. `arrives`: whether it does so within the interval.
+    It meets the base velocity at the distance `H` from the centre, after `time`; `excess` ``= H^2 = R^2 - w2 q^2``.
+    `arrives`: whether it does so within the interval. `position`: where, if `is_flat` (see `to_meeting`).
     """
 
     side: FloatArray
@@ -95,6 +95,7 @@ class FirstArc(NamedTuple):
     H: FloatArray
     time: FloatArray
     position: FloatArray
+    is_flat: BoolArray
     arrives: BoolArray
 
 
@@ -124,16 +125,14 @@ def carry_across(x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales,
 
     There is at most one stick: after a release the mass moves on a circle tangent to the base velocity from below.
     """
-    mirror, x, v, q, span = mirrored(x, v, base, scales, span)
-    first = first_arc(x, v, q, scales, span)
-    alpha, spring = scales.deceleration, scales.spring
-    last = _LastMeeting(*_follow_crossings(first.side, first.H, first.time, first.arrives, q, alpha, spring, span))
+    mirror, x, v, q, turned, span = mirrored(x, v, base, scales, span)
+    first = first_arc(x, v, q, turned, scales, span)
+    given = first.side, first.H, first.time, first.arrives, q, turned, scales.deceleration, scales.spring, span
+    last = _LastMeeting(*_follow_crossings(*given))
     stick = _stick(first, last, q, scales, span)
     x, v, A, time = _last_rotation(x, first, last, stick, q, scales, span)
-    S, C = swing(time, spring)
-    # A radius whose square overflows would miss its arrivals: 0 * infinity makes the state NaN (`NOT_FINITE`).
-    x_end = x + v * S - A * C + 0 * first.excess
-    v_end = v * (1 - spring.squared * C) - A * S
+    x_end, v_end = swung(x, v, A, time, scales.spring)
+    x_end = x_end + 0 * first.excess  # a radius whose square overflows would miss its arrivals: NaN (`NOT_FINITE`)
     position, left_at, left, released, stuck = stick
     return Passage(
         mirror * x_end, mirror * v_end, last.entered, left, mirror * position, mirror * left_at, stuck, released & stuck
@@ -144,7 +143,8 @@ def carry_across(x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales,
 def mirrored(x, v, base, scales, span):
     mirror = jnp.where(base < 0, -1, 1).astype(x.dtype)
     known = scales.spring.omega * span < _LONGEST_SPAN
-    return mirror, mirror * x, mirror * v, jnp.abs(base), jnp.where(known, span, jnp.nan)
+    q = jnp.abs(base)
+    return mirror, mirror * x, mirror * v, q, scales.spring.omega * q, jnp.where(known, span, jnp.nan)
 
 
 @computed_once
@@ -152,14 +152,13 @@ def _stick(first: FirstArc, last: _LastMeeting, q: FloatArray, scales: Scales, s
     """The stick from `entered` at ``w2 x = side (alpha - H)`` until the spring reaches the friction limit at alpha."""
     side, H, entered, arrived = last
     alpha, spring = scales.deceleration, scales.spring
-    crossed = first.arrives & (~arrived | (side != first.side) | (H != first.H))
+    is_flat = first.is_flat & ~(first.arrives & (2 * alpha < first.H))  # and not crossed
     # After a crossing that has led to no arrival: where the crossing was, H beyond the centre.
-    beyond = side * quotient(jnp.where(crossed, alpha - jnp.where(arrived, H, -H), 0), spring)
-    position = jnp.where(crossed, beyond, first.position)
+    elsewhere = side * quotient(alpha - jnp.where(arrived, H, -H), ~is_flat & first.arrives, spring)
+    position = jnp.where(is_flat, first.position, elsewhere)
     lacks, rate = jnp.where(side > 0, H, 2 * alpha - H), spring.squared * q
-    released = arrived & (lacks <= rate * span)
-    release = entered + lacks / jnp.where(released & (rate > 0), rate, 1)
-    released = released & (rate > 0) & (release <= span)
+    release = entered + time_until(lacks, rate, span)
+    released = arrived & (release <= span)
     left = jnp.where(released, release, span)
     left_at = position + jnp.where(arrived, q * (left - entered), 0)
     return _Stick(position, left_at, left, released, arrived & (left > entered))
@@ -206,12 +205,14 @@ def _rests(pull, v, base, scales):
     return (base == 0) & (jnp.abs(v) <= scales.rest_speed) & (jnp.abs(pull) <= most)
 
 
-def first_arc(x: FloatArray, v: FloatArray, q: FloatArray, scales: Scales, span: FloatArray) -> FirstArc:
-    """The arc from the interval's first state."""
+def first_arc(
+    x: FloatArray, v: FloatArray, q: FloatArray, turned: FloatArray, scales: Scales, span: FloatArray
+) -> FirstArc:
+    """The arc from the interval's first state; `turned`: ``omega q``."""
     at_rest, side, A, v = _seen_from_center(x, v, q, scales)
-    excess, reaches, H = _meeting(at_rest, A, v, q, scales)
-    time, moved = _to_meeting(A, v, q, H, side, scales.spring)
-    return FirstArc(side, A, v, excess, H, time, x + moved, reaches & (time < span))
+    excess, reaches, H = _meeting(at_rest, A, v, q, turned, scales)
+    time, moved, is_flat = _to_meeting(A, v, q, H, side, scales.spring)
+    return FirstArc(side, A, v, excess, H, time, x + moved, is_flat, reaches & (time < span))
 
 
 _to_meeting = computed_once(to_meeting)
@@ -228,9 +229,9 @@ def _seen_from_center(x, v, q, scales):
 
 
 @computed_once
-def _meeting(at_rest, A, v, q, scales):
+def _meeting(at_rest, A, v, q, turned, scales):
     excess = excess_of(A, v, q, scales.spring)
-    reaches = at_rest | (excess > jnp.where(v < q, touch(A, q, scales), 0))
+    reaches = at_rest | (excess > jnp.where(v < q, touch(A, turned, scales), 0))
     positive = excess > 0
     H = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
     return excess, reaches, H
@@ -241,15 +242,14 @@ def excess_of(A: FloatArray, v: FloatArray, q: FloatArray, spring: Spring) -> Fl
     return A * A + spring.squared * ((v - q) * (v + q))
 
 
-def touch(A: FloatArray, q: FloatArray, scales: Scales) -> FloatArray:
-    """``R^2 - w2 q^2`` up to which an arc that begins below the base velocity is tangent to it."""
+def touch(A: FloatArray, turned: FloatArray, scales: Scales) -> FloatArray:
+    """``R^2 - w2 q^2`` up to which an arc that begins below the base velocity is tangent to it; `turned`: omega q."""
     ulp = _TOUCH_ULPS[A.dtype.itemsize] * jnp.finfo(A.dtype).eps
-    turned = scales.spring.omega * q
     return ulp * (A * A + turned * turned + scales.deceleration * (jnp.abs(A) + turned))
 
 
 @jax.custom_jvp
-def _follow_crossings(side, H, entered, arrived, q, alpha, spring, span):
+def _follow_crossings(side, H, entered, arrived, q, turned, alpha, spring, span):
     """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval.
 
     Takes and returns: the side of the current arc, the distance H at which it meets the base velocity, the time of the
@@ -258,26 +258,26 @@ def _follow_crossings(side, H, entered, arrived, q, alpha, spring, span):
     along with the times.
     """
     # Among thousands of lanes some lane nearly always needs the first crossing: it is done without a loop.
-    state = _cross_if_needed((arrived & (2 * alpha < H), side, H, entered, arrived), q, alpha, spring, span)
-    return lax.while_loop(lambda s: s[0], lambda s: _cross(s, q, alpha, spring, span), state)[1:]
+    state = _cross_if_needed((arrived & (2 * alpha < H), side, H, entered, arrived), turned, alpha, spring, span)
+    return lax.while_loop(lambda s: s[0], lambda s: _cross(s, turned, alpha, spring, span), state)[1:]
 
 
-def _cross_if_needed(state, q, alpha, spring, span):
-    new = _cross(state, q, alpha, spring, span)
+def _cross_if_needed(state, turned, alpha, spring, span):
+    new = _cross(state, turned, alpha, spring, span)
     return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), new, state)
 
 
 @_follow_crossings.defjvp
 def _follow_crossings_jvp(primals, tangents):
-    side, H, entered, arrived, q, alpha, spring, span = primals
-    d_side, dH, d_entered, d_arrived, dq, d_alpha, by_spring, _ = tangents
+    side, H, entered, arrived, q, turned, alpha, spring, span = primals
+    d_side, dH, d_entered, d_arrived, dq, _, d_alpha, by_spring, _ = tangents
     w2 = spring.squared
     later = half_turn(w2)  # each arc lasts pi / omega and 2 side atan(omega q / H) / omega
 
     def cross(carry):
         state, (crossings, by_H, by_q, by_alpha, by_w2) = carry
         before = state[3]
-        state = _cross(state, q, alpha, spring, span)
+        state = _cross(state, turned, alpha, spring, span)
         _, now, distance, arrival, arrived = state
         crossings = crossings + 1
         squared = distance * distance + w2 * q * q
@@ -294,19 +294,21 @@ def _follow_crossings_jvp(primals, tangents):
     return state[1:], (d_side, dH - 2 * crossings * d_alpha, d_entered, d_arrived)
 
 
-def _cross(state, q, alpha, spring, span):
-    """Cross to the other side and follow the arc there, from (H, q) to (-H, q) as seen from its centre."""
+def _cross(state, turned, alpha, spring, span):
+    """Cross to the other side and follow the arc there, from (H, omega q) to (-H, omega q) as seen from its
+    centre.
+    """
     _, side, H, entered, _ = state
     side = -side
     H = H - 2 * alpha
-    arrival = entered + time_of_arc(H, side, q, spring)
+    arrival = entered + time_of_arc(H, side, turned, spring)
     arrived = arrival < span
     return arrived & (2 * alpha < H), side, H, jnp.where(arrived, arrival, entered), arrived
 
 
 @computed_once
-def time_of_arc(H, side, q, spring):
+def time_of_arc(H, side, turned, spring):
     """From a crossing at H beyond the centre to the next meeting: clockwise, pi + 2 atan(omega q / H) below and
     pi - 2 atan(omega q / H) above.
     """
-    return 2 * spring.inverse_omega * angle_of(H, -side * spring.omega * q)
+    return 2 * spring.inverse_omega * angle_of(H, -side * turned)

@@ -70,12 +70,12 @@ def starts_at_edge(scales: Scales, start: Motion, velocity: FloatArray) -> BoolA
 def _arc(scales, began, duration, velocity) -> _Arc:
     alpha, t1, omega = scales.deceleration, scales.t1, scales.spring.omega
     span = jnp.where(began.t + duration >= t1, t1 - began.t, duration)
-    _, x, v, speed, span = mirrored(began.x, began.v, velocity, scales, span)
-    side, A, v, excess, H, time, _, _ = first_arc(x, v, speed, scales, span)
-    meets = excess > jnp.where(v < speed, touch(A, speed, scales), 0)
+    _, x, v, speed, q, span = mirrored(began.x, began.v, velocity, scales, span)
+    side, A, v, excess, H, time, _, _, _ = first_arc(x, v, speed, q, scales, span)
+    meets = excess > jnp.where(v < speed, touch(A, q, scales), 0)
     A, begins = jnp.abs(A), v == speed
     of_v = _few(x) * (jnp.abs(v) + speed + (A + alpha) * scales.clock)
-    v, q = omega * v, omega * speed
+    v = omega * v
     size = A + jnp.abs(v) + q + alpha
     of_x, of_state = _few(x) * (A + 2 * alpha), _few(x) * size
     # H^2 = A^2 + v^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at H = A.
@@ -85,7 +85,7 @@ def _arc(scales, began, duration, velocity) -> _Arc:
 
 def _ties_at_first(scales, began, arc) -> BoolArray:
     """Ties of the first arc: of the place where the mass begins on the base, of tangency, of the edge of the band."""
-    alpha, threshold = scales.deceleration, touch(arc.A, arc.speed, scales)
+    alpha, threshold = scales.deceleration, touch(arc.A, arc.q, scales)
     # After a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
     left_at = scales.spring.squared * jnp.abs(began.remembered[LAST_LEFT])
     released = (jnp.abs(left_at - alpha) <= _few(alpha) * alpha) & (began.t > 0)
@@ -98,7 +98,7 @@ def _ties_at_first(scales, began, arc) -> BoolArray:
 def _ties_later(scales, began, arc) -> BoolArray:
     """Ties after crossings, and of arrivals and releases with the ends of the interval."""
     alpha, span = scales.deceleration, arc.span
-    side, H, arrival = _last_meeting(jnp.where(arc.meets, arc.H, 0), arc.side, arc.time, arc.speed, scales, span)
+    side, H, arrival = _last_meeting(jnp.where(arc.meets, arc.H, 0), arc.side, arc.time, arc.q, scales, span)
     arrived, crossed = arc.meets & (arrival < span), arc.meets & (H < arc.H)
     holds = crossed & ((arrived & (jnp.abs(H - 2 * alpha) <= arc.of_H)) | (arc.of_H >= H))
     # The relative velocity changes at the rate H where it passes zero: times H, times are velocities.
@@ -111,7 +111,7 @@ def _ties_later(scales, began, arc) -> BoolArray:
     return holds | at_end | at_start | at_release
 
 
-def _last_meeting(H, side, arrival, speed, scales, span):
+def _last_meeting(H, side, arrival, q, scales, span):
     """Side, distance H and time of the first meeting with the base velocity that friction can hold or that lies after
     the interval; all before it are crossings.
     """
@@ -123,7 +123,7 @@ def _last_meeting(H, side, arrival, speed, scales, span):
 
     def cross(state):
         side, H, arrival = state
-        return -side, H - 2 * alpha, arrival + time_of_arc(H - 2 * alpha, -side, speed, scales.spring)
+        return -side, H - 2 * alpha, arrival + time_of_arc(H - 2 * alpha, -side, q, scales.spring)
 
     state = side, H, arrival
     state = jax.tree.map(lambda new, old: jnp.where(crosses(state), new, old), cross(state), state)
