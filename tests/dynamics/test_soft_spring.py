@@ -108,7 +108,8 @@ def check(chosen: list[Case], method, mode, tolerance: float = 1e-11) -> None:
         for j, name in enumerate(NAMES):
             exact = np.array(case.reference(name)[1], float)
             np.testing.assert_allclose(slopes[i, :, j], exact, rtol=1e-6, atol=1e-7 * np.max(np.abs(exact)))
-    assert min(case.reference()[0] for case in chosen) < INTERVALS  # in some there is no stick
+    if chosen[0].damping < 1:
+        assert min(case.reference()[0] for case in chosen) < INTERVALS  # in some there is no stick
 
 
 @pytest.mark.parametrize("method", [ss.Exact(), STEPPED], ids=["intervals", "steps"])
@@ -130,8 +131,8 @@ def test_soft_springs_with_damping(damping):
 
 def test_the_softest_spring_of_all():
     """Traced numbers are not checked; this is beyond what the square of anything can be."""
-    values = found([case._replace(stiffness=1e-300) for case in cases(0.0)[:2]], ss.Exact(), jax.jacfwd)
-    without = found(cases(0.0)[:2], ss.Exact(), jax.jacfwd)
+    values = found([case._replace(stiffness=1e-300) for case in cases(0.0)], ss.Exact(), jax.jacfwd)
+    without = found([case._replace(stiffness=0.0) for case in cases(0.0)], ss.Exact(), jax.jacfwd)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-14), values, without)
 
 

@@ -1,4 +1,4 @@
-"""A mass on a soft spring, or on none, with 250 digits: what cancels by a division by the stiffness keeps enough.
+"""A mass on a soft spring, or on none, with 400 digits: what cancels by a division by the stiffness keeps enough.
 
 Event by event on a base of piecewise-constant velocity, by the closed form of a damped oscillator. Between its events
 the velocity must not turn more than once: the spring is so soft that no interval is as long as half a period.
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from mpmath import mp, mpf
 
-DIGITS = 250
+DIGITS = 400
 
 
 class SoftStick(NamedTuple):
@@ -53,11 +53,11 @@ class _Block(NamedTuple):
         if ahead(longest) > 0:
             return None
         low, high = mpf(0), longest
-        for _ in range(6):
+        for _ in range(30):
             middle = (low + high) / 2
             low, high = (middle, high) if ahead(middle) > 0 else (low, middle)
         t = high
-        for _ in range(9):
+        for _ in range(7):
             position, speed = self.slid(x, v, sign, t)
             force = -sign * self.held - self.damping * speed - self.stiffness * position
             t -= (speed - base) * self.mass / force
