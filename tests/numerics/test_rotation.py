@@ -66,7 +66,7 @@ def test_slopes_of_responses_by_damping_spring_and_time():
     ]
     points = np.array(values)
     flat = lambda p: jnp.stack(responses(p[0], p[1], p[2]))  # noqa: E731
-    found, back = (np.asarray(jax.vmap(mode(flat))(points)) for mode in (jax.jacfwd, jax.jacrev))
+    found, back = (np.asarray(jax.jit(jax.vmap(mode(flat)))(points)) for mode in (jax.jacfwd, jax.jacrev))
     np.testing.assert_allclose(back, found, rtol=1e-9, atol=1e-25)
     with mp.workdps(400):
         for point, slopes in zip(values, found, strict=True):
