@@ -23,9 +23,8 @@ def test_what_is_infinite():
     assert BLOCK.natural_frequency is None
     assert BLOCK.slip_center is None
     assert float(BLOCK.angular_frequency) == 0
-    assert BLOCK.time_scales(ss.Constant(1.0), None)["natural period"].time == math.inf
     assert all(np.isfinite(float(scale)) for scale in BLOCK.contact_scales)
-    with pytest.raises(ValueError, match=r"Argument stiffness must be zero or positive|stiffness must"):
+    with pytest.raises(ValueError, match="Argument stiffness must "):
         ss.MassSpring(1.0, -1.0, 1.0, ss.Coulomb(0.5))
 
 
@@ -41,18 +40,18 @@ def mean(value: ss.Estimate) -> float:
 
 
 def test_ensembles_of_both_exact_engines_agree():
-    """To the last digits; with static friction above kinetic only steps do."""
     one = ss.simulate_ensemble(BLOCK, LAW, samples=64, keep="sticks", **RUN)
     other = ss.simulate_ensemble(BLOCK, LAW, samples=64, keep="sticks", method=ss.Exact(step=0.5), **RUN)
-    assert one.stick_count.sum() == other.stick_count.sum() > 200
-    np.testing.assert_allclose(one.stick_time, other.stick_time, rtol=1e-11, atol=1e-11)
+    for statistic in (ss.mean_stick_count, ss.stick_fraction, ss.mean_stick_duration, ss.mean_slip_duration):
+        assert mean(statistic(one)) == pytest.approx(mean(statistic(other)), rel=1e-11)
+    assert mean(ss.mean_stick_count(one)) > 3
 
 
 @pytest.mark.parametrize("step", [None, 1e-3])
 def test_smoothed_friction_comes_near(step):
     exact = ss.simulate_ensemble(BLOCK, LAW, samples=64, **RUN)
     smooth = ss.simulate_ensemble(BLOCK, LAW, samples=64, method=ss.Regularized(1e-5, step=step), **RUN)
-    assert np.all(np.asarray(smooth.status) == ss.Status.FINISHED)
+    assert smooth.status_counts[ss.Status.FINISHED] == 64
     assert mean(ss.stick_fraction(smooth)) == pytest.approx(mean(ss.stick_fraction(exact)), rel=5e-3)
 
 
@@ -62,11 +61,12 @@ def test_some_samples_without_a_spring():
     system = ss.MassSpring(1.0, springs, 1.0, ss.Coulomb(0.5))
     for method in (ss.Exact(), ss.Exact(step=0.2)):
         many = ss.simulate_ensemble(system, LAW, samples=4, method=method, **RUN)
+        times = []
         for i in range(4):
             own, base, y0 = many.realization(i)
-            one = ss.simulate(own, base, t1=20.0, y0=y0, method=method)
             assert float(own.stiffness) == springs[i]
-            assert float(one.stick_time) == pytest.approx(float(many.stick_time[i]), rel=1e-10, abs=1e-12)
+            times.append(float(ss.simulate(own, base, t1=20.0, y0=y0, method=method).stick_time))
+        assert mean(ss.stick_fraction(many)) == pytest.approx(np.mean(times) / 20.0, rel=1e-10)
 
 
 def test_steps_of_a_traced_stiffness_that_is_zero():
