@@ -89,7 +89,7 @@ def test_the_derivative_of_a_mean_by_friction():
             ss.MassSpring(1.0, 0.0, 1.0, ss.Coulomb(mu)), LAW, samples=4096, keep="totals", **RUN)))
         for mu in (0.49, 0.51)
     ]  # fmt: skip
-    assert mean(found) == pytest.approx((ends[1] - ends[0]) / 0.02, rel=0.02)
+    assert float(found.derivative) == pytest.approx((ends[1] - ends[0]) / 0.02, rel=0.02)
 
 
 def test_harmonic_forces_push_a_free_mass():
@@ -117,6 +117,6 @@ def test_figures(base):
             draw(one)
             plt.gcf().canvas.draw()
             plt.close("all")
-    with pytest.raises(ValueError, match="Argument abscissa must be \"?'?position"):
+    with pytest.raises(ValueError, match="Argument abscissa must be 'position' for"):
         plot.phase_portrait(one, abscissa="position_times_omega")
     assert jnp.all(jnp.isfinite(one.evaluate(jnp.linspace(0.0, 20.0, 50))[0]))
