@@ -4,7 +4,7 @@ Times in s, accelerations in m/s^2; ``w2 = omega^2``. Derivatives are by ``w2``:
 down to 0, where ``omega`` has no derivative.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -119,7 +119,7 @@ def _half_angle(A, v, q, H, side, spring):
 
 
 @to_meeting.defjvp
-def _to_meeting_jvp(primals, tangents):
+def _to_meeting_jvp(primals: Any, tangents: Any) -> Any:  # of the truth there is no tangent
     A, v, q, H, side, spring = primals
     dA, dv, dq, dH, _, by_spring = tangents
     time, moved, flat = to_meeting(A, v, q, H, side, spring)
