@@ -117,7 +117,6 @@ def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
     if isinstance(method, Regularized):
         return Smoothed(Arguments(system, base, method, t1))
     exact = Arguments(system, base, method, t1)
-    exact.warn_of_soft_spring()
     is_steady = isinstance(base, Motion) and base.is_piecewise_constant
     if is_steady and system.has_interval_form and method.step is None and method.solver is None:
         return ByIntervals(exact)

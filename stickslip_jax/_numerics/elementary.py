@@ -7,13 +7,15 @@ float32 uses the same polynomials with its own range reduction. Derivatives are 
 polynomials.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from .._compiler import computed_once
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 
 _SIN = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
         2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
@@ -37,7 +39,7 @@ _HALF_PI_PARTS = {
     np.dtype(np.float64): (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
     np.dtype(np.float32): (1.5703125, 4.837512969970703125e-4, 7.549789948768648e-8),
 }
-_TAN_PI_8 = 0.41421356237309503
+TAN_PI_8 = 0.41421356237309503
 
 
 def _horner(coefficients: tuple[float, ...], z: FloatArray) -> FloatArray:
@@ -94,18 +96,42 @@ def angle_of(y: FloatArray, x: FloatArray) -> FloatArray:
 
     The derivative at the origin does not exist; 0 is returned there, so that gradients stay finite.
     """
+    fold = folded(y, x)
+    t = fold.numerator / jnp.where(fold.denominator == 0, 1, fold.denominator)
+    return unfolded(arc_tangent(t), fold)
+
+
+class Fold(NamedTuple):
+    """An angle folded to one below pi/8, of the tangent ``numerator / denominator``, and how: see `unfolded`."""
+
+    numerator: FloatArray
+    denominator: FloatArray
+    is_steep: BoolArray
+    is_high: BoolArray
+    is_behind: BoolArray
+
+
+def folded(y: FloatArray, x: FloatArray) -> Fold:
+    """The angle of the vector ``(x, y)``, ``y >= 0``, folded."""
     width = jnp.abs(x)
     least, most = jnp.minimum(width, y), jnp.maximum(width, y)
     # Fold [0, 1] to |t| <= tan(pi/8) with one division for both halves.
-    steep = least > _TAN_PI_8 * most
+    steep = least > TAN_PI_8 * most
     numerator = jnp.where(steep, least - most, least)
-    denominator = jnp.where(steep, least + most, most)
-    t = numerator / jnp.where(denominator == 0, 1, denominator)
+    return Fold(numerator, jnp.where(steep, least + most, most), steep, y > width, x < 0)
+
+
+def unfolded(angle: FloatArray, fold: Fold) -> FloatArray:
+    """The angle whose `fold` has the folded `angle`."""
+    angle = jnp.where(fold.is_steep, np.pi / 4 + angle, angle)
+    angle = jnp.where(fold.is_high, np.pi / 2 - angle, angle)
+    return jnp.where(fold.is_behind, np.pi - angle, angle)
+
+
+def arc_tangent(t: FloatArray) -> FloatArray:
+    """``atan(t)`` for ``|t| <= tan(pi/8)``."""
     z = t * t
-    angle = t - t * z * _horner(_ATAN, z)
-    angle = jnp.where(steep, np.pi / 4 + angle, angle)
-    angle = jnp.where(y > width, np.pi / 2 - angle, angle)
-    return jnp.where(x < 0, np.pi - angle, angle)
+    return t - t * z * _horner(_ATAN, z)
 
 
 @angle_of.defjvp

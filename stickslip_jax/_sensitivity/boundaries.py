@@ -14,8 +14,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import PyTree
 
-from .._dynamics.interval.arcs import carry_across, excess_of, touch
-from .._dynamics.interval.crossing import Motion, Scales, cross_interval
+from .._dynamics.interval.arcs import Scales, carry_across, excess_of, touch
+from .._dynamics.interval.crossing import Motion, cross_interval
 from .._events.sticks import StickRecord, Totals
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._numerics.elementary import angle_of
@@ -127,17 +127,19 @@ def _distances(
     """The signed distances of one interval."""
     stuck, moving = stick.ending >= 0, velocity != 0
     arc = _first_arc(scales, motion, cut_velocity, duration, velocity)
-    speed = jnp.abs(jnp.where(moving, velocity, 1))
     # When the mass would have arrived, crossings included, had the interval lasted a little longer: the distance to the
-    # switch is then known also where the switch came first. One revolution more is beyond the width of any kernel.
-    span = (jnp.minimum(motion.t + duration, scales.t1) - motion.t) * scales.omega + 2 * np.pi
-    longer = carry_across(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width, span)
-    arrival = jnp.where(stuck, stick.start - motion.t, longer.entered * scales.inverse_omega)
+    # switch is then known also where the switch came first. One revolution more, or the horizon again where the spring
+    # is softer, is beyond the width of any kernel.
+    more = 2 * np.pi * scales.spring.inverse_omega
+    more = jnp.where(scales.spring.omega * scales.t1 > 2 * np.pi, more, lax.stop_gradient(scales.t1))
+    span = jnp.minimum(motion.t + duration, scales.t1) - motion.t + more
+    longer = carry_across(motion.x, motion.v, velocity, scales, span)
+    arrival = jnp.where(stuck, stick.start - motion.t, longer.entered)
     end, to_switch, to_horizon = motion.t + duration, duration - arrival, scales.t1 - (motion.t + arrival)
     # An arc from below ends in a stick that lasts, or grazes. Only one from above, or from a crossing, may arrive at
     # the edge of the band where sticks are released: a little beyond it the mass crosses, and the stick is gone.
     may_cross = stuck & moving & ~arc.sticks_from_below
-    to_edge = (scales.half_width - jnp.sign(velocity) * stick.position) / speed
+    to_edge = scales.deceleration - scales.spring.squared * jnp.sign(velocity) * stick.position
     # A missed arrival counts for the end that came first; if both came before it, a small change brings no stick.
     misses = longer.stuck & ~stuck & (motion.t < scales.t1)
     after_switch = misses & (to_switch <= 0) & (to_horizon > 0)
@@ -157,7 +159,7 @@ def _distances(
 class _Arc(NamedTuple):
     """The first arc of an interval on a moving base."""
 
-    excess: FloatArray  # R^2 - q^2 in (m/s)^2, R its radius; where positive it reaches q
+    excess: FloatArray  # R^2 - w2 q^2 in (m/s^2)^2 (`_dynamics/interval/arcs.py`); where positive it reaches q
     top: FloatArray  # when it comes nearest to q, s from its beginning
     is_below: BoolArray
     has_top: BoolArray  # whether the interval holds its top: a change of the excess's sign then adds or removes a stick
@@ -167,27 +169,27 @@ class _Arc(NamedTuple):
 def _first_arc(
     scales: Scales, motion: Motion, cut_velocity: FloatArray, duration: FloatArray, velocity: FloatArray
 ) -> _Arc:
-    # The quantities of `_dynamics/interval/arcs.py`, as velocities: all lengths times omega.
     forward = jnp.where(velocity < 0, -1, 1)
-    p, q, a = forward * motion.p * scales.omega, jnp.abs(velocity), scales.half_width * scales.omega
-    D = (forward * motion.x - scales.half_width) * scales.omega
-    is_below = p < q
-    excess = excess_of(D + jnp.where(is_below, 0, 2 * a), p, q)  # the centre of an arc from above is -a
-    # Clockwise from (D, p) to the top, (0, R). It decides whether the interval holds the top; no derivative needs it.
-    back, up = lax.stop_gradient(D), lax.stop_gradient(p)
+    v, q, alpha, spring = forward * motion.v, jnp.abs(velocity), scales.deceleration, scales.spring
+    A = spring.squared * (forward * motion.x) - alpha
+    is_below = v < q
+    excess = excess_of(A + jnp.where(is_below, 0, 2 * alpha), v, q, spring)  # the centre of an arc from above is -alpha
+    # Clockwise from (A, omega v) to the top, (0, R). It decides whether the interval holds the top; no derivative needs
+    # it. Without a spring there is no top: the velocity grows until it is q.
+    back, up = lax.stop_gradient(A), spring.omega * lax.stop_gradient(v)
     angle = angle_of(jnp.abs(back), up)
-    top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * scales.inverse_omega
+    top = jnp.where(back <= 0, angle, 2 * np.pi - angle) * spring.inverse_omega
     # After a stick cut short by a reversal of the base, R >= q always (the excess is a square): no stick can appear.
     is_reversed = cut_velocity == -velocity
     # Back on the circle on which it left a stick, R = q for all parameters: the sign of the excess is round-off there.
-    not_tangent = jnp.abs(excess) > touch(D, q, a)
+    not_tangent = (jnp.abs(excess) > touch(A, spring.omega * q, scales)) & (spring.squared > 0)
     has_top = (q > 0) & is_below & ~is_reversed & not_tangent & (top < duration) & (motion.t + top < scales.t1)
-    return _Arc(excess, top, is_below, has_top, is_below & (excess > 0) & (excess <= (2 * a) ** 2))
+    return _Arc(excess, top, is_below, has_top, is_below & (excess > 0) & (excess <= (2 * alpha) ** 2))
 
 
 def relative_excess(scales: Scales, motion: Motion, velocity: Array) -> Array:
-    """``R^2 - q^2`` of the first arc on a base of this velocity, relative to its terms; 1 for an arc from above."""
+    """``R^2 - w2 q^2`` of the first arc on a base of this velocity, relative to its terms; 1 for an arc from above."""
     nothing = jnp.zeros_like(motion.x)
     arc = _first_arc(scales, motion, nothing, jnp.full_like(nothing, jnp.inf), velocity)
-    size = velocity * velocity + (scales.half_width * scales.omega) ** 2
+    size = scales.spring.squared * velocity * velocity + scales.deceleration**2
     return jnp.where(arc.is_below & (velocity != 0), arc.excess / lax.stop_gradient(size), 1)

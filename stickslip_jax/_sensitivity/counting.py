@@ -14,7 +14,8 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._dynamics.common.engine import Engine
-from .._dynamics.interval.crossing import Scales, status_of
+from .._dynamics.interval.arcs import Scales
+from .._dynamics.interval.crossing import status_of
 from .._dynamics.interval.engine import IntervalEngine
 from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
 from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._dynamics.common.engine import Engine
-from .._dynamics.interval.crossing import Scales, scales_of, start_motion
+from .._dynamics.interval.arcs import Scales
+from .._dynamics.interval.crossing import scales_of, start_motion
 from .._dynamics.interval.engine import IntervalEngine
 from .._numerics.random_bits import random_words
 from .._types import Array, DType
@@ -75,7 +76,9 @@ def _excess(engine: IntervalEngine, scales: Scales, velocities: Float[Array, " l
 def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Array:
     """``w`` of the first base speed less each special one, (lanes, special speeds); 1 for a base at rest."""
     velocity = velocities[:, None]
-    w = jnp.abs(velocity) * scales.inverse_omega / scales.half_width
+    squared = scales.spring.squared
+    omega = jnp.sqrt(jnp.where(squared > 0, squared, 1))
+    w = jnp.where(squared > 0, jnp.abs(velocity) * omega / scales.deceleration, 0)
     return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], velocity.dtype))
 
 

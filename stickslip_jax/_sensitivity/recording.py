@@ -9,7 +9,8 @@ from jaxtyping import PyTree
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.segments import SegmentLaws
-from .._dynamics.interval.crossing import Scales, scales_of, start_motion, status_of
+from .._dynamics.interval.arcs import Scales
+from .._dynamics.interval.crossing import scales_of, start_motion, status_of
 from .._dynamics.interval.engine import IntervalEngine, is_over
 from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
 from .._dynamics.switched.lane import Lane

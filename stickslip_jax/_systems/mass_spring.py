@@ -1,17 +1,19 @@
 """A mass on a spring, pressed on a moving base: its parameters, and how it moves.
 
-``m x'' + c x' + k x = F(t) - sign mu n`` in a slip: a damped rotation about the response to the force, which is known
-for constant, linear and harmonic forces (any book on vibration). Under other forces and friction laws each step is one
-Runge-Kutta step.
+``m x'' + c x' + k x = F(t) - sign mu n`` in a slip: the response to a step and a ramp of the force, besides that to
+harmonic forces (any book on vibration). Nothing is divided by the stiffness, which may be zero. Under other forces and
+friction laws each step is one Runge-Kutta step.
 """
 
 import math
 from contextlib import suppress
-from typing import Annotated, ClassVar, NamedTuple, cast
+from typing import Annotated, Any, ClassVar, NamedTuple, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jax.tree_util import Partial
 
 from .. import _checks
@@ -22,7 +24,7 @@ from .._excitation.segments import added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._fields import Quantity, is_distribution
 from .._numerics.known import NotKnown
-from .._numerics.rotation import free_motion
+from .._numerics.rotation import responses
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .built_in import is_built_in
@@ -34,6 +36,8 @@ from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, sh
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
+_SOFT = 0.01  # rad/s, of a spring that does not set the time in which a motion changes
+_SO_FAR = 16.0  # times the speeds of a motion: beyond what friction changes in one radian, unless the spring is soft
 _PASSED = StepCount(6.0, 1.0)
 _DECAYED = StepCount(2.0, 1.0)
 
@@ -47,7 +51,7 @@ class MassSpring(System):
 
     Args:
         mass: kg, positive.
-        stiffness: N/m, positive.
+        stiffness: N/m, positive; or zero for a mass without a spring, as Newmark's sliding block.
         normal_force: N, positive.
         friction: The friction law, such as `Coulomb(mu)`.
         damping: Of a viscous damper to the ground, N s/m, zero or positive. None is zero.
@@ -58,7 +62,7 @@ class MassSpring(System):
     """
 
     mass: Annotated[Number, Quantity("kg", above=0)]
-    stiffness: Annotated[Number, Quantity("N/m", above=0)]
+    stiffness: Annotated[Number, Quantity("N/m", at_least=0)]
     normal_force: Annotated[Number, Quantity("N", above=0)]
     friction: FrictionLaw
     # None rather than zero: an undamped system is then another pytree, known as undamped when numbers are traced.
@@ -93,9 +97,9 @@ class MassSpring(System):
     def stick_half_width(self) -> Scalar:
         """Largest displacement (m) at which the mass sticks on a base of constant velocity, without force and damping.
 
-        It is ``a = mu_static * normal_force / stiffness``.
+        It is ``a = mu_static * normal_force / stiffness``, infinite without a spring.
         """
-        return self.friction.static * self.normal_force / self.stiffness
+        return _over(self.friction.static * self.normal_force, self.stiffness)
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -110,8 +114,8 @@ class MassSpring(System):
         return True
 
     @property
-    def natural_frequency(self) -> Scalar:
-        return self.angular_frequency
+    def natural_frequency(self) -> Scalar | None:
+        return None if _is_zero(self.stiffness) else self.angular_frequency
 
     @property
     def static_exceeds_kinetic(self) -> bool:
@@ -145,7 +149,7 @@ class MassSpring(System):
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED if solver is None else SOLVED
-        natural = 2 * math.pi * (self.mass / self.stiffness) ** 0.5
+        natural = 2 * math.pi * _over(self.mass, self.stiffness) ** 0.5
         force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
         passing, decay = times_of_slips(self.friction, self.mass, self.normal_force, self.damping)
         return {
@@ -161,11 +165,17 @@ class MassSpring(System):
     @property
     def contact_scales(self) -> tuple[Scalar, Scalar]:
         held = self.friction.static * self.normal_force
-        return held / jnp.sqrt(jnp.asarray(self.mass * self.stiffness, float)), held / self.mass
+        return held / self.mass * self._clock, held / self.mass
 
     def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
         speed, _ = self.contact_scales
-        return speed / self.angular_frequency, speed
+        return speed * self._clock, speed
+
+    @property
+    def _clock(self) -> Scalar:
+        """In which the motion changes: the time of one radian, or 1 s where there is hardly a spring."""
+        omega = lax.stop_gradient(jnp.asarray(self.stiffness / self.mass, float)) ** 0.5
+        return jnp.where(omega > _SOFT, 1 / jnp.where(omega > _SOFT, omega, 1), 1.0)
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is None and self.damping is None and isinstance(self.force, Signal):
@@ -178,7 +188,7 @@ class MassSpring(System):
 
     @property
     def slip_center(self) -> Scalar | None:
-        if not self.friction.constant or self.force is not None:
+        if not self.friction.constant or self.force is not None or _is_zero(self.stiffness):
             return None
         return self.friction.slip_coefficient(jnp.zeros(())) * self.normal_force / self.stiffness
 
@@ -190,15 +200,18 @@ class MassSpring(System):
     def stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
-        """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m."""
+        """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m; NaN without a
+        spring, where the position does not matter.
+        """
         force: FloatArray | float = 0.0
         if self.force is not None:
             force = self.force.value(times) if isinstance(self.force, Recorded) else jax.vmap(self.force.value)(times)
         load = force - self.mass * (acceleration + ground)
         if self.damping is not None:
             load = load - self.damping * velocity
-        center = load / self.stiffness
-        return center - self.stick_half_width, center + self.stick_half_width
+        stiffness = jnp.where(jnp.asarray(self.stiffness) > 0, self.stiffness, jnp.nan)
+        center, half_width = load / stiffness, self.friction.static * self.normal_force / stiffness
+        return center - half_width, center + half_width
 
 
 class OscillatorForcing(NamedTuple):
@@ -228,18 +241,15 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         m, k, c = self._constants()
         coefficient = sign * self.friction.continued_coefficient(jnp.zeros_like(h), sign)
-        friction = coefficient * self.system.normal_force
-        beta = 0 if c is None else c / (2 * m)
-        omega_squared = k / m
-        before, after = (self._response(forcing, tau, friction) for tau in (jnp.zeros_like(h), h))
-        u, w = y[0] - before[0], y[1] - before[1]
-        free = free_motion(beta, omega_squared, h)
-        x = after[0] + free.kept * u + free.carried * w
-        p = after[1] + free.slowed * w - omega_squared * free.carried * u
-        # A load that grows, from rest at its first value: the steady part lags by c / k, which may be far more.
-        lag = free.carried if c is None else free.carried + c / k * free.settled
-        slope = forcing.load_slope / k
-        return x + slope * (h - lag), p + slope * free.settled
+        # Beside the steady response to harmonic forces: a motion under a force that grows steadily.
+        (x0, p0), (x1, p1) = (self._steady(forcing, tau) for tau in (jnp.zeros_like(h), h))
+        force = cast(Harmonic | SumOfHarmonics | None, self.system.force if self._is_harmonic else None)
+        load = forcing.load + (0 if force is None else force.mean)
+        first = (load - coefficient * self.system.normal_force - k * (y[0] - x0)) / m
+        slope, speed = forcing.load_slope / m, y[1] - p0
+        by = responses(0 if c is None else c / (2 * m), jnp.asarray(k / m, h.dtype), h)
+        x = y[0] + (x1 - x0) + speed * by.impulse + first * by.step + slope * by.ramp
+        return x, p1 + speed * by.rate + first * by.impulse + slope * by.step
 
     def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> State:
         travel = h * (forcing.base + 0.5 * h * forcing.base_slope)
@@ -271,8 +281,11 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     def guard_scale(self, forcing: OscillatorForcing, y: State, sign: FloatScalar) -> FloatScalar:
         m, k, _ = self._constants()
         velocity = self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
-        omega, band = jnp.sqrt(k / m), self.friction.static * self.system.normal_force / k
-        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * (jnp.abs(y[0]) + band)
+        omega, deceleration = lax.stop_gradient((jnp.sqrt(k / m), self.friction.static * self.system.normal_force / m))
+        slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * jnp.abs(y[0])
+        # What friction changes in the time of one radian; of a soft spring, no more than has moved so far.
+        moved = _SO_FAR * (slip + deceleration * forcing.t)
+        slip = slip + jnp.where(deceleration < moved * omega, deceleration / jnp.where(omega > 0, omega, 1), moved)
         return jnp.where(sign == 0, 2.0, slip)
 
     def on_base(self, forcing: OscillatorForcing, y: State) -> State:
@@ -334,16 +347,19 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         # A mass that needs a positive force lags behind the base once it is released.
         return needed, jnp.asarray(self.friction.stick_limit(-needed) * self.system.normal_force)
 
-    def _response(self, forcing: OscillatorForcing, tau: FloatScalar, friction: FloatScalar) -> FloatPair:
-        """A particular solution: position and velocity under the load as the step begins, friction, harmonic forces."""
+    @property
+    def _is_harmonic(self) -> bool:
+        """Whether there is a harmonic force; under other signals slips have no closed form."""
+        return isinstance(self.system.force, Signal)
+
+    def _steady(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatPair:
+        """Position and velocity of the steady response to a harmonic force, without its mean."""
         m, k, c = self._constants()
-        c = 0 if c is None else c
-        x, p = (forcing.load - friction) / k, jnp.zeros_like(tau)
-        if isinstance(self.system.force, Signal):
-            force = cast(Harmonic | SumOfHarmonics, self.system.force)  # under others there is no closed form
-            position, velocity = steady_response(force.tones, m, k, c, forcing.t + tau)
-            x, p = x + force.mean / k + position, p + velocity
-        return x, p
+        if not self._is_harmonic:
+            return jnp.zeros_like(tau), jnp.zeros_like(tau)
+        force = cast(Harmonic | SumOfHarmonics, self.system.force)
+        position, velocity = steady_response(force.tones, m, k, 0 if c is None else c, forcing.t + tau)
+        return position, velocity
 
 
 class SolverOscillatorModel(OscillatorModel):
@@ -374,6 +390,14 @@ class SolverOscillatorModel(OscillatorModel):
 
 def _times(c: Scalar | None, value: FloatScalar) -> FloatScalar | int:
     return 0 if c is None else c * value
+
+
+def _over(value: Number, stiffness: Number) -> Any:
+    """``value / stiffness``, infinite where that is zero."""
+    if _is_zero(stiffness):
+        return math.inf
+    with np.errstate(divide="ignore"):
+        return value / stiffness
 
 
 def _is_zero(value: object) -> bool:

@@ -33,7 +33,7 @@ def check_no_resonance(force: Any, omega: Scalar) -> None:
     if not force.is_harmonic:
         return
     frequencies = force.tones[1]
-    if np.any(np.abs(values_of(frequencies / omega) - 1) < _RESONANCE):
+    if np.any(np.abs(values_of(frequencies - omega)) < _RESONANCE * values_of(omega)):
         raise ValueError(
             f"Argument force must not have the natural angular frequency of {_shown(omega)} rad/s where there is no "
             f"damping, but {_shown(frequencies)} rad/s was given; use method=Exact(solver=diffrax.Dopri8()), which "

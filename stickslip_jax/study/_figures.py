@@ -5,6 +5,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .._ensemble.result import Ensemble
 from .._excitation.random import RandomPhase
 from .._excitation.voltage import SourceVoltage
@@ -70,7 +72,8 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
 
 def _time_shown(system: System, law: object) -> float:
     """The longest time whose oscillations can be distinguished in a figure, s."""
-    if system.natural_frequency is None:
+    frequency = system.natural_frequency
+    if frequency is None or not np.all(np.asarray(frequency) > 0):
         signal: Any = law.signal if isinstance(law, RandomPhase) else law
-        return _VOLTAGE_PERIODS_SHOWN * float(signal.shortest_period)
-    return _PERIODS_SHOWN * 2 * math.pi / float(system.natural_frequency)
+        return _VOLTAGE_PERIODS_SHOWN * float(getattr(signal, "shortest_period", math.inf))
+    return _PERIODS_SHOWN * 2 * math.pi / float(frequency)

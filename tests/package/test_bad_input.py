@@ -52,7 +52,6 @@ def run(**changed):
 KEY = jax.random.key(0)
 POSITIVE = {
     "mass": lambda value: system(mass=value),
-    "stiffness": lambda value: system(stiffness=value),
     "normal_force": lambda value: system(normal_force=value),
     "SquareWave speed": lambda value: ss.SquareWave(speed=value, period=1.0),
     "SquareWave period": lambda value: ss.SquareWave(speed=1.0, period=value),
@@ -64,6 +63,7 @@ POSITIVE = {
     "sample t1": lambda value: ss.PoissonSwitching(1.0, 1.0).sample(KEY, value),
 }
 NUMBERS = POSITIVE | {
+    "stiffness": lambda value: system(stiffness=value),
     "mu": ss.Coulomb,
     "Constant speed": ss.Constant,
     "y0[0]": lambda value: run(y0=(value, 0.0)),
@@ -81,6 +81,11 @@ def test_not_positive(label, value):
     refuses(lambda: POSITIVE[label](value), argument(label), value)
 
 
+@pytest.mark.parametrize("value", [-1.0, -3, np.float32(-2.0)], ids=show)
+def test_a_negative_stiffness(value):
+    refuses(lambda: system(stiffness=value), "stiffness", value)
+
+
 @pytest.mark.parametrize("value", NOT_FINITE, ids=show)
 @pytest.mark.parametrize("label", NUMBERS)
 def test_not_finite(label, value):
@@ -94,6 +99,7 @@ def test_not_a_number(label, value):
 
 
 SIZED = POSITIVE | {
+    "stiffness": lambda value: system(stiffness=value),
     "mu": ss.Coulomb,
     "damping": lambda value: system(damping=value),
     "motor_constant": lambda value: ss.MotorCart(motor_constant=value),

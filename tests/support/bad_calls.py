@@ -62,7 +62,7 @@ SEQUENCE = ("durations", "values", "slopes", "velocities", "times")
 def systems() -> Iterator[Target]:
     yield fields(ss.Coulomb, mu=(0.5, "not negative field"), mu_static=(0.6, "optional not negative field"))
     yield fields(
-        ss.MassSpring, mass=(1.0, "positive field"), stiffness=(4.0, "positive field"),
+        ss.MassSpring, mass=(1.0, "positive field"), stiffness=(4.0, "not negative field"),
         normal_force=(1.0, "positive field"), friction=(ss.Coulomb(0.5), "friction"),
         damping=(0.1, "optional not negative field"), force=(None, "optional base"),
     )  # fmt: skip

@@ -77,6 +77,32 @@ def test_the_trapezoidal_rule_comes_to_the_same_in_short_steps(blocks, slid):
     assert errors[2] < errors[1] / 8 < errors[0] / 64
 
 
+@pytest.mark.parametrize("share", SHARES)
+def test_a_mass_without_a_spring_slides_on_a_base_as_newmark_says(share):
+    """The pulse as a base that is accelerated to a velocity, with exact edges: how far the block lags behind."""
+    speed = LARGEST * DURATION
+    base = ss.VelocitySegments(np.array([DURATION, 30.0]), np.array([0.0, speed]), np.array([LARGEST, 0.0]))
+    one = ss.simulate(ss.MassSpring(2.0, 0.0, 2.0, ss.Coulomb(share * LARGEST)), base, t1=20.0)
+    lag = LARGEST * DURATION**2 / 2 + speed * (20.0 - DURATION) - float(one.final_state[0])
+    assert lag == pytest.approx(speed**2 / (2 * share * LARGEST) * (1 - share), rel=1e-12, abs=1e-12)
+    # It slides from the first instant until it has the velocity of the base.
+    assert float(one.sticks.start[np.asarray(one.sticks.mask)][-1]) == pytest.approx(DURATION / share, rel=1e-12)
+
+
+def test_a_slope_of_a_mass_without_a_spring():
+    """Other limits up the slope and down: a constant force; `Block` is the same without a `MassSpring`."""
+    w, g, share = 2 * math.pi, 9.81, 0.3
+    ground = ss.Harmonic(-g / w, w, 0.0, offset=g / w)
+    pull, above = 2.0, g * share
+    force = ss.Harmonic(0.0, 1.0, offset=-pull)
+    block = ss.MassSpring(1.0, 0.0, above + pull, ss.Coulomb(1.0), force=force)
+    other = ss.simulate(Block(above, pull), ground, t1=3.0, y0=(0.0, 0.0), method=ss.Exact(step=0.01))
+    one = ss.simulate(block, ground, t1=3.0, method=ss.Exact(step=0.01))
+    travel = 3 * g / w  # of the base, in three periods
+    assert float(one.final_state[0]) - travel == pytest.approx(float(other.final_state[0]), rel=1e-10)
+    assert int(one.sticks.count) == int(other.sticks.count) > 3
+
+
 class Block(ss.SwitchedSystem):
     """A rigid block on a slope, without a spring; the base moves up the slope."""
 

@@ -17,8 +17,6 @@ from ..._uncertainty.numbers import shown
 from .method import Exact, Regularized
 from .time_scales import step_for
 
-_LEAST_TURN = 1e-3  # rad in the whole duration: the motion is then good to about 1e-8 in double precision
-
 
 class Arguments(NamedTuple):
     """What is simulated: a system on a base motion (a law or a realisation), by a method, up to `t1` (s)."""
@@ -62,26 +60,6 @@ class Arguments(NamedTuple):
                     f"Argument {name} must last until t1 = {float(self.t1):g} s, but it ends at "
                     f"{motion.covered_time:g} s; record more of it or choose a smaller t1."
                 )
-
-    def warn_of_soft_spring(self) -> None:
-        """Warn where round-off of the position under a force at rest, ``force / stiffness``, hides the motion.
-
-        The motion up to `t1` is of the size ``force t1^2 / (2 mass)``. An integration does not have this round-off.
-        """
-        frequency = self.system.natural_frequency
-        if frequency is None or self.method.solver is not None or not self.system.has_closed_form:
-            return
-        if _checks.is_traced(frequency) or _checks.is_traced(self.t1):
-            return
-        lowest, duration = float(np.min(frequency)), float(np.min(self.t1))
-        if lowest * duration < _LEAST_TURN:
-            warnings.warn(
-                f"The natural period, {2 * np.pi / lowest:.3g} s, is so long beside t1 = {duration:.3g} s that the "
-                "closed form loses digits: its round-off is that of force / stiffness. If there is to be no spring, "
-                "integrate instead: method=Exact(solver=diffrax.Dopri8()).",
-                RuntimeWarning,
-                stacklevel=4,
-            )
 
     def checked_step(self, name: str = "base") -> tuple[Excitation, Scalar]:
         """The `Excitation` made from `base` (the argument called `name`), and the time step (s), at most `t1`.

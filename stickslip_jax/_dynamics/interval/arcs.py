@@ -1,16 +1,21 @@
 """Closed forms of the motion while the base velocity stays constant.
 
-Units inside: lengths as given; time as the angle ``omega t``; velocities divided by ``omega``, so that every slip arc
-is a clockwise circle of unit angular speed. ``a`` is the stick half-width ``mu n / k``. The formulas are for a base
-that moves forward, ``q = |v| / omega >= 0``; for a backward one the state is mirrored (`carry_across`).
+Times in s, positions in m, velocities in m/s; nothing is divided by the stiffness, which may be zero (`spring.py`).
+``alpha = mu n / m`` is the deceleration by friction, ``w2 = omega^2 = k / m``. The formulas are for a base that moves
+forward, at the speed ``q = |base velocity| >= 0``; for a backward one the state is mirrored (`carry_across`).
 
-Slip below the base velocity circles about ``+a``, slip above it about ``-a`` (Lima and Sampaio, conference paper,
-eq. 3). With ``side = +1`` below and ``-1`` above, the rules that follow from this geometry are the same for both:
+In the plane of ``omega x`` and velocity, slip below the base velocity circles about ``+alpha / omega``, slip above it
+about ``-alpha / omega`` (Lima and Sampaio, conference paper, eq. 3). With ``side = +1`` below and ``-1`` above, the
+rules that follow from this geometry are the same for both. In accelerations, the lengths there times omega:
 
-- offset from the centre, towards the side: ``D = side x - a``; radius ``R^2 = D^2 + p^2``;
-- the arc meets the base velocity at distance ``h = sqrt(R^2 - q^2)`` from the centre, at ``x = side (a - h)``;
-- the mass sticks there if ``h <= 2 a``; otherwise it crosses to the other side, and meets the base velocity next at
-  distance ``h - 2 a`` from the other centre, and so on.
+- offset from the centre, towards the side: ``A = side w2 x - alpha``, the deceleration; radius
+  ``R^2 = A^2 + w2 v^2``;
+- the arc meets the base velocity at distance ``H = sqrt(R^2 - w2 q^2)`` from the centre, where
+  ``w2 x = side (alpha - H)``;
+- the mass sticks there if ``H <= 2 alpha``; otherwise it crosses to the other side, and meets the base velocity next at
+  distance ``H - 2 alpha`` from the other centre, and so on.
+
+Without a spring ``H = alpha``: every meeting is a stick, which lasts as long as the base velocity.
 """
 
 from typing import NamedTuple
@@ -20,8 +25,9 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._compiler import computed_once
-from ..._numerics.elementary import angle_of, sincos
+from ..._numerics.elementary import angle_of
 from ..._types import BoolArray, FloatArray
+from .spring import Spring, half_turn, quotient, slope_of_angle, swung, time_until, to_meeting
 
 # After a release at base velocity w the arc has R = w exactly. If the base velocity returns to w while the mass is on
 # that arc (perhaps after a rest, or half a turn about the other centre), the arc is tangent to it, and round-off must
@@ -29,228 +35,280 @@ from ..._types import BoolArray, FloatArray
 # the square root of the number of intervals: 80 after 10^4. With this threshold a true arrival is missed only if its
 # stick is shorter than about 1e-6 R/q (float64), which happens once in 10^12 arcs.
 _TOUCH_ULPS = {8: 4096, 4: 64}
-# Tolerance, in units in the last place, within which a mass on a base at rest counts as resting inside the band.
+# Tolerance, in units in the last place, within which a mass on a base at rest counts as resting inside the band: of
+# its offset, and of its velocity beside the one that friction stops in 1 / omega, or in t1 where that is shorter.
 _REST_ULPS = 128
 # The longest interval, rad: the last place of a larger angle exceeds 1e-7. Longer intervals give NaN (`NOT_FINITE`).
 _LONGEST_SPAN = 2.0**30
 
 
+class Scales(NamedTuple):
+    """Parameters of the closed forms: the spring, the `deceleration` by friction ``mu n / m`` (m/s^2), the speed below
+    which a mass on a base at rest rests (m/s, without a derivative), and the horizon `t1`, s.
+    """
+
+    spring: Spring
+    deceleration: FloatArray
+    rest_speed: FloatArray
+    t1: FloatArray
+
+    @classmethod
+    def of(cls, squared: FloatArray, deceleration: FloatArray, t1: FloatArray) -> "Scales":
+        """The scales for a squared angular frequency (rad^2/s^2), a deceleration and a horizon."""
+        scales = cls(Spring.of(squared), deceleration, t1, t1)
+        rest_speed = _REST_ULPS * jnp.finfo(squared.dtype).eps * deceleration * scales.clock
+        return scales._replace(rest_speed=lax.stop_gradient(rest_speed))
+
+    @property
+    def clock(self) -> FloatArray:
+        """The time in which the velocity changes by friction at most: 1 / omega, or t1 where that is shorter, s."""
+        return jnp.where(self.spring.omega * self.t1 > 1, self.spring.inverse_omega, self.t1)
+
+
 class Passage(NamedTuple):
-    """Result of one interval: the state at its end and its stick, if any; `entered`, `left`: angles since its start."""
+    """Result of one interval: the state at its end and its stick, if any; `entered`, `left`: times since its start, s.
+
+    `position`, `left_at`: where the stick begins and ends.
+    """
 
     x: FloatArray
-    p: FloatArray
+    v: FloatArray
     entered: FloatArray
     left: FloatArray
     position: FloatArray
+    left_at: FloatArray
     stuck: BoolArray
     released: BoolArray
 
 
 class FirstArc(NamedTuple):
-    """The arc from an interval's first state: its `side`, its `offset` from the centre and `p`.
+    """The arc from an interval's first state: its `side`, its offset `A` from the centre and the velocity `v`.
 
-    It meets the base velocity at the distance `h` from the centre, after `angle`; `excess` ``= h^2 = R^2 - q^2``.
-    `arrives`: whether it does so within the interval.
+    It meets the base velocity at the distance `H` from the centre, after `time`; `excess` ``= H^2 = R^2 - w2 q^2``.
+    `arrives`: whether it does so within the interval. `position`: where, if `is_flat` (see `to_meeting`).
     """
 
     side: FloatArray
-    offset: FloatArray
-    p: FloatArray
+    A: FloatArray
+    v: FloatArray
     excess: FloatArray
-    h: FloatArray
-    angle: FloatArray
+    H: FloatArray
+    time: FloatArray
+    position: FloatArray
+    is_flat: BoolArray
     arrives: BoolArray
 
 
 class _LastMeeting(NamedTuple):
-    """The last arc that begins in the interval, as seen from the base velocity: its `side` and distance `h`; the angle
+    """The last arc that begins in the interval, as seen from the base velocity: its `side` and distance `H`; the time
     `entered` at which it meets it, or else began; and whether the mass has `arrived` inside the stick band.
     """
 
     side: FloatArray
-    h: FloatArray
+    H: FloatArray
     entered: FloatArray
     arrived: BoolArray
 
 
 class _Stick(NamedTuple):
-    """The stick from the last meeting on: its position; the angle at which it is `left`; how it ends; if it is one."""
+    """The stick from the last meeting on: where it begins and ends; when it is `left`; how it ends; if it is one."""
 
     position: FloatArray
+    left_at: FloatArray
     left: FloatArray
     released: BoolArray
     stuck: BoolArray
 
 
-def carry_across(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray, span: FloatArray) -> Passage:
-    """Carry the state ``(x, p)`` across an interval of base velocity ``v`` (over omega) and length `span` (an angle).
+def carry_across(x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales, span: FloatArray) -> Passage:
+    """Carry the state ``(x, v)`` across an interval of the base velocity `base` and the length `span` (s).
 
     There is at most one stick: after a release the mass moves on a circle tangent to the base velocity from below.
     """
-    mirror, x, p, q, span = mirrored(x, p, v, span)
-    first = first_arc(x, p, q, a, span)
-    last = _LastMeeting(*_follow_crossings(first.side, first.h, first.angle, first.arrives, q, a, span))
-    stick = _stick(last, q, a, span)
-    center, offset, p_start, angle = _last_rotation(first, last, stick, q, a, span)
-    sine, cosine = sincos(angle)
-    # A radius whose square overflows would miss its arrivals: 0 * infinity makes the state NaN (`NOT_FINITE`).
-    x_end = center + offset * cosine + p_start * sine + 0 * first.excess
-    p_end = p_start * cosine - offset * sine
-    position, left, released, stuck = stick
-    return Passage(mirror * x_end, mirror * p_end, last.entered, left, mirror * position, stuck, released & stuck)
+    mirror, x, v, q, turned, span = mirrored(x, v, base, scales, span)
+    first = first_arc(x, v, q, turned, scales, span)
+    given = first.side, first.H, first.time, first.arrives, q, turned, scales.deceleration, scales.spring, span
+    last = _LastMeeting(*_follow_crossings(*given))
+    stick = _stick(first, last, q, scales, span)
+    x, v, A, time = _last_rotation(x, first, last, stick, q, scales, span)
+    x_end, v_end = swung(x, v, A, time, scales.spring)
+    x_end = x_end + 0 * first.excess  # a radius whose square overflows would miss its arrivals: NaN (`NOT_FINITE`)
+    position, left_at, left, released, stuck = stick
+    return Passage(
+        mirror * x_end, mirror * v_end, last.entered, left, mirror * position, mirror * left_at, stuck, released & stuck
+    )
 
 
 @computed_once
-def mirrored(x, p, v, span):
-    mirror = jnp.where(v < 0, -1, 1).astype(x.dtype)
-    return mirror, mirror * x, mirror * p, jnp.abs(v), jnp.where(span < _LONGEST_SPAN, span, jnp.nan)
+def mirrored(x, v, base, scales, span):
+    mirror = jnp.where(base < 0, -1, 1).astype(x.dtype)
+    known = scales.spring.omega * span < _LONGEST_SPAN
+    q = jnp.abs(base)
+    return mirror, mirror * x, mirror * v, q, scales.spring.omega * q, jnp.where(known, span, jnp.nan)
 
 
 @computed_once
-def _stick(last: _LastMeeting, q: FloatArray, a: FloatArray, span: FloatArray) -> _Stick:
-    """The stick from `entered` at ``x = side (a - h)`` until the spring reaches the friction limit at ``x = +a``."""
-    side, h, entered, arrived = last
-    position = side * (a - h)
-    moving = q > 0
-    release = jnp.where(moving, entered + (a - position) / jnp.where(moving, q, 1), jnp.inf)
+def _stick(first: FirstArc, last: _LastMeeting, q: FloatArray, scales: Scales, span: FloatArray) -> _Stick:
+    """The stick from `entered` at ``w2 x = side (alpha - H)`` until the spring reaches the friction limit at alpha."""
+    side, H, entered, arrived = last
+    alpha, spring = scales.deceleration, scales.spring
+    is_flat = first.is_flat & ~(first.arrives & (2 * alpha < first.H))  # and not crossed
+    # After a crossing that has led to no arrival: where the crossing was, H beyond the centre.
+    elsewhere = side * quotient(alpha - jnp.where(arrived, H, -H), ~is_flat & first.arrives, spring)
+    position = jnp.where(is_flat, first.position, elsewhere)
+    lacks, rate = jnp.where(side > 0, H, 2 * alpha - H), spring.squared * q
+    release = entered + time_until(lacks, rate, span)
     released = arrived & (release <= span)
     left = jnp.where(released, release, span)
-    return _Stick(position, left, released, arrived & (left > entered))
+    left_at = position + jnp.where(arrived, q * (left - entered), 0)
+    return _Stick(position, left_at, left, released, arrived & (left > entered))
 
 
 @computed_once
 def _last_rotation(
-    first: FirstArc, last: _LastMeeting, stick: _Stick, q: FloatArray, a: FloatArray, span: FloatArray
+    x: FloatArray,
+    first: FirstArc,
+    last: _LastMeeting,
+    stick: _Stick,
+    q: FloatArray,
+    scales: Scales,
+    span: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The last motion of the interval, one rotation: its centre; the offset from it and p at its beginning; its angle.
+    """The last motion of the interval, one rotation: position, velocity and deceleration at its beginning; its time.
 
-    About +a from the release point, or about the centre of the current arc from where that arc began, which is the
-    interval's first state or (after a crossing) distance h beyond the centre at p = q. A mass still stuck at the end
-    is rotated by the angle 0.
+    From the end of the stick, where a release leaves no acceleration; or along the current arc from where that arc
+    began, which is the interval's first state or (after a crossing) distance H beyond the centre at the velocity q. A
+    mass still stuck at the end is rotated for no time.
     """
-    side, h, entered, arrived = last
+    arrived = last.arrived
     crossed = first.arrives & ~arrived
-    offset = jnp.where(crossed, side * h, first.offset)
-    offset_at_end = stick.position + q * (span - entered) - a
-    offset = jnp.where(arrived, jnp.where(stick.released, 0, offset_at_end), offset)
-    center = jnp.where(arrived, a, side * a)
-    p_start = jnp.where(first.arrives, q, first.p)
-    angle = jnp.where(arrived, span - stick.left, span - jnp.where(crossed, entered, 0))
-    return center, offset, p_start, angle
+    start = jnp.where(first.arrives, stick.left_at, x)
+    v_start = jnp.where(first.arrives, q, first.v)
+    deceleration = jnp.where(arrived, 0, last.side * jnp.where(crossed, last.H, first.A))
+    time = span - jnp.where(arrived, stick.left, jnp.where(crossed, last.entered, 0))
+    return start, v_start, deceleration, time
 
 
-def sticks_from_start(x: FloatArray, p: FloatArray, v: FloatArray, a: FloatArray) -> BoolArray:
-    """Whether a mass in the state ``(x, p)`` is in a stick from the first instant on a base of velocity ``v``."""
-    forward = jnp.where(v < 0, -x, x)
-    return ((p == v) & (forward >= -a) & (forward < a)) | _rests(x, p, v, a)
+def sticks_from_start(x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales) -> BoolArray:
+    """Whether a mass in the state ``(x, v)`` is in a stick from the first instant on a base of velocity ``base``."""
+    pull = scales.spring.squared * jnp.where(base < 0, -x, x)
+    alpha = scales.deceleration
+    return ((v == base) & (pull >= -alpha) & (pull < alpha)) | _rests(scales.spring.squared * x, v, base, scales)
 
 
-def _rests(x, p, v, a):
-    """Whether the mass rests inside the stick band on a base at rest.
+def _rests(pull, v, base, scales):
+    """Whether the mass rests inside the stick band on a base at rest; `pull`: ``w2 x``.
 
     The edge of the band is included: the slip circle there has radius 0, which is no motion.
     """
-    edge = _REST_ULPS * jnp.finfo(x.dtype).eps * a
-    return (v == 0) & (jnp.abs(p) <= edge) & (jnp.abs(x) <= a + edge)
+    most = (1 + _REST_ULPS * float(jnp.finfo(v.dtype).eps)) * scales.deceleration
+    return (base == 0) & (jnp.abs(v) <= scales.rest_speed) & (jnp.abs(pull) <= most)
 
 
-def first_arc(x: FloatArray, p: FloatArray, q: FloatArray, a: FloatArray, span: FloatArray) -> FirstArc:
-    """The arc from the interval's first state."""
-    at_rest, side, D, p = _seen_from_center(x, p, q, a)
-    excess, reaches, h = _meeting(at_rest, D, p, q, a)
-    angle = _angle_to_meeting(D, p, q, h, side)
-    return FirstArc(side, side * D, p, excess, h, angle, reaches & (angle < span))
+def first_arc(
+    x: FloatArray, v: FloatArray, q: FloatArray, turned: FloatArray, scales: Scales, span: FloatArray
+) -> FirstArc:
+    """The arc from the interval's first state; `turned`: ``omega q``."""
+    at_rest, side, A, v = _seen_from_center(x, v, q, scales)
+    excess, reaches, H = _meeting(at_rest, A, v, q, turned, scales)
+    time, moved, is_flat = _to_meeting(A, v, q, H, side, scales.spring)
+    return FirstArc(side, A, v, excess, H, time, x + moved, is_flat, reaches & (time < span))
+
+
+_to_meeting = computed_once(to_meeting)
 
 
 @computed_once
-def _seen_from_center(x, p, q, a):
-    at_rest = _rests(x, p, q, a)
-    x, p = jnp.where(at_rest, jnp.clip(x, -a, a), x), jnp.where(at_rest, 0, p)
-    above = (p > q) | ((p == q) & (x < -a))
+def _seen_from_center(x, v, q, scales):
+    alpha, pull = scales.deceleration, scales.spring.squared * x
+    at_rest = _rests(pull, v, q, scales)
+    pull, v = jnp.where(at_rest, jnp.clip(pull, -alpha, alpha), pull), jnp.where(at_rest, 0, v)
+    above = (v > q) | ((v == q) & (pull < -alpha))
     side = jnp.where(above, -1, 1).astype(x.dtype)
-    return at_rest, side, side * x - a, p
+    return at_rest, side, side * pull - alpha, v
 
 
 @computed_once
-def _meeting(at_rest, D, p, q, a):
-    excess = excess_of(D, p, q)
-    reaches = at_rest | (excess > jnp.where(p < q, touch(D, q, a), 0))
+def _meeting(at_rest, A, v, q, turned, scales):
+    excess = excess_of(A, v, q, scales.spring)
+    reaches = at_rest | (excess > jnp.where(v < q, touch(A, turned, scales), 0))
     positive = excess > 0
-    h = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
-    return excess, reaches, h
+    H = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
+    return excess, reaches, H
 
 
-def excess_of(D: FloatArray, p: FloatArray, q: FloatArray) -> FloatArray:
-    """``R^2 - q^2``, free of cancellation near p = q; positive if the arc through ``(D, p)`` reaches the base velocity.
-
-    Any unit will do that `D`, `p` and `q` share.
-    """
-    return D * D + (p - q) * (p + q)
+def excess_of(A: FloatArray, v: FloatArray, q: FloatArray, spring: Spring) -> FloatArray:
+    """``R^2 - w2 q^2``, free of cancellation near v = q; positive if the arc from there reaches the base velocity."""
+    return A * A + spring.squared * ((v - q) * (v + q))
 
 
-def touch(D: FloatArray, q: FloatArray, a: FloatArray) -> FloatArray:
-    """``R^2 - q^2`` up to which an arc that begins below the base velocity is tangent to it."""
-    ulp = _TOUCH_ULPS[D.dtype.itemsize] * jnp.finfo(D.dtype).eps
-    return ulp * (D * D + q * q + a * (jnp.abs(D) + q))
-
-
-def _angle_to_meeting(D, p, q, h, side):
-    # The clockwise angle from (D, p) to (-h, q) on the same circle, as twice its half. Each half-angle form is free of
-    # cancellation where it is used, never negative, and 0 for a state already at the base velocity inside the band.
-    before = D <= 0
-    return twice_the_angle(jnp.where(before, jnp.abs(p - q), h + D), jnp.where(before, h - D, -side * (p + q)))
+def touch(A: FloatArray, turned: FloatArray, scales: Scales) -> FloatArray:
+    """``R^2 - w2 q^2`` up to which an arc that begins below the base velocity is tangent to it; `turned`: omega q."""
+    ulp = _TOUCH_ULPS[A.dtype.itemsize] * jnp.finfo(A.dtype).eps
+    return ulp * (A * A + turned * turned + scales.deceleration * (jnp.abs(A) + turned))
 
 
 @jax.custom_jvp
-def _follow_crossings(side, h, entered, arrived, q, a, span):
+def _follow_crossings(side, H, entered, arrived, q, turned, alpha, spring, span):
     """Follow crossings of the base velocity until an arrival inside the stick band, or the end of the interval.
 
-    Takes and returns: the side of the current arc, the distance h at which it meets the base velocity, the angle of the
+    Takes and returns: the side of the current arc, the distance H at which it meets the base velocity, the time of the
     last arrival, and whether the current arc arrives within the span. Costs nearly nothing where the first arc does not
     cross. Differentiable in both modes: the derivative holds the number of crossings fixed, and is summed over them
-    along with the angles.
+    along with the times.
     """
     # Among thousands of lanes some lane nearly always needs the first crossing: it is done without a loop.
-    state = _cross_if_needed((arrived & (h > 2 * a), side, h, entered, arrived), q, a, span)
-    return lax.while_loop(lambda s: s[0], lambda s: _cross(s, q, a, span), state)[1:]
+    state = _cross_if_needed((arrived & (2 * alpha < H), side, H, entered, arrived), turned, alpha, spring, span)
+    return lax.while_loop(lambda s: s[0], lambda s: _cross(s, turned, alpha, spring, span), state)[1:]
 
 
-def _cross_if_needed(state, q, a, span):
-    return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), _cross(state, q, a, span), state)
+def _cross_if_needed(state, turned, alpha, spring, span):
+    new = _cross(state, turned, alpha, spring, span)
+    return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), new, state)
 
 
 @_follow_crossings.defjvp
 def _follow_crossings_jvp(primals, tangents):
-    side, h, entered, arrived, q, a, span = primals
-    d_side, dh, d_entered, d_arrived, dq, da, _ = tangents
+    side, H, entered, arrived, q, turned, alpha, spring, span = primals
+    d_side, dH, d_entered, d_arrived, dq, _, d_alpha, by_spring, _ = tangents
+    w2 = spring.squared
+    later = half_turn(w2)  # each arc lasts pi / omega and 2 side atan(omega q / H) / omega
 
     def cross(carry):
-        state, (crossings, by_h, by_q, by_a) = carry
-        state = _cross(state, q, a, span)
-        _, now, distance, _, arrived = state
+        state, (crossings, by_H, by_q, by_alpha, by_w2) = carry
+        before = state[3]
+        state = _cross(state, turned, alpha, spring, span)
+        _, now, distance, arrival, arrived = state
         crossings = crossings + 1
-        squared = distance * distance + q * q
+        squared = distance * distance + w2 * q * q
         slope = jnp.where(arrived, 2 * now / jnp.where(squared > 0, squared, 1), 0)
-        return state, (crossings, by_h - slope * q, by_q + slope * distance, by_a + slope * q * 2 * crossings)
+        by_turn = 2 * now * slope_of_angle(q, distance, 0.5 * now * (arrival - before - later), w2)
+        by_turn = jnp.where(arrived, by_turn - 0.5 * later / jnp.where(w2 > 0, w2, 1), 0)
+        sums = crossings, by_H - slope * q, by_q + slope * distance, by_alpha + slope * q * 2 * crossings
+        return state, (*sums, by_w2 + by_turn)
 
-    zero = jnp.zeros_like(h)
-    state = (arrived & (h > 2 * a), side, h, entered, arrived)
-    state, (crossings, by_h, by_q, by_a) = lax.while_loop(lambda c: c[0][0], cross, (state, (zero, zero, zero, zero)))
-    d_out = (d_side, dh - 2 * crossings * da, d_entered + by_h * dh + by_q * dq + by_a * da, d_arrived)
-    return state[1:], d_out
+    state = (arrived & (2 * alpha < H), side, H, entered, arrived)
+    sums = (jnp.zeros_like(H),) * 5
+    state, (crossings, by_H, by_q, by_alpha, by_w2) = lax.while_loop(lambda c: c[0][0], cross, (state, sums))
+    d_entered = d_entered + by_H * dH + by_q * dq + by_alpha * d_alpha + by_w2 * by_spring.squared
+    return state[1:], (d_side, dH - 2 * crossings * d_alpha, d_entered, d_arrived)
 
 
-def _cross(state, q, a, span):
-    """Cross to the other side and follow the arc there, from (h, q) to (-h, q) as seen from its centre."""
-    _, side, h, entered, _ = state
+def _cross(state, turned, alpha, spring, span):
+    """Cross to the other side and follow the arc there, from (H, omega q) to (-H, omega q) as seen from its
+    centre.
+    """
+    _, side, H, entered, _ = state
     side = -side
-    h = h - 2 * a
-    arrival = entered + twice_the_angle(h, -side * q)  # clockwise, pi + 2 atan(q/h) below and pi - 2 atan(q/h) above
+    H = H - 2 * alpha
+    arrival = entered + time_of_arc(H, side, turned, spring)
     arrived = arrival < span
-    return arrived & (h > 2 * a), side, h, jnp.where(arrived, arrival, entered), arrived
+    return arrived & (2 * alpha < H), side, H, jnp.where(arrived, arrival, entered), arrived
 
 
 @computed_once
-def twice_the_angle(y, x):
-    return 2 * angle_of(y, x)
+def time_of_arc(H, side, turned, spring):
+    """From a crossing at H beyond the centre to the next meeting: clockwise, pi + 2 atan(omega q / H) below and
+    pi - 2 atan(omega q / H) above.
+    """
+    return 2 * spring.inverse_omega * angle_of(H, -side * turned)

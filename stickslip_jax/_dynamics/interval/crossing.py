@@ -1,7 +1,7 @@
 """Exact motion on a base of piecewise-constant velocity: a closed form for each interval, in a scan over intervals.
 
 One trajectory per call; the caller makes batches with ``jax.vmap``. Time is in seconds, so that switching instants are
-exact sums of durations; inside an interval the closed forms use the angle ``omega t``.
+exact sums of durations.
 """
 
 from functools import partial
@@ -16,70 +16,61 @@ from ..._events.sticks import StickRecord, Totals, ending_of, start_totals, with
 from ..._status import Status
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, FloatArray, IntArray, Scalar
-from .arcs import carry_across, sticks_from_start
+from .arcs import Scales, carry_across, sticks_from_start
 
 
 class Motion(NamedTuple):
-    """The state of the mass: time `t` in s, position `x` in m, velocity divided by omega `p` in m.
+    """The state of the mass: time `t` in s, position `x` in m, velocity `v` in m/s.
 
     `remembered`: by the quantities of each stick that are asked for.
     """
 
     t: FloatArray
     x: FloatArray
-    p: FloatArray
+    v: FloatArray
     remembered: Remembered
-
-
-class Scales(NamedTuple):
-    """Parameters of the closed forms, ``omega = sqrt(k/m)`` and the stick half-width ``mu n / k``; horizon `t1`, s."""
-
-    omega: FloatArray
-    inverse_omega: FloatArray  # 1 / omega: multiplying costs a fifth of dividing
-    half_width: FloatArray
-    t1: FloatArray
 
 
 def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
     """The system's scales as arrays of `dtype`."""
-    omega = jnp.sqrt(jnp.asarray(system.stiffness, dtype) / jnp.asarray(system.mass, dtype))
-    return Scales(omega, 1 / omega, jnp.asarray(system.stick_half_width, dtype), jnp.asarray(t1, dtype))
+    mass, held = jnp.asarray(system.mass, dtype), jnp.asarray(system.friction.static * system.normal_force, dtype)
+    return Scales.of(jnp.asarray(system.stiffness, dtype) / mass, held / mass, jnp.asarray(t1, dtype))
 
 
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[str, ...] = ()) -> Motion:
-    """The initial state ``y0 = (position, velocity)``; a velocity equal to the base's stays equal to the last bit.
+    """The initial state ``y0 = (position, velocity)``.
 
     `quantities` of each stick: those that are asked for.
     """
-    dtype = scales.omega.dtype
-    x, p = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype) * scales.inverse_omega
-    return Motion(jnp.zeros((), dtype), x, p, begin_quantities(x, quantities))
+    dtype = scales.t1.dtype
+    x, v = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
+    return Motion(jnp.zeros((), dtype), x, v, begin_quantities(x, quantities))
 
 
 def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
     """Whether the trajectory begins with a stick, and so without a slip before it, at the first base `velocity`."""
-    return sticks_from_start(motion.x, motion.p, velocity * scales.inverse_omega, scales.half_width)
+    return sticks_from_start(motion.x, motion.v, velocity, scales)
 
 
 def cross_interval(
     scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
 ) -> tuple[Motion, Totals, StickRecord]:
     """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, and its record."""
-    omega, inverse_omega, a, t1 = scales
+    t1 = scales.t1
     uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: the time becomes NaN (`NOT_FINITE`)
     span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.p, velocity * inverse_omega, a, omega * span)
+    passage = carry_across(motion.x, motion.v, velocity, scales, span)
     t_end = jnp.where(uncut, motion.t + duration, t1)
     stuck, released = passage.stuck, passage.released
+    start = motion.t + passage.entered
     # A stick ends where the spring reaches the friction limit, or with the interval.
-    left_at = jnp.where(released, jnp.where(velocity < 0, -a, a), passage.x)
-    start = motion.t + passage.entered * inverse_omega
-    end = jnp.where(released, motion.t + passage.left * inverse_omega, t_end)
-    quantities, remembered = measured(motion.remembered, stuck, StickSpan(start, end, passage.position, left_at))
+    end = jnp.where(released, motion.t + passage.left, t_end)
+    span_of_stick = StickSpan(start, end, passage.position, passage.left_at)
+    quantities, remembered = measured(motion.remembered, stuck, span_of_stick)
     record = StickRecord(start, end, passage.position, quantities, ending_of(stuck, released, ~uncut))
     # Not end - start, whose round-off grows with the time since t = 0.
-    totals = with_stick(totals, stuck, ~released & ~uncut, (passage.left - passage.entered) * inverse_omega)
-    return Motion(t_end, passage.x, passage.p, remembered), totals, record
+    totals = with_stick(totals, stuck, ~released & ~uncut, passage.left - passage.entered)
+    return Motion(t_end, passage.x, passage.v, remembered), totals, record
 
 
 def cross_live_interval(
@@ -111,7 +102,7 @@ def run_intervals(
 
 def status_of(motion: Motion, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that ended in the state `motion`."""
-    finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.p)
+    finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.v)
     code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
     # Only a duration that is NaN makes the time NaN: that of an interval that cannot be.
     failed = jnp.where(jnp.isnan(motion.t) & jnp.isfinite(t1), Status.BASE_INVALID, Status.NOT_FINITE)

@@ -11,7 +11,8 @@ from ..._excitation.piecewise_constant import PiecewiseConstantLaw
 from ..._systems.mass_spring import MassSpring
 from ..._types import Array, BoolArray, Number, Scalar
 from ..common.engine import Engine, SampleTotals
-from .crossing import Motion, Scales, cross_interval, scales_of, start_motion, status_of, sticks_at_start
+from .arcs import Scales
+from .crossing import Motion, cross_interval, scales_of, start_motion, status_of, sticks_at_start
 from .ties import starts_at_edge
 
 

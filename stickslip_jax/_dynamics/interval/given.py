@@ -25,7 +25,8 @@ from ..._compiler import computed_once, native_loop, native_loops_work
 from ..._events.stick_quantities import ALL, QUANTITIES
 from ..._events.sticks import StickRecord, Totals, closed_up, start_totals
 from ..._types import Array, IntArray
-from .crossing import Motion, Scales, cross_live_interval, run_intervals, start_motion
+from .arcs import Scales
+from .crossing import Motion, cross_live_interval, run_intervals, start_motion
 from .ties import LAST_LEFT, is_tie
 
 _LANES = 256  # of a block

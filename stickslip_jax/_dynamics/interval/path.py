@@ -36,7 +36,7 @@ class IntervalPath(Path):
             lambda values: values[self._index(time)], (self.beginnings, self.base.velocities)
         )
         motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
-        return motion.x, motion.p * scales.omega
+        return motion.x, motion.v
 
     @property
     def smooth(self) -> None:
@@ -62,7 +62,7 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     start = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
     given = Given(scales, start, durations, base.velocities.astype(dtype))
     final, totals = final_motion(given)
-    final_state = (final.x, final.p * scales.omega)
+    final_state = (final.x, final.v)
     began = beginnings(given)
     path = IntervalPath(system, base, t1, began.motion)
     sticks = sticks_of(ordered_sticks(given))

@@ -1,10 +1,10 @@
 """Whether round-off decided about an event in an interval of the base (`near_grazing_count`).
 
-Found from the state in which the interval began, beside the motion. With h, the distance from the centre at which an
+Found from the state in which the interval began, beside the motion. With H, the distance from the centre at which an
 arc meets the base velocity, the last digits decide
 
 - on an arc that is nearly tangent to the base velocity, whether it meets it;
-- at ``h = 2 a``, whether friction holds the mass, and at ``h = 0`` whether it does so for more than an instant;
+- at ``H = 2 alpha``, whether friction holds the mass, and at ``H = 0`` whether it does so for more than an instant;
 - where an arrival or a release falls on the end of the interval, whether there is one;
 - where an arrival falls on its beginning, whether there was a slip before.
 """
@@ -16,10 +16,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._types import BoolArray, FloatArray
-from .arcs import first_arc, mirrored, touch, twice_the_angle
-from .crossing import Motion, Scales
+from .arcs import Scales, first_arc, mirrored, time_of_arc, touch
+from .crossing import Motion
 
-# How close is near, in units in the last place of the lengths involved: three times the error of the state after 10^4
+# How close is near, in units in the last place of the numbers involved: three times the error of the state after 10^4
 # intervals, which grows with the square root of their number (`_TOUCH_ULPS` of `arcs.py`). By chance,
 # 4 of 10^12 intervals of the default study come so close (float32: 4 of 10^4).
 _NEAR_ULPS = {8: 256, 4: 64}
@@ -28,24 +28,28 @@ _CLOCK_ULPS = 4  # the round-off of the time at which an interval begins, in uni
 
 
 class _Arc(NamedTuple):
-    """The first arc of an interval: `D`, its distance from the centre, and `p` at the beginning; where (`h`, `side`)
-    and when (`angle`) it meets the base velocity `q`, and whether it `meets` it; `excess` ``= R^2 - q^2``.
+    """The first arc of an interval, in accelerations (`arcs.py`): `A`, its distance from the centre at the beginning;
+    its first velocity and the base speed times omega, `v` and `q`; where (`H`, `side`) and when (`time`, s) it meets
+    the base velocity, and whether it `meets` it; `excess` ``= R^2 - q^2``.
 
-    Errors: `of_x`, that of positions; `of_state`, that of the state on the arc; `of_h`, that of h.
+    `begins`: with the base velocity. Errors: `of_x`, that of positions times w2; `of_v`, of velocities (m/s); `of_H`,
+    that of H.
     """
 
-    D: FloatArray
-    p: FloatArray
+    A: FloatArray
+    v: FloatArray
     q: FloatArray
+    speed: FloatArray  # of the base, m/s
+    begins: BoolArray
     span: FloatArray
     excess: FloatArray
     side: FloatArray
-    h: FloatArray
-    angle: FloatArray
+    H: FloatArray
+    time: FloatArray
     meets: BoolArray
     of_x: FloatArray
-    of_state: FloatArray
-    of_h: FloatArray
+    of_v: FloatArray
+    of_H: FloatArray
 
 
 def is_tie(scales: Scales, began: Motion, duration: FloatArray, velocity: FloatArray) -> BoolArray:
@@ -59,66 +63,69 @@ def starts_at_edge(scales: Scales, start: Motion, velocity: FloatArray) -> BoolA
     """Whether a trajectory starts with its base's `velocity` at an edge of the stick band: one of the ties of `is_tie`,
     which alone costs nearly nothing.
     """
-    off = jnp.abs(jnp.abs(start.x) - scales.half_width)
-    near = off <= _few(off) * (jnp.abs(start.x) + scales.half_width)
-    return near & (start.p == velocity * scales.inverse_omega)
+    pull, alpha = scales.spring.squared * jnp.abs(start.x), scales.deceleration
+    return (jnp.abs(pull - alpha) <= _few(pull) * (pull + alpha)) & (start.v == velocity)
 
 
 def _arc(scales, began, duration, velocity) -> _Arc:
-    omega, inverse_omega, a, t1 = scales
-    span = omega * jnp.where(began.t + duration >= t1, t1 - began.t, duration)
-    _, x, p, q, span = mirrored(began.x, began.p, velocity * inverse_omega, span)
-    side, offset, p, excess, h, angle, _ = first_arc(x, p, q, a, span)
-    D = jnp.abs(offset)
-    meets = excess > jnp.where(p < q, touch(D, q, a), 0)
-    size = D + jnp.abs(p) + q + a
-    of_x, of_state = _few(x) * (D + 2 * a), _few(x) * size
-    # h^2 = D^2 + p^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at h = D.
-    of_h = jnp.where(p == q, of_x, of_state * size / jnp.where(meets, h, 1))
-    return _Arc(D, p, q, span, excess, side, h, angle, meets, of_x, of_state, of_h)
+    alpha, t1, omega = scales.deceleration, scales.t1, scales.spring.omega
+    span = jnp.where(began.t + duration >= t1, t1 - began.t, duration)
+    _, x, v, speed, q, span = mirrored(began.x, began.v, velocity, scales, span)
+    side, A, v, excess, H, time, _, _, _ = first_arc(x, v, speed, q, scales, span)
+    meets = excess > jnp.where(v < speed, touch(A, q, scales), 0)
+    A, begins = jnp.abs(A), v == speed
+    of_v = _few(x) * (jnp.abs(v) + speed + (A + alpha) * scales.clock)
+    v = omega * v
+    size = A + jnp.abs(v) + q + alpha
+    of_x, of_state = _few(x) * (A + 2 * alpha), _few(x) * size
+    # H^2 = A^2 + v^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at H = A.
+    of_H = jnp.where(begins, of_x, of_state * size / jnp.where(meets, H, 1))
+    return _Arc(A, v, q, speed, begins, span, excess, side, H, time, meets, of_x, of_v, of_H)
 
 
 def _ties_at_first(scales, began, arc) -> BoolArray:
     """Ties of the first arc: of the place where the mass begins on the base, of tangency, of the edge of the band."""
-    a, threshold = scales.half_width, touch(arc.D, arc.q, scales.half_width)
+    alpha, threshold = scales.deceleration, touch(arc.A, arc.q, scales)
     # After a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
-    released = (jnp.abs(began.remembered[LAST_LEFT]) == a) & (began.t > 0)
+    left_at = scales.spring.squared * jnp.abs(began.remembered[LAST_LEFT])
+    released = (jnp.abs(left_at - alpha) <= _few(alpha) * alpha) & (began.t > 0)
     returns = released & (jnp.abs(arc.excess) <= threshold)
-    tangent = (arc.p < arc.q) & (jnp.abs(arc.excess) <= 2 * threshold) & ~returns
-    at_edge = arc.meets & (jnp.abs(arc.h - 2 * a) <= arc.of_h)
-    return ((arc.angle < arc.span) & (tangent | at_edge)) | ((arc.p == arc.q) & (arc.of_x >= arc.D))
+    tangent = (arc.v < arc.q) & (jnp.abs(arc.excess) <= 2 * threshold) & ~returns
+    at_edge = arc.meets & (jnp.abs(arc.H - 2 * alpha) <= arc.of_H)
+    return ((arc.time < arc.span) & (tangent | at_edge)) | (arc.begins & (arc.of_x >= arc.A))
 
 
 def _ties_later(scales, began, arc) -> BoolArray:
     """Ties after crossings, and of arrivals and releases with the ends of the interval."""
-    a, q, span = scales.half_width, arc.q, arc.span
-    side, h, arrival = _last_meeting(jnp.where(arc.meets, arc.h, 0), arc.side, arc.angle, q, a, span)
-    arrived, crossed = arc.meets & (arrival < span), arc.meets & (h < arc.h)
-    holds = crossed & ((arrived & (jnp.abs(h - 2 * a) <= arc.of_h)) | (h <= arc.of_h))
-    # The relative velocity changes at the rate h where it passes zero: times h, angles are lengths.
-    eps = float(jnp.finfo(h.dtype).eps)
-    when = arc.of_state + h * (_few(h) * span + _CLOCK_ULPS * eps * scales.omega * began.t)
-    at_end = arc.meets & (h <= 2 * a + arc.of_h) & (jnp.abs(arrival - span) * h <= when)
-    at_start = arrived & ~crossed & (arc.p != q) & (arrival * h <= arc.of_state)
-    beyond = side * (a - h) + q * (span - arrival) - a
-    at_release = arrived & (q > 0) & (jnp.abs(beyond) * h <= (arc.of_h + arc.of_x) * h + q * when)
+    alpha, span = scales.deceleration, arc.span
+    side, H, arrival = _last_meeting(jnp.where(arc.meets, arc.H, 0), arc.side, arc.time, arc.q, scales, span)
+    arrived, crossed = arc.meets & (arrival < span), arc.meets & (H < arc.H)
+    holds = crossed & ((arrived & (jnp.abs(H - 2 * alpha) <= arc.of_H)) | (arc.of_H >= H))
+    # The relative velocity changes at the rate H where it passes zero: times H, times are velocities.
+    eps, rate = float(jnp.finfo(H.dtype).eps), scales.spring.squared * arc.speed
+    when = arc.of_v + H * (_few(H) * span + _CLOCK_ULPS * eps * began.t)
+    at_end = arc.meets & (2 * alpha + arc.of_H >= H) & (jnp.abs(arrival - span) * H <= when)
+    at_start = arrived & ~crossed & ~arc.begins & (arrival * H <= arc.of_v)
+    beyond = side * (alpha - H) + rate * (span - arrival) - alpha
+    at_release = arrived & (rate > 0) & (jnp.abs(beyond) * H <= (arc.of_H + arc.of_x) * H + rate * when)
     return holds | at_end | at_start | at_release
 
 
-def _last_meeting(h, side, arrival, q, a, span):
-    """Side, distance h and angle of the first meeting with the base velocity that friction can hold or that lies after
+def _last_meeting(H, side, arrival, q, scales, span):
+    """Side, distance H and time of the first meeting with the base velocity that friction can hold or that lies after
     the interval; all before it are crossings.
     """
+    alpha = scales.deceleration
 
     def crosses(state):
-        _, h, arrival = state
-        return (h > 2 * a) & (arrival < span)
+        _, H, arrival = state
+        return (2 * alpha < H) & (arrival < span)
 
     def cross(state):
-        side, h, arrival = state
-        return -side, h - 2 * a, arrival + twice_the_angle(h - 2 * a, side * q)
+        side, H, arrival = state
+        return -side, H - 2 * alpha, arrival + time_of_arc(H - 2 * alpha, -side, q, scales.spring)
 
-    state = side, h, arrival
+    state = side, H, arrival
     state = jax.tree.map(lambda new, old: jnp.where(crosses(state), new, old), cross(state), state)
     return lax.while_loop(crosses, cross, state)
 
