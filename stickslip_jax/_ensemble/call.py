@@ -77,7 +77,8 @@ def simulate_ensemble(
         correlation: Of random numbers; by default they are independent.
         y0: Initial state as in `simulate`, or an array (samples, coordinates).
         method: `Exact`, with a time step where one is needed, or `Regularized`.
-        keep: "totals" (fastest); "statistics" (memory does not grow with `samples`); "sticks" keeps every stick too.
+        keep: "totals" (fastest): ``many.totals`` of each sample, and their statistics; "statistics": all of these, in
+            memory that does not grow with `samples`; "sticks" keeps every stick and the totals too.
         orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
         count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
         threads: Worker threads (default: all cores).

@@ -37,12 +37,14 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
         ImportError: As `Ensemble.to_xarray`.
     """
     variables: Variables = {}
-    if ensemble.flat_sticks is not None and ensemble.totals is not None:
+    if ensemble.flat_sticks is not None and ensemble.sample_totals is not None:
         variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
-        variables |= _slips(ensemble) | _totals(ensemble.totals) | _inputs(ensemble)
+        variables |= _slips(ensemble) | _totals(ensemble.sample_totals) | _inputs(ensemble)
     elif ensemble.retained is not None:
         variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"])
         variables |= _retained_totals(ensemble.retained)
+    elif ensemble.sample_totals is not None:
+        variables |= _counts(ensemble, ensemble.sample_totals) | _totals(ensemble.sample_totals) | _inputs(ensemble)
     return labeled_dataset({**variables, **_state(ensemble)}, {}, _provenance(ensemble))
 
 
@@ -94,6 +96,15 @@ def _totals(totals: SampleTotals) -> Variables:
     }
 
 
+def _counts(ensemble: EnsembleData, totals: SampleTotals) -> Variables:
+    """The samples and their numbers of sticks, where the sticks themselves were not kept."""
+    sample = ensemble.first_sample + np.arange(ensemble.samples)
+    return {
+        "sample": variable("sample", sample, "number of the sample"),
+        "stick_count": variable("sample", totals.sticks, "number of sticks"),
+    }
+
+
 def _inputs(ensemble: EnsembleData) -> Variables:
     """The numbers that differ from sample to sample."""
     known = known_inputs(ensemble).items()
@@ -121,7 +132,7 @@ def _state(ensemble: EnsembleData) -> Variables:
         "copula": ensemble.copula,
         "moments": ensemble.moments,
         "accumulator": ensemble.accumulator,
-        "sticks": None if ensemble.totals is None else ensemble.totals.sticks,
+        "sticks": None if ensemble.flat_sticks is None else ensemble.totals.sticks,
         "origins": ensemble.origins,
         "position": tuple(ensemble.system.stick_position),
         "totals": TOTALS,

@@ -95,6 +95,7 @@ class EnsembleAccumulator:
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
+        self._totals: list[SampleTotals] | None = None if keep == "statistics" else []
         self._space = RETAINED if retained is None else retained  # number of sticks that still fit
         self._retained_samples = 0
 
@@ -108,6 +109,7 @@ class EnsembleAccumulator:
         self.counts += np.bincount(part.results.status, minlength=len(Status))
         self.near_grazing_samples += int(np.count_nonzero(part.results.near_grazing_count))
         self._merge(Moments.of(_totals_of(part)), part.accumulator)
+        self._keep_totals(part.results)
         if part.sticks is not None:
             self._keep(part, part.sticks)
 
@@ -116,7 +118,8 @@ class EnsembleAccumulator:
         self.counts += np.array([other.status_counts[status] for status in Status])
         self.near_grazing_samples += other.near_grazing_samples
         self._merge(other.moments, other.accumulator)
-        if self.keep == "sticks" and other.totals is not None:
+        self._keep_totals(other.sample_totals)
+        if self.keep == "sticks":
             sticks = other.require_sticks()
             self._keep(Part(other.totals, rest=other.numbering.rest(sticks)), sticks)
         elif other.retained is not None and self._space > 0:
@@ -134,6 +137,13 @@ class EnsembleAccumulator:
         self.moments = self.moments.merge(moments)
         if accumulator is not None:
             self.accumulator = accumulator if self.accumulator is None else self.accumulator.merge(accumulator)
+
+    def _keep_totals(self, totals: SampleTotals | None) -> None:
+        """Keep the totals of the next samples; where they are not known, those of no sample are kept."""
+        if totals is None:
+            self._totals = None
+        elif self._totals is not None:
+            self._totals.append(totals)
 
     def _keep(self, part: Part, sticks: FlatSticks) -> None:
         """Keep the `sticks` of a part, or those of as many of its first samples as there is space for."""
@@ -163,9 +173,7 @@ class EnsembleAccumulator:
             "near_grazing_samples": self.near_grazing_samples,
             "accumulator": self.accumulator,
             "retained": None if sticks is None else self._retained(sticks),
-            "totals": SampleTotals(*map(np.concatenate, zip(*(part.results for part in self._kept), strict=True)))
-            if is_full
-            else None,
+            "sample_totals": None if self._totals is None else _joined(self._totals),
             "flat_sticks": sticks if is_full else None,
         }
 
@@ -173,6 +181,10 @@ class EnsembleAccumulator:
         """The sticks and totals of the kept samples that finished."""
         finished = np.concatenate([np.equal(part.results.status, Status.FINISHED) for part in self._kept])
         return Retained(sticks.only(finished), np.concatenate([_totals_of(part) for part in self._kept]))
+
+
+def _joined(totals: list[SampleTotals]) -> SampleTotals:
+    return SampleTotals(*map(np.concatenate, zip(*totals, strict=True)))
 
 
 def _totals_of(part: Part) -> np.ndarray:

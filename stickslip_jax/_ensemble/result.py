@@ -49,7 +49,9 @@ class Ensemble(EnsembleData):
       `Simulation`); the statistics include them. Where the motion is known in closed form, only the start is looked at
       (the base's velocity at an edge of the stick band): `simulate` under ``vmap`` counts the rest.
     - `status_counts`: number of samples that ended with each `Status`; only those FINISHED count in the statistics.
-    - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
+    - `sticks`: every stick, arrays (samples, slots), if ``keep="sticks"``.
+    - `totals`: of each sample, if ``keep="totals"`` or "sticks": `stick_time` (s), `sticks`, `slips`, `status` and
+      `near_grazing_count`, arrays (samples,). `sample_totals`: the same, None if they were not kept.
     - `flat_sticks`: the same sticks one after the other, without padding; None unless ``keep="sticks"``.
     - `accumulator`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first
       finished samples (of all, if kept), from which standard errors are computed. Both None if ``keep="totals"``.

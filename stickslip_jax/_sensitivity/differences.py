@@ -191,7 +191,6 @@ def _simulated(problem: Problem, model: Model) -> _ValuesOf:
     def values(first: int, number: int) -> _Values:
         many = simulate_batch(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
         totals, statistic = many.totals, problem.statistic
-        assert totals is not None
         stick_time, sticks, status = map(np.asarray, (totals.stick_time, totals.sticks, totals.status))
         if isinstance(statistic, OfTotals):
             return _of_totals(statistic, problem.t1, stick_time, sticks, status)

@@ -127,7 +127,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
     except _UNFIT as error:
         raise DamagedBatchError(str(error)) from error
     return Ensemble(
-        **fields, **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
+        **fields, **found, **numbers, status_counts=counts, retained=retained, sample_totals=None, flat_sticks=None,
         threads=1, compile_seconds=0.0,
     )  # fmt: skip
 
