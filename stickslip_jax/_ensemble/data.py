@@ -1,6 +1,7 @@
 """What an ensemble holds, and where its parts come from."""
 
 import dataclasses
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -115,6 +116,9 @@ class EnsembleData:
     origins: tuple[Origin, ...] = ()
     design: Design | None = None
     copula: GaussianCopula | None = None
+    output_values: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    output_units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    output_functions: Mapping[str, Callable[..., Any]] = dataclasses.field(default_factory=dict)
 
     @property
     def keep(self) -> Keep:

@@ -45,6 +45,7 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
         variables |= _retained_totals(ensemble.retained)
     elif ensemble.sample_totals is not None:
         variables |= _counts(ensemble, ensemble.sample_totals) | _totals(ensemble.sample_totals) | _inputs(ensemble)
+    variables |= _outputs(ensemble)
     return labeled_dataset({**variables, **_state(ensemble)}, {}, _provenance(ensemble))
 
 
@@ -111,6 +112,18 @@ def _inputs(ensemble: EnsembleData) -> Variables:
     return {f"input_{name}": variable("sample", column, name, unit or "1") for name, (column, unit) in known}
 
 
+def _outputs(ensemble: EnsembleData) -> Variables:
+    """The outputs of each sample."""
+    if not ensemble.output_values:
+        return {}
+    sample = ensemble.first_sample + np.arange(ensemble.samples)
+    columns = {
+        f"output_{name}": variable("sample", column, name, ensemble.output_units.get(name, "1"))
+        for name, column in ensemble.output_values.items()
+    }
+    return {"sample": variable("sample", sample, "number of the sample"), **columns}
+
+
 def _retained_totals(retained: Retained) -> Variables:
     time, _, slips, *_ = retained.totals.T
     sample = SAMPLE["statistics"]
@@ -134,6 +147,7 @@ def _state(ensemble: EnsembleData) -> Variables:
         "accumulator": ensemble.accumulator,
         "sticks": None if ensemble.flat_sticks is None else ensemble.totals.sticks,
         "origins": ensemble.origins,
+        "outputs": tuple((name, ensemble.output_units.get(name, "1")) for name in ensemble.output_values),
         "position": tuple(ensemble.system.stick_position),
         "totals": TOTALS,
     }

@@ -1,6 +1,7 @@
 """Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
 import os
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -96,6 +97,7 @@ class EnsembleAccumulator:
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
         self._totals: list[SampleTotals] | None = None if keep == "statistics" else []
+        self._outputs: list[Mapping[str, np.ndarray]] = []
         self._space = RETAINED if retained is None else retained  # number of sticks that still fit
         self._retained_samples = 0
 
@@ -119,6 +121,7 @@ class EnsembleAccumulator:
         self.near_grazing_samples += other.near_grazing_samples
         self._merge(other.moments, other.accumulator)
         self._keep_totals(other.sample_totals)
+        self.add_outputs(other.output_values)
         if self.keep == "sticks":
             sticks = other.require_sticks()
             self._keep(Part(other.totals, rest=other.numbering.rest(sticks)), sticks)
@@ -132,6 +135,10 @@ class EnsembleAccumulator:
             self._retained_samples += other.samples - other.finished
             left = self._space - (other.samples - other.finished) if len(totals) == other.finished else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
+
+    def add_outputs(self, values: Mapping[str, np.ndarray]) -> None:
+        """Add the outputs of the next samples, by name."""
+        self._outputs.append(values)
 
     def _merge(self, moments: Moments, accumulator: StickAccumulator | None) -> None:
         self.moments = self.moments.merge(moments)
@@ -175,6 +182,10 @@ class EnsembleAccumulator:
             "retained": None if sticks is None else self._retained(sticks),
             "sample_totals": None if self._totals is None else _joined(self._totals),
             "flat_sticks": sticks if is_full else None,
+            "output_values": {
+                name: np.concatenate([part[name] for part in self._outputs])
+                for name in (self._outputs[0] if self._outputs else ())
+            },
         }
 
     def _retained(self, sticks: FlatSticks) -> Retained:

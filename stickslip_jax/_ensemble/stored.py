@@ -137,6 +137,8 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
         "status_counts": counts,
         "near_grazing_samples": int(attributes["samples_near_grazing"]),
         **kept,
+        "output_units": dict(state.get("outputs", ())),
+        "output_values": {name: dataset[f"output_{name}"].to_numpy() for name, _ in state.get("outputs", ())},
         "threads": int(attributes["threads_used"]),
         "compile_seconds": float(attributes["compile_seconds"]),
         "run_seconds": float(attributes["run_seconds"]),
