@@ -135,7 +135,7 @@ def outputs_of(ensemble: EnsembleData) -> dict[str, Output]:
     lost = [name for name in ensemble.output_values if name not in ensemble.output_functions]
     if lost:
         raise ValueError(
-            f"This ensemble cannot be extended: the functions of its outputs ({', '.join(lost)}) are not known, because "
+            f"This ensemble cannot be extended: the functions of its outputs ({', '.join(lost)}) are not known, since "
             "files do not hold them; simulate more samples with simulate_ensemble(..., first_sample=..., outputs=...), "
             "and concatenate."
         )
