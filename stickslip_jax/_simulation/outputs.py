@@ -1,8 +1,10 @@
 """Outputs of a user's own: functions of one `Simulation` that return a number."""
 
 import dataclasses
+import hashlib
 import keyword
-from collections.abc import Callable, Mapping
+import types
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import jax
@@ -53,6 +55,11 @@ class Output:
         _checks.text("name", self.name)
         _checks.text("unit", self.unit)
 
+    @property
+    def code_sum(self) -> str:
+        """A check sum of what the function does: of its code, and of the numbers and words that it holds."""
+        return hashlib.sha256("\n".join(_code_of(self.function)).encode()).hexdigest()[:16]
+
     def number(self, one: Simulation, dtype: DType) -> FloatArray:
         """The number of one trajectory. Raises ValueError for a function that does not return one."""
         argument = f"outputs[{self.name!r}]"
@@ -76,6 +83,22 @@ class Output:
                 f"{shown or _checks.show(found)}; return the part that is wanted, such as its maximum or its mean."
             )
         return jnp.asarray(found, dtype)
+
+
+def _code_of(function: Any) -> Iterator[str]:
+    """The code of a function in words, those of functions in it too; of another object its class."""
+    function = getattr(function, "__wrapped__", function)
+    code = function if isinstance(function, types.CodeType) else getattr(function, "__code__", None)
+    if code is None:
+        yield type(function).__qualname__
+        return
+    yield from (code.co_code.hex(), *code.co_names)
+    held = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
+    for value in (*code.co_consts, *held, *(getattr(function, "__defaults__", None) or ())):
+        if isinstance(value, types.CodeType) or hasattr(value, "__code__"):
+            yield from _code_of(value)
+        else:
+            yield repr(value) if isinstance(value, (int, float, str, tuple, type(None))) else type(value).__qualname__
 
 
 Outputs = Mapping[str, Callable[[Simulation], ArrayLike] | Output]
