@@ -51,8 +51,8 @@ class Estimate:
     Errors are propagated to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the
     error 0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
     different keys, are taken to be independent. Two different estimates of one origin are not, and how they are
-    correlated is not known: what is computed from both has a value, but the error NaN. Of a combination `samples` is
-    such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
+    correlated is not known: what is computed from both has a value, but the error NaN. (It is known of the results of
+    one call of `sensitivity`.) Of a combination `samples` is such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
 
     ``<``, ``<=``, ``>`` and ``>=`` compare values, which says nothing about significance: for that, see whether
     ``(a - b).interval()`` holds 0. ``==`` asks whether two estimates are the same in all that they say.
