@@ -48,7 +48,7 @@ def draw_joint(many: ss.Ensemble) -> None:
 def draw_convergence(many: ss.Ensemble) -> None:
     """An estimate, and the distance between joint histograms, against the number of samples."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
-    plot.convergence(ss.convergence(many, ss.mean_stick_duration), ax=axes[0])
+    plot.convergence(ss.convergence(ss.mean_stick_duration, many), ax=axes[0])
     plot.convergence(ss.histogram_convergence(many), ax=axes[1])
     figure.savefig(HERE / "statistics_convergence.png", dpi=110)
 

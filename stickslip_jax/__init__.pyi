@@ -71,6 +71,7 @@ from ._sensitivity import (
     sensitivity as sensitivity,
 )
 from ._simulation.call import simulate as simulate
+from ._simulation.outputs import Output as Output
 from ._simulation.energy import Energies as Energies
 from ._simulation.result import Simulation as Simulation
 from ._statistics.bootstrap import bootstrap_interval as bootstrap_interval

@@ -4,7 +4,7 @@ import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -24,7 +24,9 @@ from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
 from .._processor import cores
+from .._simulation.outputs import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
+from .._status import Status
 from .._systems.system import System
 from .._types import Array, InitialState
 from .._uncertainty.copula import GaussianCopula
@@ -32,6 +34,7 @@ from .._uncertainty.design import Design
 from .._uncertainty.inputs import Model
 from .data import Fields, Keep
 from .origins import check_extendable
+from .outputs import NO_OUTPUTS, TAKEN, fields_of_outputs, only, outputs_of, runner_for
 from .parts import EnsembleAccumulator, Part, prepare
 from .progress import progress_bar
 from .result import Ensemble
@@ -60,6 +63,7 @@ def simulate_ensemble(
     chunk: int | None = None,
     progress: bool | None = None,
     first_sample: int = 0,
+    outputs: Outputs | None = None,
 ) -> Ensemble:
     """Simulate `samples` independent realisations of the excitation `law`.
 
@@ -77,13 +81,18 @@ def simulate_ensemble(
         correlation: Of random numbers; by default they are independent.
         y0: Initial state as in `simulate`, or an array (samples, coordinates).
         method: `Exact`, with a time step where one is needed, or `Regularized`.
-        keep: "totals" (fastest); "statistics" (memory does not grow with `samples`); "sticks" keeps every stick too.
+        keep: "totals" (fastest): ``many.totals`` of each sample, and their statistics; "statistics": all of these, in
+            memory that does not grow with `samples`; "sticks" keeps every stick and the totals too.
         orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
         count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
         threads: Worker threads (default: all cores).
         chunk: Samples simulated per call (default: chosen for speed).
         progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
         first_sample: The number i of the first, where several machines share one ensemble (see `concatenate`).
+        outputs: Numbers of your own: a dict from names to functions of a `Simulation` that return one number, or to
+            `Output` objects, which have a unit, such as ``{"peak": lambda one: one.peak("position")}``. For them every
+            sample is simulated once more and recorded, batch by batch. ``many.outputs["peak"]`` is their distribution,
+            ``many.output_values["peak"]`` the number of each sample.
 
     Returns:
         An `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
@@ -103,27 +112,31 @@ def simulate_ensemble(
     """
     require_threads_of_jax()
     numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
+    wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
     samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
-    found = _found(setup, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress)
-    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found)
+    found = _found(setup, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress, wanted)
+    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))
 
 
 def _found(
     setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None,
-    chunk: int | None, progress: bool | None,
+    chunk: int | None, progress: bool | None, outputs: Mapping[str, Output],
 ) -> Fields:  # fmt: skip
     """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     started = time.perf_counter()
+    numbers_of, finished = runner_for(setup, outputs), []
     simulate = _simulator(setup, plan, accumulator)
     _compile(simulate, setup, accumulator.keep)
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
         for number, part in _in_order(simulate, plan, first, samples):
             accumulator.add(part)
+            finished.append(np.equal(part.results.status, Status.FINISHED) if outputs else ())
             bar.advance(number)
+    accumulator.add_outputs(only(np.concatenate(finished), numbers_of(first, samples, threads)))
     return {
         **accumulator.found(),
         "threads": min(plan.threads, -(-samples // plan.samples_per_task)),
@@ -143,10 +156,11 @@ def _extended(
     model = Model(ensemble.system, ensemble.law, ensemble.y0)
     assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
+    outputs = outputs_of(ensemble)
     setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, ensemble._key, *options)
     accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)
     accumulator.add_ensemble(ensemble)
-    found = _found(setup, first, samples, accumulator, threads, chunk, progress)
+    found = _found(setup, first, samples, accumulator, threads, chunk, progress, outputs)
     for name in ("compile_seconds", "run_seconds"):
         found[name] += getattr(ensemble, name)
     return dataclasses.replace(ensemble, samples=ensemble.samples + samples, **found)
@@ -156,8 +170,9 @@ Ensemble._extend = staticmethod(_extended)
 
 
 def simulate_batch(
-    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int
-) -> Ensemble:
+    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int,
+    outputs: Mapping[str, Output] = NO_OUTPUTS,
+) -> Ensemble:  # fmt: skip
     """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
 
     `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
@@ -167,12 +182,16 @@ def simulate_batch(
     plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)
     accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
     simulate = _simulator(setup, plan, accumulator)
+    numbers_of, finished = runner_for(setup, outputs), []
     for begin, number in plan.tasks(first, samples):
-        accumulator.add(simulate(begin, number))
+        part = simulate(begin, number)
+        accumulator.add(part)
+        finished.append(np.equal(part.results.status, Status.FINISHED))
+    accumulator.add_outputs(only(np.concatenate(finished), numbers_of(first, samples)))
     spent = time.perf_counter() - started
     return Ensemble(
         **setup.fields(), samples=samples, first_sample=first, **accumulator.found(), threads=1, compile_seconds=0.0,
-        run_seconds=spent,
+        run_seconds=spent, **fields_of_outputs(outputs),
     )  # fmt: skip
 
 

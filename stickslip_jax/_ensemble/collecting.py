@@ -2,7 +2,8 @@
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from .. import _checks
 from .data import Fields, Origin, same_object
@@ -52,6 +53,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
         raise _checks.refused("ensembles", "be a list of results of simulate_ensemble", ensembles)
     for what in ("t1", "keep", "numbering", "dtype"):
         _check_same(what, [getattr(one, what) for one in ensembles])
+    _check_same("outputs", [dict(sorted(one.output_units.items())) for one in ensembles])
     _check_same("position", [one.system.stick_position[1::2] for one in ensembles])
     accumulator = EnsembleAccumulator(sum(one.samples for one in ensembles), ensembles[0].keep)
     for one in ensembles:
@@ -63,13 +65,21 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
         dtype=ensembles[0].dtype,
         **_common(origins),
         **accumulator.found(),
+        output_units=dict(ensembles[0].output_units),
+        output_functions=_shared_functions(ensembles),
         threads=max(one.threads for one in ensembles),
         compile_seconds=sum(one.compile_seconds for one in ensembles),
         run_seconds=sum(one.run_seconds for one in ensembles),
     )
 
 
-_WORDS = {"t1": "duration t1", "position": "unit and period of the position"}
+def _shared_functions(ensembles: Sequence[Ensemble]) -> dict[str, Callable[..., Any]]:
+    """The functions of outputs that are the same object in all of the ensembles."""
+    first, *others = (one.output_functions for one in ensembles)
+    return {name: function for name, function in first.items() if all(one.get(name) is function for one in others)}
+
+
+_WORDS = {"t1": "duration t1", "outputs": "names and units of outputs", "position": "unit and period of the position"}
 
 
 def _check_same(what: str, values: Sequence[object]) -> None:

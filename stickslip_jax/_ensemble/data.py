@@ -1,6 +1,7 @@
 """What an ensemble holds, and where its parts come from."""
 
 import dataclasses
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -106,7 +107,7 @@ class EnsembleData:
     near_grazing_samples: int
     accumulator: StickAccumulator | None
     retained: Retained | None
-    totals: SampleTotals | None
+    sample_totals: SampleTotals | None
     flat_sticks: FlatSticks | None
     threads: int
     compile_seconds: float
@@ -115,6 +116,9 @@ class EnsembleData:
     origins: tuple[Origin, ...] = ()
     design: Design | None = None
     copula: GaussianCopula | None = None
+    output_values: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    output_units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    output_functions: Mapping[str, Callable[..., Any]] = dataclasses.field(default_factory=dict)
 
     @property
     def keep(self) -> Keep:
@@ -134,6 +138,20 @@ class EnsembleData:
     def _key(self) -> Array | None:
         """The key from which all was drawn, None if there was none."""
         return None if self.key_data is None else jax.random.wrap_key_data(jnp.array(self.key_data, jnp.uint32))
+
+    @property
+    def totals(self) -> SampleTotals:
+        """The totals of each sample, finished or not (look at ``totals.status``), with ``keep="totals"`` or "sticks".
+
+        Raises:
+            ValueError: With ``keep="statistics"``, and for an ensemble of a sweep.
+        """
+        if self.sample_totals is None:
+            raise ValueError(
+                'This ensemble did not keep the totals of each sample; call simulate_ensemble(..., keep="totals") or '
+                'keep="sticks" (many.moments holds their means and covariances).'
+            )
+        return self.sample_totals
 
     def finished_sticks(self) -> FlatSticks:
         """The sticks of the samples that reached ``t1``: of all these, or with ``keep="statistics"`` of the first.

@@ -36,12 +36,15 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
         ImportError: As `Ensemble.to_xarray`.
     """
     variables: Variables = {}
-    if ensemble.flat_sticks is not None and ensemble.totals is not None:
+    if ensemble.flat_sticks is not None and ensemble.sample_totals is not None:
         variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
-        variables |= _slips(ensemble) | _totals(ensemble.totals) | _inputs(ensemble)
+        variables |= _slips(ensemble) | _totals(ensemble.sample_totals) | _inputs(ensemble)
     elif ensemble.retained is not None:
         variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"])
         variables |= _retained_totals(ensemble.retained)
+    elif ensemble.sample_totals is not None:
+        variables |= _counts(ensemble, ensemble.sample_totals) | _totals(ensemble.sample_totals) | _inputs(ensemble)
+    variables |= _outputs(ensemble)
     return labeled_dataset({**variables, **_state(ensemble)}, {}, _provenance(ensemble))
 
 
@@ -78,10 +81,31 @@ def _totals(totals: SampleTotals) -> Variables:
     }
 
 
+def _counts(ensemble: EnsembleData, totals: SampleTotals) -> Variables:
+    """The samples and their numbers of sticks, where the sticks themselves were not kept."""
+    sample = ensemble.first_sample + np.arange(ensemble.samples)
+    return {
+        "sample": variable("sample", sample, "number of the sample"),
+        "stick_count": variable("sample", totals.sticks, "number of sticks"),
+    }
+
+
 def _inputs(ensemble: EnsembleData) -> Variables:
     """The numbers that differ from sample to sample."""
     known = known_inputs(ensemble).items()
     return {f"input_{name}": variable("sample", column, name, unit or "1") for name, (column, unit) in known}
+
+
+def _outputs(ensemble: EnsembleData) -> Variables:
+    """The outputs of each sample."""
+    if not ensemble.output_values:
+        return {}
+    sample = ensemble.first_sample + np.arange(ensemble.samples)
+    columns = {
+        f"output_{name}": variable("sample", column, name, ensemble.output_units.get(name, "1"))
+        for name, column in ensemble.output_values.items()
+    }
+    return {"sample": variable("sample", sample, "number of the sample"), **columns}
 
 
 def _retained_totals(retained: Retained) -> Variables:
@@ -105,8 +129,9 @@ def _state(ensemble: EnsembleData) -> Variables:
         "copula": ensemble.copula,
         "moments": ensemble.moments,
         "accumulator": ensemble.accumulator,
-        "sticks": None if ensemble.totals is None else ensemble.totals.sticks,
+        "sticks": None if ensemble.flat_sticks is None else ensemble.totals.sticks,
         "origins": ensemble.origins,
+        "outputs": tuple((name, ensemble.output_units.get(name, "1")) for name in ensemble.output_values),
         "position": tuple(ensemble.system.stick_position),
         "totals": TOTALS,
     }

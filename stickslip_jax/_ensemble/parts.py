@@ -1,6 +1,7 @@
 """Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
 import os
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +96,8 @@ class EnsembleAccumulator:
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
         self._kept: list[Part] = []
+        self._totals: list[SampleTotals] | None = None if keep == "statistics" else []
+        self._outputs: list[Mapping[str, np.ndarray]] = []
         self._space = RETAINED if retained is None else retained  # number of sticks that still fit
         self._retained_samples = 0
 
@@ -108,6 +111,7 @@ class EnsembleAccumulator:
         self.counts += np.bincount(part.results.status, minlength=len(Status))
         self.near_grazing_samples += int(np.count_nonzero(part.results.near_grazing_count))
         self._merge(Moments.of(_totals_of(part)), part.accumulator)
+        self._keep_totals(part.results)
         if part.sticks is not None:
             self._keep(part, part.sticks)
 
@@ -116,7 +120,9 @@ class EnsembleAccumulator:
         self.counts += np.array([other.status_counts[status] for status in Status])
         self.near_grazing_samples += other.near_grazing_samples
         self._merge(other.moments, other.accumulator)
-        if self.keep == "sticks" and other.totals is not None:
+        self._keep_totals(other.sample_totals)
+        self.add_outputs(other.output_values)
+        if self.keep == "sticks":
             sticks = other.require_sticks()
             self._keep(Part(other.totals, rest=other.numbering.rest(sticks)), sticks)
         elif other.retained is not None and self._space > 0:
@@ -130,10 +136,21 @@ class EnsembleAccumulator:
             left = self._space - (other.samples - other.finished) if len(totals) == other.finished else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
+    def add_outputs(self, values: Mapping[str, np.ndarray]) -> None:
+        """Add the outputs of the next samples, by name."""
+        self._outputs.append(values)
+
     def _merge(self, moments: Moments, accumulator: StickAccumulator | None) -> None:
         self.moments = self.moments.merge(moments)
         if accumulator is not None:
             self.accumulator = accumulator if self.accumulator is None else self.accumulator.merge(accumulator)
+
+    def _keep_totals(self, totals: SampleTotals | None) -> None:
+        """Keep the totals of the next samples; where they are not known, those of no sample are kept."""
+        if totals is None:
+            self._totals = None
+        elif self._totals is not None:
+            self._totals.append(totals)
 
     def _keep(self, part: Part, sticks: FlatSticks) -> None:
         """Keep the `sticks` of a part, or those of as many of its first samples as there is space for."""
@@ -163,16 +180,22 @@ class EnsembleAccumulator:
             "near_grazing_samples": self.near_grazing_samples,
             "accumulator": self.accumulator,
             "retained": None if sticks is None else self._retained(sticks),
-            "totals": SampleTotals(*map(np.concatenate, zip(*(part.results for part in self._kept), strict=True)))
-            if is_full
-            else None,
+            "sample_totals": None if self._totals is None else _joined(self._totals),
             "flat_sticks": sticks if is_full else None,
+            "output_values": {
+                name: np.concatenate([part[name] for part in self._outputs])
+                for name in (self._outputs[0] if self._outputs else ())
+            },
         }
 
     def _retained(self, sticks: FlatSticks) -> Retained:
         """The sticks and totals of the kept samples that finished."""
         finished = np.concatenate([np.equal(part.results.status, Status.FINISHED) for part in self._kept])
         return Retained(sticks.only(finished), np.concatenate([_totals_of(part) for part in self._kept]))
+
+
+def _joined(totals: list[SampleTotals]) -> SampleTotals:
+    return SampleTotals(*map(np.concatenate, zip(*totals, strict=True)))
 
 
 def _totals_of(part: Part) -> np.ndarray:

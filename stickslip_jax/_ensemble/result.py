@@ -17,6 +17,7 @@ from .._excitation.excitation import is_random
 from .._files import file_to_write
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
+from .._statistics.distribution import Distribution
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
@@ -24,9 +25,10 @@ from .data import EnsembleData
 from .dataset import dataset_of
 from .given import fields_of_simulations, fields_of_sticks
 from .origins import Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
+from .outputs import distributions_of, without_value
 from .slips import padded_slips
 from .stored import fields_of_dataset, write_dataset
-from .summary import summary_of
+from .summary import summary_of, with_outputs
 from .tables import write_slips, write_sticks
 from .unknown import Unknown, UnknownSystem, require_known
 
@@ -49,10 +51,15 @@ class Ensemble(EnsembleData):
       `Simulation`); the statistics include them. Where the motion is known in closed form, only the start is looked at
       (the base's velocity at an edge of the stick band): `simulate` under ``vmap`` counts the rest.
     - `status_counts`: number of samples that ended with each `Status`; only those FINISHED count in the statistics.
-    - `sticks`: every stick, arrays (samples, slots), and `totals` of each sample, if ``keep="sticks"``.
+    - `sticks`: every stick, arrays (samples, slots), if ``keep="sticks"``.
+    - `totals`: of each sample, if ``keep="totals"`` or "sticks": `stick_time` (s), `sticks`, `slips`, `status` and
+      `near_grazing_count`, arrays (samples,). `sample_totals`: the same, None if they were not kept.
     - `flat_sticks`: the same sticks one after the other, without padding; None unless ``keep="sticks"``.
     - `accumulator`: sums and histograms of the sticks, which `statistics` reads. `retained`: sticks of the first
       finished samples (of all, if kept), from which standard errors are computed. Both None if ``keep="totals"``.
+    - `output_values`: of the functions in ``simulate_ensemble(..., outputs=...)``, arrays (samples,) by name, NaN for
+      samples that did not finish; `outputs` their distributions. `output_units`, `output_functions`: as they were given
+      (functions are not stored in files).
     - `first_sample`: the number of its first sample in the sequence that the key draws. `origins`: where each part of a
       joined ensemble comes from (see `concatenate`), else empty.
     - `keep`: "totals", "statistics" or "sticks".
@@ -165,9 +172,18 @@ class Ensemble(EnsembleData):
         """All statistics of the sticks and slips. Raises ValueError if ``keep="totals"``."""
         return statistics_of_ensemble(self)
 
+    @cached_property
+    def outputs(self) -> dict[str, Distribution]:
+        """The distribution of each output over the finished samples, by name: mean, quantiles, histogram and so on.
+
+        Values that are not finite are left out: ``many.outputs["peak"].number`` is that of the others.
+        """
+        return distributions_of(self)
+
     def summary(self) -> Summary:
         """The statistics as a readable table, for text and notebooks. Raises ValueError if ``keep="totals"``."""
-        return summary_of(self.statistics, self.status_counts, self.near_grazing_samples)
+        summary = summary_of(self.statistics, self.status_counts, self.near_grazing_samples)
+        return with_outputs(summary, list(self.outputs.values()), without_value(self))
 
     @cached_property
     def sticks(self) -> Sticks:
@@ -270,6 +286,9 @@ class Ensemble(EnsembleData):
     def _repr_html_(self) -> str:
         rows = [(name, _brief(getattr(self, name))) for name in ("system", "law", "method")]
         rows += [(of.label, of(self).without_name().replace("+-", "±")) for of in STATISTICS.values()]
+        rows += [(f"mean of {one.name}", one.mean.without_name().replace("+-", "±")) for one in self.outputs.values()]
+        for name, count in without_value(self).items():
+            rows.append((f"NO VALUE of {name}", f"{count:,} finished samples"))
         for status, count in self._unfinished.items():
             rows.append(("NOT FINISHED, in no number above", f"{count:,} samples, because {status.meaning}"))
         if self.near_grazing_samples:
@@ -289,6 +308,9 @@ class Ensemble(EnsembleData):
         ]
         if self.run_seconds:
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
+        if self.output_values:
+            lines.append(f"  outputs   {', '.join(self.output_values)}")
+        lines += [f"  NO VALUE of {name} in {count} finished samples" for name, count in without_value(self).items()]
         failed = self._unfinished
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         if self.near_grazing_samples:

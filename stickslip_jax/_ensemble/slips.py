@@ -11,7 +11,6 @@ from .data import EnsembleData
 def flat_slips(ensemble: EnsembleData) -> FlatSlips:
     """The slips of all samples that finished. Raises ValueError unless ``keep="sticks"``."""
     sticks, totals = ensemble.require_sticks(), ensemble.totals
-    assert totals is not None  # kept with the sticks
     return slips_among(sticks, ensemble.t1, np.asarray(totals.status) == Status.FINISHED)
 
 

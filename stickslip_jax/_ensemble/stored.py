@@ -113,13 +113,15 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
     keep = str(attributes["keep"])
     if keep not in ("totals", "statistics", "sticks") or (keep == "totals") != (state["accumulator"] is None):
         raise ValueError(f"it kept {_checks.show(keep)}")
-    kept: Fields = {"retained": None, "totals": None, "flat_sticks": None}
+    kept: Fields = {"retained": None, "sample_totals": None, "flat_sticks": None}
     if keep == "sticks":
         kept = _every_stick(dataset, state["sticks"], numbering)
     elif keep == "statistics":
         sticks = _flat_sticks(dataset, SAMPLE[keep])
         own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
         kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
+    elif "stick_count" in dataset:
+        kept["sample_totals"] = _totals(dataset, dataset["stick_count"].to_numpy())
     if sum(counts.values()) != int(attributes["samples"]):
         raise ValueError(f"it has {sum(counts.values())} of {attributes['samples']} samples")
     return {
@@ -135,6 +137,8 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
         "status_counts": counts,
         "near_grazing_samples": int(attributes["samples_near_grazing"]),
         **kept,
+        "output_units": dict(state.get("outputs", ())),
+        "output_values": {name: dataset[f"output_{name}"].to_numpy() for name, _ in state.get("outputs", ())},
         "threads": int(attributes["threads_used"]),
         "compile_seconds": float(attributes["compile_seconds"]),
         "run_seconds": float(attributes["run_seconds"]),
@@ -161,8 +165,13 @@ def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Number
     sticks = _flat_sticks(dataset, "sample")
     if len(found) != len(sticks.count):
         raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
-    names = ("slip_count", "stick_time", "status", "near_grazing_count")
-    totals = SampleTotals(found, *(dataset[name].to_numpy() for name in names))
+    totals = _totals(dataset, found)
     finished = np.asarray(totals.status) == Status.FINISHED
     own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
-    return {"totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}
+    return {"sample_totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}
+
+
+def _totals(dataset: "xarray.Dataset", sticks: np.ndarray) -> SampleTotals:
+    """The totals of each sample; `sticks`: their numbers."""
+    names = ("slip_count", "stick_time", "status", "near_grazing_count")
+    return SampleTotals(sticks, *(dataset[name].to_numpy() for name in names))

@@ -41,16 +41,28 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     if not 0 <= fields["near_grazing_samples"] <= fields["samples"]:
         raise ValueError(f"it has {fields['near_grazing_samples']} samples near grazing")
     _check_sums(fields["moments"], fields["accumulator"], counts[Status.FINISHED])
-    retained, flat = fields["retained"], fields["flat_sticks"]
+    retained = fields["retained"]
     if retained is not None:
         check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])
-    if flat is not None:
-        totals = fields["totals"]
+    _check_samples(fields)
+
+
+def _check_samples(fields: Mapping[str, Any]) -> None:
+    """What is held of each sample."""
+    counts, flat = fields["status_counts"], fields["flat_sticks"]
+    totals = fields["sample_totals"]
+    if totals is not None:
+        if {len(column) for column in totals} != {fields["samples"]}:
+            raise ValueError(f"it has totals of {len(totals.sticks)} of {fields['samples']} samples")
         present = np.bincount(_codes(totals.status, Status, "status"), minlength=len(counts))
         if any(present[status] != counts[status] for status in Status):
             raise ValueError("the endings of its samples are not those that it counts")
         if np.any(totals.slips < 0) or np.any(totals.near_grazing_count < 0):
             raise ValueError("it has negative numbers of slips, or of instants decided by round-off")
+    for name, values in fields["output_values"].items():
+        if values.shape != (fields["samples"],) or values.dtype.kind != "f":
+            raise ValueError(f"it has outputs {_checks.show(name)} of {len(values)} of {fields['samples']} samples")
+    if flat is not None and totals is not None:
         check_sticks(flat, totals.stick_time, totals.status == Status.FINISHED, fields["t1"])
 
 

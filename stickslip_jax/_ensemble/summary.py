@@ -1,10 +1,11 @@
 """The summary of an ensemble: the tables of its statistics, and what must be known to read them."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from .._statistics.distribution import Distribution
 from .._statistics.ensemble_statistics import EnsembleStatistics
-from .._statistics.summary import Summary, shown
+from .._statistics.summary import Summary, shown, table_of
 from .._status import Status
 
 
@@ -37,3 +38,12 @@ def summary_of(
     if near_grazing_samples:
         notes.append(f"Decided by round-off (near-grazing), counted above: {near_grazing_samples:,} samples.")
     return dataclasses.replace(statistics._summary, notes=tuple(notes))
+
+
+def with_outputs(summary: Summary, outputs: Sequence[Distribution], without_value: Mapping[str, int]) -> Summary:
+    """The summary with a table of the outputs, and notes on finished samples without a value of them."""
+    if not outputs:
+        return summary
+    tables = (*summary.tables, table_of("Outputs", outputs))
+    notes = [f"NO VALUE of {name} in {count:,} finished samples." for name, count in without_value.items()]
+    return dataclasses.replace(summary, tables=tables, notes=(*summary.notes, *notes))

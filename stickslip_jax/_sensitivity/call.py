@@ -1,7 +1,7 @@
 """`sensitivity`: derivatives of stick statistics, corrected for sticks that appear and vanish."""
 
-import math
 import warnings
+from collections.abc import Iterable, Sequence
 from typing import get_args
 
 import numpy as np
@@ -9,24 +9,25 @@ import numpy as np
 from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
-from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
 from .._types import Array, InitialState
 from . import windows
-from .chunks import Accumulator
-from .differences import differenced, differenced_ensembles
+from .chunks import JointAccumulator, Source, run_chunks
+from .differences import differenced
 from .estimate import Estimator, Sensitivities, Sensitivity
 from .estimators import counted, recorded
 from .nondifferentiable import warn_at_special_speeds, warn_if_grazing
 from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem
-from .statistic import StickStatistic
+from .products import warn_of_products
+from .results import results_of
+from .statistic import AnyStatistic, statistic_of
 
 _ESTIMATORS = get_args(Estimator)
 
 
 def sensitivity(
-    statistic: StatisticOfTotals | StickStatistic,
+    statistic: AnyStatistic | Sequence[AnyStatistic],
     system: System,
     law: BaseMotion,
     *,
@@ -53,8 +54,10 @@ def sensitivity(
     derivative is that of central differences, taken apart into its two parts.
 
     Args:
-        statistic: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`, or a
-            `StickStatistic`: `RealizationMeanDuration()`, `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`.
+        statistic: `stick_fraction`, `mean_stick_count`, `mean_stick_duration`, `mean_total_stick_time`,
+            `mean_slip_count`, `mean_slip_duration` (or their names); a `StickStatistic`: `RealizationMeanDuration()`,
+            `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`; or an `Output` of your own, for its mean. Or a
+            list of them, all from the same samples, those of one kind from one loop.
         system: As in `simulate_ensemble`.
         law: As in `simulate_ensemble`; it or `y0` must be random.
         wrt: The name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
@@ -70,7 +73,8 @@ def sensitivity(
             By default the one with the smaller error in the same time (the result's `estimator` names it): corrected
             for statistics of totals on bases of piecewise-constant velocity, without damping and force, and for those
             that sticks of zero length do not change (`stick_fraction`); else differences. The other one is an
-            independent check.
+            independent check. Outputs and statistics of slips have differences only. Several statistics are all found
+            in the same way.
         step: That of the differences, relative to the parameter's value; by default `relative_bandwidth`, or a quarter
             of it where the two disagree. The bias is of order ``step^2``.
         relative_bandwidth: Width of the corrected estimator's kernel, as a relative change of the parameter: a stick
@@ -82,7 +86,8 @@ def sensitivity(
         chunk: As in `simulate_ensemble`; the result depends on it only by the order of summation.
 
     Returns:
-        A `Sensitivity`, or for several names a mapping from name to `Sensitivity`. Warns (RuntimeWarning) if the event
+        A `Sensitivity`, or for several names a mapping from name to `Sensitivity`; for a list of statistics a mapping
+        from each of them to that. They can be computed with (see `Sensitivity`). Warns (RuntimeWarning) if the event
         part rests on fewer than 100 sticks or differs from window to window (the standard error is NaN then), at base
         speeds w = 1, 2, 3, 8 and 15, and where all first arcs graze the base velocity exactly (no derivative exists:
         NaN).
@@ -94,13 +99,19 @@ def sensitivity(
     problem, pilot = problem_of(
         statistic, system, law, wrt, t1, samples, key, y0, method=method, threads=threads, chunk=chunk
     )
+    kinds = problem.kinds()
+    problem = problem._replace(statistics=tuple(one for kind in kinds for one in kind.statistics))
     asked = estimator or _asked_for(step, relative_bandwidth)
     _require_differences(asked, method)
-    if (asked or _cheaper(problem)) == "finite-difference":
-        results = _by_differences(problem, pilot, elasticity, step)
+    if asked == "finite-difference" or not (asked or all(_cheaper(kind) == "corrected" for kind in kinds)):
+        found = _by_differences(problem, kinds, pilot, elasticity, step)
     else:
-        results = _corrected(problem.in_closed_form(), pilot, elasticity, relative_bandwidth)
-    return next(iter(results.values())) if isinstance(wrt, str) else Sensitivities(results)
+        found = _corrected(problem, kinds, pilot, elasticity, relative_bandwidth)
+    single = [next(iter(one.values())) if isinstance(wrt, str) else Sensitivities(one) for one in found]
+    if not isinstance(statistic, (list, tuple)):
+        return single[0]
+    by_statistic = dict(zip(problem.statistics, single, strict=True))
+    return Sensitivities({given: by_statistic[statistic_of(given)] for given in statistic})
 
 
 def _asked_for(step: float | None, relative_bandwidth: float | None) -> Estimator | None:
@@ -131,32 +142,44 @@ def _require_differences(estimator: Estimator | None, method: Exact | Regularize
 
 
 def _corrected(
-    problem: Problem, pilot: Pilot, elasticity: bool, relative_bandwidth: float | None
-) -> dict[str, Sensitivity]:
-    require_precision(problem)
-    require_correctable(problem)
+    problem: Problem, kinds: list[Problem], pilot: Pilot, elasticity: bool, relative_bandwidth: float | None
+) -> list[dict[str, Sensitivity]]:
+    kinds = [kind.in_closed_form() for kind in kinds]
+    for kind in kinds:
+        require_precision(kind)
+        require_correctable(kind)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
-    if problem.is_paired:
-        bandwidths = widest * np.array(windows.PAIRED)
-        estimated = differenced(problem, pilot, bandwidths, with_pathwise=True)
-    elif problem.is_counted:
-        bandwidths = widest * np.array([1.0] if problem.ignores_stick_count else windows.COUNTED)
-        estimated = counted(problem, pilot, np.zeros(0) if problem.ignores_stick_count else bandwidths)
-    else:
-        bandwidths = widest * np.array(windows.RECORDED)
-        estimated = recorded(problem, pilot, bandwidths)
-    grazing = warn_if_grazing(problem)
-    results = _results(problem, estimated, bandwidths, elasticity, "corrected", grazing)
-    if problem.ignores_stick_count and not problem.has_sudden_switches:
-        return results
-    warn_at_special_speeds(problem, grazing)
-    _warn_of_disagreement(estimated, results, grazing)
-    _warn_of_few(results)
+    sources = [_source_of(kind, pilot, widest) for kind in kinds]
+    accumulated = run_chunks(sources, problem.samples, problem.threads)
+    grazing = warn_if_grazing(kinds[0])
+    widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
+    results = results_of(problem, accumulated, widths, elasticity, "corrected", grazing)
+    warn_of_products(problem, accumulated)
+    with_events = [
+        number
+        for number, statistic in enumerate(problem.statistics)
+        if not (kinds[0].only(statistic).ignores_stick_count and not kinds[0].has_sudden_switches)
+    ]
+    if with_events:
+        warn_at_special_speeds(kinds[0], grazing)
+        _warn_of_disagreement(problem, accumulated, with_events, grazing)
+        _warn_of_few([results[number] for number in with_events])
     return results
 
 
-def _warn_of_few(results: dict[str, Sensitivity]) -> None:
-    few = min(result.sticks_in_window for result in results.values())
+def _source_of(problem: Problem, pilot: Pilot, widest: float) -> Source:
+    """How the corrected derivatives of statistics of one kind are found."""
+    if problem.is_paired:
+        return differenced(problem, pilot, widest * np.array(windows.PAIRED), with_pathwise=True)
+    if problem.is_counted and problem.ignores_stick_count:
+        return counted(problem, pilot, np.zeros(0))._replace(widths=np.array([widest]))
+    if problem.is_counted:
+        return counted(problem, pilot, widest * np.array(windows.COUNTED))
+    return recorded(problem, pilot, widest * np.array(windows.RECORDED))
+
+
+def _warn_of_few(results: list[dict[str, Sensitivity]]) -> None:
+    few = min(result.sticks_in_window for by_name in results for result in by_name.values())
     if few < windows.FEW:
         warnings.warn(
             f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
@@ -166,69 +189,43 @@ def _warn_of_few(results: dict[str, Sensitivity]) -> None:
 
 
 def _warn_of_disagreement(
-    accumulator: Accumulator, results: dict[str, Sensitivity], already_warned: tuple[str, ...]
+    problem: Problem, accumulated: JointAccumulator, numbers: Iterable[int], already_warned: tuple[str, ...]
 ) -> None:
-    """RuntimeWarning where windows disagree, except for the parameters `already_warned` of."""
-    found = [
-        name
-        for name, where, in_window in zip(results, accumulator.columns, accumulator.in_window, strict=True)
-        if name not in already_warned and windows.windows_disagree(accumulator, where, in_window)
-    ]
+    """RuntimeWarning where windows disagree, of the statistics `numbers`; not again for those `already_warned` of."""
+    found = []
+    for number in numbers:
+        one = accumulated.single(number)
+        by_parameter = zip(problem.parameters, one.columns, one.in_window, strict=True)
+        found += [
+            parameter.name
+            for parameter, where, in_window in by_parameter
+            if parameter.name not in already_warned and windows.windows_disagree(one, where, in_window)
+        ]
     if found:
         warnings.warn(
-            f"No two windows agree on the derivative with respect to {', '.join(found)}: it depends on how far one "
-            "looks for sticks about to appear or vanish, or does not exist. That of the narrowest window is given, "
-            "with a standard error of NaN; compare with estimator='finite-difference' at several steps.",
+            f"No two windows agree on the derivative with respect to {', '.join(dict.fromkeys(found))}: it depends on "
+            "how far one looks for sticks about to appear or vanish, or does not exist. That of the narrowest window "
+            "is given, with a standard error of NaN; compare with estimator='finite-difference' at several steps.",
             RuntimeWarning,
             stacklevel=4,
         )
 
 
-def _by_differences(problem: Problem, pilot: Pilot, elasticity: bool, step: float | None) -> dict[str, Sensitivity]:
+def _by_differences(
+    problem: Problem, kinds: list[Problem], pilot: Pilot, elasticity: bool, step: float | None
+) -> list[dict[str, Sensitivity]]:
     """Finite differences with the given `step`, or with the wider of two steps that agree."""
-    steps = np.array([step]) if step is not None else relative_bandwidth_of(problem, pilot) * np.array(windows.PAIRED)
-    if isinstance(problem.method, Regularized):
-        estimated = differenced_ensembles(problem, steps)
-    else:
-        estimated = differenced(problem, pilot, steps, with_pathwise=False)
-    results = _results(problem, estimated, steps, elasticity, "finite-difference", ())
-    _warn_of_disagreement(estimated, results, ())
-    return results
-
-
-def _results(
-    problem: Problem,
-    accumulator: Accumulator,
-    widths: np.ndarray,
-    elasticity: bool,
-    estimator: Estimator,
-    without_derivative: tuple[str, ...],
-) -> dict[str, Sensitivity]:
-    """The results by the names of the parameters; NaN by those `without_derivative`."""
-    results, by_parameter = {}, zip(problem.parameters, accumulator.columns, accumulator.in_window, strict=True)
-    for parameter, where, in_window in by_parameter:
-        found, chosen = windows.estimate(accumulator, where, in_window, parameter.value if elasticity else None)
-        if parameter.name in without_derivative:
-            found = found._replace(derivative=math.nan, standard_error=math.nan)
-        pathwise = found.pathwise if estimator == "corrected" else math.nan
-        results[parameter.name] = Sensitivity(
-            statistic=problem.statistic.name,
-            parameter=parameter.name,
-            parameter_value=parameter.value,
-            unit=problem.statistic.unit,
-            value=found.value,
-            value_error=found.value_error,
-            derivative=found.derivative,
-            standard_error=found.standard_error,
-            pathwise=pathwise,
-            event=found.derivative - pathwise,
-            is_elasticity=elasticity,
-            estimator=estimator,
-            samples=accumulator.moments.number,
-            asked=problem.samples,
-            sticks_in_window=int(in_window[chosen]),
-            relative_bandwidth=float(widths[chosen]),
-        )
+    widest = relative_bandwidth_of(problem, pilot)
+    sources = []
+    for kind in kinds:
+        choice = windows.OUTPUT if kind.is_output else windows.PAIRED
+        steps = np.array([step]) if step is not None else widest * np.array(choice)
+        sources.append(differenced(kind, pilot, steps, with_pathwise=False))
+    accumulated = run_chunks(sources, problem.samples, problem.threads)
+    widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
+    results = results_of(problem, accumulated, widths, elasticity, "finite-difference", ())
+    warn_of_products(problem, accumulated)
+    _warn_of_disagreement(problem, accumulated, range(len(results)), ())
     return results
 
 

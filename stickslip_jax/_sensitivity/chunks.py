@@ -57,19 +57,13 @@ class Accumulator(NamedTuple):
 
     - `in_window`: how many distances were inside each window.
     - `pathwise`: for each parameter, the path whose pathwise part is that of its derivative; empty: its own path.
+    - `tolerance`: in standard errors, how far windows may differ where it is not by chance.
     """
 
     halves: tuple[Moments, Moments]
     in_window: Float[np.ndarray, "parameters windows"]
     pathwise: tuple[int, ...] = ()
-
-    @classmethod
-    def of(cls, rows: Rows) -> "Accumulator":
-        """The sums of one chunk."""
-        done = rows.status == Status.FINISHED
-        columns = rows.columns
-        first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
-        return cls((first, second), rows.in_window[:, done].sum(axis=1))
+    tolerance: float = 0.0
 
     @property
     def columns(self) -> tuple[DerivativeColumns, ...]:
@@ -89,17 +83,75 @@ class Accumulator(NamedTuple):
         """Moments of both halves together."""
         return self.halves[0].merge(self.halves[1])
 
-    def merge(self, other: "Accumulator") -> "Accumulator":
+
+class JointAccumulator(NamedTuple):
+    """The sums of several statistics over the same samples: moments of their columns one after the other, by halves.
+
+    - `sizes`: how many columns each statistic has. `in_window`, `pathwise`, `tolerance`: of each, as in `Accumulator`.
+    """
+
+    halves: tuple[Moments, Moments]
+    sizes: tuple[int, ...]
+    in_window: tuple[Float[np.ndarray, "parameters windows"], ...]
+    pathwise: tuple[tuple[int, ...], ...]
+    tolerance: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rows: list[Rows], sources: "list[Source]") -> "JointAccumulator":
+        """The sums of one chunk, with the rows of each statistic, and the source of each."""
+        done = np.max([one.status for one in rows], axis=0) == Status.FINISHED
+        each = [one.columns for one in rows]
+        columns = np.concatenate(each, axis=1)
+        first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
+        in_window = tuple(one.in_window[:, done].sum(axis=1) for one in rows)
+        about = tuple(source.pathwise for source in sources), tuple(source.tolerance for source in sources)
+        return cls((first, second), tuple(one.shape[1] for one in each), in_window, *about)
+
+    def merge(self, other: "JointAccumulator") -> "JointAccumulator":
         """The sums of both."""
         first, second = (one.merge(two) for one, two in zip(self.halves, other.halves, strict=True))
-        return Accumulator((first, second), self.in_window + other.in_window)
+        in_window = tuple(one + two for one, two in zip(self.in_window, other.in_window, strict=True))
+        return self._replace(halves=(first, second), in_window=in_window)
+
+    def slice_of(self, number: int) -> slice:
+        """The columns of a statistic."""
+        first = sum(self.sizes[:number])
+        return slice(first, first + self.sizes[number])
+
+    def single(self, number: int) -> Accumulator:
+        """The sums of one statistic alone."""
+        own = self.slice_of(number)
+        first, second = (Moments(half.number, half.mean[own], half.scatter[own, own]) for half in self.halves)
+        return Accumulator((first, second), self.in_window[number], self.pathwise[number], self.tolerance[number])
 
 
-def run_chunks(simulate: Callable[[int, int], Rows], samples: int, per_chunk: int, threads: int) -> Accumulator:
-    """Call ``simulate(first, number)`` for all samples in chunks; the result does not depend on `threads`."""
+class Source(NamedTuple):
+    """How the rows of some statistics are found, from the same loop.
+
+    - `rows`: of samples ``first .. first + number - 1``, for each statistic, as a function of these two.
+    - `per_task`: the largest `number`. `widths`: of the windows, or the steps, relative to the parameter.
+    - `pathwise`, `tolerance`: as in `Accumulator`.
+    """
+
+    rows: Callable[[int, int], list[Rows]]
+    per_task: int
+    widths: Float[np.ndarray, " windows"]
+    pathwise: tuple[int, ...] = ()
+    tolerance: float = 0.0
+
+
+def run_chunks(sources: list[Source], samples: int, threads: int) -> JointAccumulator:
+    """The sums over all samples, in chunks, of the statistics of all sources; they do not depend on `threads`."""
+    per_chunk = min(source.per_task for source in sources)
     firsts = range(0, samples, per_chunk)
+
+    def simulate(first: int) -> JointAccumulator:
+        each = [source.rows(first, min(per_chunk, samples - first)) for source in sources]
+        of_each = [source for source, found in zip(sources, each, strict=True) for _ in found]
+        return JointAccumulator.of([rows for found in each for rows in found], of_each)
+
     with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-        accumulators = pool.map(lambda first: Accumulator.of(simulate(first, min(per_chunk, samples - first))), firsts)
+        accumulators = pool.map(simulate, firsts)
         total = next(accumulators)
         for accumulator in accumulators:
             total = total.merge(accumulator)
@@ -147,7 +199,7 @@ def _count(
 
 
 def _sequence(
-    statistic: StickStatistic,
+    statistics: tuple[StickStatistic, ...],
     job: Job,
     bandwidths: AnyArray,
     *,
@@ -155,8 +207,8 @@ def _sequence(
     lanes: int,
     buffer: BufferSizes,
     dtype: DType,
-) -> tuple[Features, Features, RecordedCounts]:
-    """`Features`, their derivatives by the numbers at `paths` along a first axis, and the counts of each lane.
+) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:
+    """`Features` of each statistic, their derivatives by the numbers at `paths` along a first axis, and the counts.
 
     The derivatives are pathwise parts, event parts, and how many distances the windows hold.
     """
@@ -164,17 +216,18 @@ def _sequence(
     def run(values):
         varied = job._replace(engine=with_numbers(job.engine, paths, values))
         recorded = record_sequences(varied, lanes=lanes, buffer=buffer, dtype=dtype)
-        return features_of(statistic, varied.engine, recorded, bandwidths), recorded.counts
+        features = tuple(features_of(one, varied.engine, recorded, bandwidths) for one in statistics)
+        return features, recorded.counts
 
     return derivatives_of(run, job.engine, paths, dtype)
 
 
 def _values(
-    statistic: StickStatistic, job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType
-) -> tuple[Float[Array, "lanes 2"], RecordedCounts]:
-    """Parts of the statistic, and the counts of each lane. `buffer.candidates` must be 0."""
+    statistics: tuple[StickStatistic, ...], job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType
+) -> tuple[tuple[Float[Array, "lanes 2"], ...], RecordedCounts]:
+    """Parts of each statistic, and the counts of each lane. `buffer.candidates` must be 0."""
     recorded = record_sequences(job, lanes=lanes, buffer=buffer, dtype=dtype)
-    return features_of(statistic, job.engine, recorded, np.zeros(0)).parts, recorded.counts
+    return tuple(features_of(one, job.engine, recorded, np.zeros(0)).parts for one in statistics), recorded.counts
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
@@ -183,6 +236,6 @@ count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options=WIDE_VECTORS),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),
 }
-_BUFFER = ("statistic", "lanes", "buffer", "dtype")
+_BUFFER = ("statistics", "lanes", "buffer", "dtype")
 value_chunk = jax.jit(_values, static_argnames=_BUFFER)
 sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_BUFFER))

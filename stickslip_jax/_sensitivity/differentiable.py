@@ -11,26 +11,27 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from .. import _checks
 from .._dynamics.common.lanes import Job, summarize
 from .._excitation.excitation import BaseMotion
-from .._statistics.totals import StatisticOfTotals
 from .._status import Status
 from .._systems.system import System
 from .._types import Array, FloatArray, InitialState
 from .._uncertainty.numbers import with_numbers
 from .estimators import counting_engine, score_paths, wrapped_paths
+from .output_means import output_means
 from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .problem import Pilot, Problem, buffer_sizes_for
 from .random_inputs import wrapped
 from .recording import recording
 from .sequences import BufferSizes, features_of, record_sequences
-from .statistic import OfTotals, StickStatistic
+from .statistic import AnyStatistic, OfTotals
 
 _LANES = 256
 
 
 def differentiable(
-    statistic: StatisticOfTotals | StickStatistic,
+    statistic: AnyStatistic,
     system: System,
     law: BaseMotion,
     *,
@@ -51,7 +52,8 @@ def differentiable(
     The windows of the kernels are chosen once, from the parameters of `system` and `law` given here.
 
     Args:
-        statistic: As for `sensitivity`.
+        statistic: As for `sensitivity`, one. The derivative of an `Output` is that of central differences with the same
+            random numbers, whose step is the default of `sensitivity`.
         system: As for `sensitivity`.
         law: As for `sensitivity`.
         wrt: As for `sensitivity`.
@@ -67,12 +69,17 @@ def differentiable(
     Raises:
         ValueError: As for `sensitivity` with ``estimator="corrected"``.
     """
+    if isinstance(statistic, (list, tuple)):
+        raise _checks.refused("statistic", "be one statistic (sensitivity takes several)", statistic)
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
-    require_precision(problem)
-    require_correctable(problem)
     rows, bandwidth = -(-problem.samples // _LANES), relative_bandwidth_of(problem, pilot)
-    means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, rows)
-    estimate = _ratio(means, bandwidth if problem.is_paired else None)
+    if problem.is_output:
+        means = output_means(problem, rows * _LANES)
+    else:
+        require_precision(problem)
+        require_correctable(problem)
+        means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, rows)
+    estimate = _ratio(means, bandwidth if problem.is_paired or problem.is_output else None)
     number = len(problem.parameters)
 
     def of(values: ArrayLike) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from .._status import Status
 from .._systems.built_in import is_built_in
 from .._types import AnyArray
 from .._uncertainty.numbers import Path
-from .chunks import Accumulator, Rows, count_chunk, run_chunks, sequence_chunk, units_of
+from .chunks import Rows, Source, count_chunk, sequence_chunk, units_of
 from .counting import IntervalCounting, Likelihood
 from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
 from .random_inputs import RandomEngine, single_engine, wrapped, wrapped_path
@@ -25,7 +25,7 @@ _MOST_TRIES = 6  # with larger and larger buffers of a realisation
 _Result = TypeVar("_Result")
 
 
-def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Accumulator:
+def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
     """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part."""
     engine = counting_engine(problem, pilot, bandwidths)
     paths = wrapped_paths(problem)
@@ -33,12 +33,11 @@ def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Accumulat
     every = tuple(dict.fromkeys((*score_paths(engine, paths), *paths)))
     count = counter(problem, engine, every)
 
-    def simulate(first: int, samples: int) -> Rows:
-        rows = count(first, samples)
-        return rows._replace(in_window=rows.in_window[: len(paths)])
+    def rows(first: int, samples: int) -> list[Rows]:
+        return [one._replace(in_window=one.in_window[: len(paths)]) for one in count(first, samples)]
 
-    accumulator = run_chunks(simulate, problem.samples, lanes_and_rows(problem)[2], problem.threads)
-    return accumulator._replace(pathwise=tuple(every.index(path) for path in paths))
+    pathwise = tuple(every.index(path) for path in paths)
+    return Source(rows, lanes_and_rows(problem)[2], bandwidths, pathwise)
 
 
 def counting_engine(
@@ -74,63 +73,80 @@ def wrapped_paths(problem: Problem) -> tuple[Path, ...]:
     return tuple(map(wrapped_path, problem.paths()))
 
 
-def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> Callable[[int, int], Rows]:
+def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> Callable[[int, int], list[Rows]]:
     """A function of a task's first sample and number of samples, with derivatives by the numbers at `paths`."""
-    assert isinstance(problem.statistic, OfTotals)
     lanes, rows, _ = lanes_and_rows(problem)
-    weights = problem.statistic.weights(problem.t1)
     units = units_of(engine, paths)[:, None]
 
-    def count(first: int, number: int) -> Rows:
+    def count(first: int, number: int) -> list[Rows]:
         job = problem.job(engine, first, lanes * rows, -(-number // lanes))
         totals, (d_time, d_events, d_window), status = count_chunk[is_built_in(engine)](
             job, paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype
         )
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)
         time, event_parts = flat(d_time, number) / units, [flat(leaf, number) / units for leaf in d_events]
-        # The number of sticks has no pathwise derivative: it is locally constant.
-        pathwise = time[..., None] * weights[:, 0]
-        slopes = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts] or [pathwise]
-        slopes = np.stack(slopes, axis=2)
         in_window = [flat(leaf, number) for leaf in d_window]
-        in_window = np.stack(in_window, axis=-1) if in_window else np.zeros(slopes.shape[:3])
+        in_window = np.stack(in_window, axis=-1) if in_window else np.zeros((*time.shape, 1))
+        no_window = np.zeros((*time.shape, 1))
         for index, path in enumerate(paths):
             if "likelihood" in path:  # uses no window: it rests on all sticks
-                in_window[index] = totals[:, 1:]
-        parts = totals @ weights[:, :2].T + weights[:, 2]
-        return Rows(flat(status, number).astype(int), parts, slopes, pathwise, in_window)
+                in_window[index] = no_window[index] = totals[:, 1:]
+        status, t1 = flat(status, number).astype(int), problem.t1
+        return [
+            _counted_rows(one, t1, status, totals, time, [], no_window)
+            if one.ignores_stick_count
+            else _counted_rows(one, t1, status, totals, time, event_parts, in_window)
+            for one in problem.totals
+        ]
 
     return count
 
 
-def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Accumulator:
+def _counted_rows(
+    statistic: OfTotals, t1: float, status: np.ndarray, totals: np.ndarray, time: np.ndarray,
+    event_parts: list[np.ndarray], in_window: np.ndarray,
+) -> Rows:  # fmt: skip
+    """The rows of one statistic. `time`: derivatives of stick time; `event_parts`: of the number of sticks."""
+    weights = statistic.weights(t1)
+    # The number of sticks has no pathwise derivative: it is locally constant.
+    pathwise = time[..., None] * weights[:, 0]
+    slopes = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts] or [pathwise]
+    parts = totals @ weights[:, :2].T + weights[:, 2]
+    return Rows(status, parts, np.stack(slopes, axis=2), pathwise, in_window)
+
+
+def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
     """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth."""
     units = units_of(problem.engine(), problem.paths())[:, None, None]
     record = recorder(problem, buffer_sizes_for(problem, pilot), bandwidths)
 
-    def simulate(first: int, number: int) -> Rows:
-        features, slopes, status = record(first)
+    def rows_of(features: Features, slopes: Features, status: AnyArray, number: int) -> Rows:
         pathwise, events = (np.asarray(leaf, float)[:, :number] for leaf in (slopes.parts, slopes.event_parts))
         derivatives = (pathwise[:, :, None] + events) / units[..., None]
         parts, in_window = np.asarray(features.parts, float)[:number], np.asarray(slopes.in_window, float)[:, :number]
         return Rows(np.asarray(status)[:number], parts, derivatives, pathwise / units, in_window)
 
-    return run_chunks(simulate, problem.samples, sequence_lanes(problem), problem.threads)
+    def rows(first: int, number: int) -> list[Rows]:
+        *found, status = record(first)
+        return [rows_of(features, slopes, status, number) for features, slopes in zip(*found, strict=True)]
+
+    return Source(rows, sequence_lanes(problem), bandwidths)
 
 
-def recorder(
-    problem: Problem, buffer: BufferSizes, bandwidths: np.ndarray
-) -> Callable[[int], tuple[Features, Features, AnyArray]]:
-    """A function of a chunk's first sample: `Features`, their derivatives, status."""
+_Recorded: TypeAlias = tuple[tuple[Features, ...], tuple[Features, ...], AnyArray]
+
+
+def recorder(problem: Problem, buffer: BufferSizes, bandwidths: np.ndarray) -> Callable[[int], _Recorded]:
+    """A function of a chunk's first sample: `Features` of each statistic, their derivatives, status."""
     engine = wrapped(problem.engine(), partial(recording, fixed_start=problem.fixed_start))
     paths, lanes = wrapped_paths(problem), sequence_lanes(problem)
 
-    def record(first: int) -> tuple[Features, Features, AnyArray]:
+    def record(first: int) -> _Recorded:
         job = problem.job(engine, first, lanes)
 
-        def run(buffer: BufferSizes) -> tuple[tuple[Features, Features, AnyArray], RecordedCounts]:
+        def run(buffer: BufferSizes) -> tuple[_Recorded, RecordedCounts]:
             features, slopes, counts = sequence_chunk(
-                problem.statistic, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=lanes, buffer=buffer,
+                problem.statistics, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=lanes, buffer=buffer,
                 dtype=problem.dtype,
             )  # fmt: skip
             return (features, slopes, counts.status), counts

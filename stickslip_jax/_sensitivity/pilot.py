@@ -1,5 +1,7 @@
 """Check of the arguments, and a pilot simulation of few samples, from which the widths of the kernels are chosen."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 
 from .. import _checks
@@ -11,13 +13,12 @@ from .._excitation.excitation import BaseMotion, is_random, key_data_for, law_of
 from .._excitation.piecewise_constant import GivenSteps, VelocitySteps
 from .._forks import require_threads_of_jax
 from .._processor import cores
-from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System, require_system
 from .._types import Array, InitialState
 from .._uncertainty.inputs import Inputs, Model
 from .._uncertainty.numbers import parameters_of
 from .problem import Pilot, Problem
-from .statistic import StickStatistic, statistic_of
+from .statistic import AnyStatistic, OfOutput, statistics_of
 
 _PILOT = 1024  # samples
 _RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # relative bandwidth of the widest window at so many sticks
@@ -25,7 +26,7 @@ _LARGEST_BANDWIDTH = 0.05
 
 
 def problem_of(
-    statistic: StatisticOfTotals | StickStatistic,
+    statistic: AnyStatistic | Sequence[AnyStatistic],
     system: System,
     law: BaseMotion,
     wrt: str | tuple[str, ...] | list[str],
@@ -40,7 +41,7 @@ def problem_of(
 ) -> tuple[Problem, Pilot]:
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
     require_threads_of_jax()
-    of_sticks = statistic_of(statistic)
+    statistics = statistics_of(statistic)
     threads = cores() if threads is None else _checks.whole_number("threads", threads)
     size = None if chunk is None else _checks.whole_number("chunk", chunk)
     check_method(method)
@@ -53,16 +54,18 @@ def problem_of(
     inputs = inputs.with_start(first.y0)
     _require_chance(first.law, inputs)
     smoothed = isinstance(method, Regularized)
-    keep: Keep = "totals" if of_sticks.is_of_totals and not smoothed else "sticks"
+    from_totals = all(one.is_of_totals or isinstance(one, OfOutput) for one in statistics)
+    keep: Keep = "totals" if from_totals and not smoothed else "sticks"
     pilot = _pilot(inputs, t1, key, method, keep, threads)
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
     base = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
     base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
     problem = Problem(
-        of_sticks, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
+        statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
         dtype,
     )  # fmt: skip
-    return problem._replace(model=inputs.model) if smoothed else problem.with_inputs(inputs), pilot
+    problem = problem._replace(model=inputs.model)
+    return problem if smoothed else problem.with_inputs(inputs), pilot
 
 
 def require_precision(problem: Problem) -> None:
@@ -82,8 +85,8 @@ def require_correctable(problem: Problem) -> None:
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
             "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
-            "law is an object of your own with a method sample(key, t1), or where the parameter belongs to a Beta "
-            "distribution or to the distribution of a switching rate."
+            "law is an object of your own with a method sample(key, t1), where the parameter belongs to a Beta "
+            "distribution or to the distribution of a switching rate, and for outputs and statistics of slips."
         )
 
 

@@ -19,7 +19,7 @@ from .._uncertainty.inputs import Inputs, Model
 from .._uncertainty.numbers import Parameter, Path
 from .random_inputs import RandomInputs
 from .sequences import BufferSizes
-from .statistic import OfTotals, StickStatistic
+from .statistic import OfOutput, OfTotals, StickStatistic
 
 
 class Pilot(NamedTuple):
@@ -34,13 +34,14 @@ class Pilot(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The statistic of the system's motion under the law, the parameters to vary, and how to simulate.
+    """The statistics of the system's motion under the law, the parameters to vary, and how to simulate.
 
+    What it says of its statistics holds if they are of one kind (`kinds`).
     `system`, `law`, `y0`: those of the first sample. `random`: the numbers that differ from sample to sample; None if
-    there are none. `model`: of regularised dynamics, which ensembles simulate; else None.
+    there are none. `model`: with all distributions and arrays, for what ensembles simulate.
     """
 
-    statistic: StickStatistic
+    statistics: tuple[StickStatistic, ...]
     system: System
     law: BaseMotion
     t1: float
@@ -54,6 +55,24 @@ class Problem(NamedTuple):
     dtype: DType
     random: RandomInputs | None = None
     model: Model | None = None
+
+    @property
+    def statistic(self) -> StickStatistic:
+        """The statistic, where there is one."""
+        (statistic,) = self.statistics
+        return statistic
+
+    def only(self, statistic: StickStatistic) -> "Problem":
+        """The problem of one statistic."""
+        return self._replace(statistics=(statistic,))
+
+    def kinds(self) -> list["Problem"]:
+        """The problems of the statistics that one loop finds together."""
+        found: dict[tuple[bool, ...], list[StickStatistic]] = {}
+        for statistic in self.statistics:
+            one = self.only(statistic)
+            found.setdefault((one.is_counted, one.is_output, one.is_paired), []).append(statistic)
+        return [self._replace(statistics=tuple(statistics)) for statistics in found.values()]
 
     @property
     def fixed_start(self) -> bool:
@@ -105,17 +124,29 @@ class Problem(NamedTuple):
     @property
     def is_counted(self) -> bool:
         """Whether the totals of each realisation are enough, so that no stick need be recorded."""
-        return self.statistic.is_of_totals
+        return self.statistics[0].is_of_totals
+
+    @property
+    def is_output(self) -> bool:
+        """Whether whole simulations are needed."""
+        return isinstance(self.statistics[0], OfOutput)
+
+    @property
+    def totals(self) -> tuple[OfTotals, ...]:
+        """The statistics, which are of totals."""
+        return tuple(one for one in self.statistics if isinstance(one, OfTotals))
 
     @property
     def ignores_stick_count(self) -> bool:
         """Whether sticks of zero length do not change it: no event part then, unless there are sudden switches."""
-        return isinstance(self.statistic, OfTotals) and self.statistic.ignores_stick_count
+        return self.is_counted and all(one.ignores_stick_count for one in self.totals)
 
     @property
     def can_be_corrected(self) -> bool:
         """Whether the corrected method knows what differs from sample to sample."""
         random = self.random
+        if self.is_output or any(one.counts_slips for one in self.totals):
+            return False
         if random is not None and random.inputs.has_sampled_law:
             return False
         if self.by_intervals and self.is_counted and not self.ignores_stick_count:

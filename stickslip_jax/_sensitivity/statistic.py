@@ -2,8 +2,8 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from .. import _checks
+from .._simulation.outputs import Output
 from .._statistics.totals import DIFFERENTIABLE, Linear, StatisticOfTotals
 from .._types import Array, Scalar
 
@@ -67,9 +68,20 @@ class OfTotals(StickStatistic):
         """Whether sticks of zero length do not change it: then its derivative has no event part."""
         return self.definition.numerator.stick_count == self.definition.denominator.stick_count == 0
 
+    @property
+    def counts_slips(self) -> bool:
+        """Whether it depends on the number of slips, which the lanes that follow derivatives do not count."""
+        return not self.definition.is_of_sticks
+
     def weights(self, t1: float) -> Float[np.ndarray, "2 3"]:
         """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, for `t1` (s)."""
         return self.definition.weights(t1)[:, [0, 1, -1]]
+
+    def parts_of(self, t1: float, stick_time: np.ndarray, sticks: np.ndarray, slips: np.ndarray) -> np.ndarray:
+        """Numerator and denominator of samples with these totals, (samples, 2)."""
+        weights = self.definition.weights(t1)
+        totals = np.stack([np.asarray(one, float) for one in (stick_time, sticks, slips)], axis=-1)
+        return totals @ weights[:, :3].T + weights[:, -1]
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         totals = jnp.stack([jnp.sum(sticks.duration), jnp.sum(sticks.mask), jnp.ones_like(sticks.start[0])])
@@ -170,8 +182,46 @@ class StickFunctional(StickStatistic):
         return value, jnp.ones_like(value)
 
 
-def statistic_of(statistic: StickStatistic | StatisticOfTotals) -> StickStatistic:
+@dataclasses.dataclass(frozen=True)
+class OfOutput(StickStatistic):
+    """The mean of an output of a user's own."""
+
+    output: Output
+
+    @property
+    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
+        return f"mean {self.output.name}"
+
+    @property
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
+        return self.output.unit
+
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
+        raise NotImplementedError("an output is that of a whole simulation, not of its sticks")
+
+
+AnyStatistic: TypeAlias = StickStatistic | StatisticOfTotals | Output | str
+"""What `sensitivity` takes: a string is the name of a statistic of totals."""
+
+
+def statistics_of(statistic: AnyStatistic | Sequence[AnyStatistic]) -> tuple[StickStatistic, ...]:
+    """`statistic`, one or several, as `StickStatistic` objects. Raises ValueError for anything else."""
+    several = list(statistic) if isinstance(statistic, (list, tuple)) else [statistic]
+    found = tuple(map(statistic_of, several)) or (statistic_of(statistic),)
+    if len({one.name for one in found}) < len(found):
+        raise ValueError(
+            "Argument statistic must hold different statistics, with different names, but "
+            f"{_checks.show([one.name for one in found])} were given."
+        )
+    return found
+
+
+def statistic_of(statistic: object) -> StickStatistic:
     """`statistic` as a `StickStatistic`. Raises ValueError for anything else."""
+    if isinstance(statistic, Output):
+        return OfOutput(statistic)
+    if isinstance(statistic, str):
+        statistic = next((one for one in DIFFERENTIABLE if one.name == statistic), statistic)
     if isinstance(statistic, StickStatistic):
         if statistic.is_of_totals and not isinstance(statistic, OfTotals):
             raise ValueError(
@@ -179,9 +229,9 @@ def statistic_of(statistic: StickStatistic | StatisticOfTotals) -> StickStatisti
                 "package's own statistics are found from totals."
             )
         return statistic
-    if any(statistic is one for one in DIFFERENTIABLE):
+    if isinstance(statistic, StatisticOfTotals) and any(statistic is one for one in DIFFERENTIABLE):
         return OfTotals(statistic)
     raise ValueError(
         f"Argument statistic must be {', '.join(map(repr, DIFFERENTIABLE))}, or a StickStatistic such as "
-        f"StickDuration(1), but {_checks.show(statistic)} was given."
+        f"StickDuration(1), an Output, or a list of them, but {_checks.show(statistic)} was given."
     )

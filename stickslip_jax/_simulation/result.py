@@ -135,6 +135,48 @@ class Simulation(WithMethods):
         times = self._checked(times)
         return jax.vmap(self._path.base_velocity)(times.reshape(-1)).reshape(times.shape)
 
+    def maximum(self, coordinate: str | None = None) -> FloatArray:
+        """The largest value of a coordinate over ``[0, time_reached]``, as exact as the simulation: not on a grid.
+
+        Where the motion is known in closed form, so is this: on an arc the position is largest where the velocity is 0.
+        Elsewhere a zero of the slope is located inside each time step. Under ``jit`` and ``vmap`` as well, and with
+        exact derivatives: that of the value at the instant of the maximum. (Where several maxima are equal, as on a
+        periodic motion, it is that of one of them.)
+
+        Args:
+            coordinate: Its name, "position" or "velocity"; for a `MotorCart` "angle", "angular velocity" or "current".
+                By default the first.
+
+        Returns:
+            The maximum, in the unit of the coordinate.
+
+        Raises:
+            ValueError: For another name, and for a batch.
+
+        >>> one = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))
+        >>> print(f"{one.maximum():.4f} m, {one.maximum('velocity'):.4f} m/s, {one.peak('position'):.4f} m")
+        0.7500 m, 1.0000 m/s, 0.7500 m
+        """
+        return _largest(self, self._number_of(coordinate), 1)
+
+    def minimum(self, coordinate: str | None = None) -> FloatArray:
+        """The smallest value of a coordinate over ``[0, time_reached]``; as `maximum`."""
+        return -_largest(self, self._number_of(coordinate), -1)
+
+    def peak(self, coordinate: str | None = None) -> FloatArray:
+        """The largest absolute value of a coordinate over ``[0, time_reached]``; as `maximum`.
+
+        ``one.peak("position")`` is the peak displacement.
+        """
+        number = self._number_of(coordinate)
+        return jnp.maximum(_largest(self, number, 1), _largest(self, number, -1))
+
+    def _number_of(self, coordinate: str | None) -> int:
+        """The place of a coordinate in the state."""
+        self._require_one()
+        names = [one.name for one in self.system.coordinates]
+        return 0 if coordinate is None else names.index(_checks.chosen("coordinate", coordinate, names))
+
     def friction_force(self, times: AnyArray | float) -> FloatArray:
         """The friction force on the mass at `times` (s, any shape), N: positive in the direction of positive velocity.
 
@@ -264,11 +306,14 @@ class Simulation(WithMethods):
 
     def _checked(self, times: AnyArray | float) -> Array:
         _checks.numeric("times", times, ndim=None)
+        self._require_one()
+        return jnp.asarray(times, self.sticks.start.dtype)
+
+    def _require_one(self) -> None:
         if np.ndim(self.status) > 0:
             raise ValueError(
                 f"This is a batch of {np.shape(self.status)} simulations; evaluate one, or jax.vmap over them."
             )
-        return jnp.asarray(times, self.sticks.start.dtype)
 
     def _repr_html_(self) -> str | None:
         if not self._is_one or self.sticks.contact is not None:
@@ -316,6 +361,12 @@ class Simulation(WithMethods):
             f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{near}, "
             f"stick fraction {fraction:.4g} %, {status.meaning}"
         )
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _largest(one: Simulation, number: int, sign: int) -> FloatArray:
+    """The largest value of `sign` times one number of the state."""
+    return one._path.largest(number, sign, one.time_reached, one.final_state[number])
 
 
 @partial(jax.jit, static_argnums=2)

@@ -13,8 +13,8 @@ _AT_ONCE = 2**22  # random weights: 32 MB
 
 
 def bootstrap_interval(
-    ensemble: EnsembleLike,
     statistic: Statistic,
+    ensemble: EnsembleLike,
     *,
     level: float = DEFAULT_LEVEL,
     resamples: int = 2000,
@@ -26,9 +26,9 @@ def bootstrap_interval(
     deviation of each resample is divided by the resample's own standard error, which accounts for skewness.
 
     Args:
+        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
         ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``. The draws are from its retained samples; the
             interval is for all its samples.
-        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
         level: The probability that the interval holds the true value.
         resamples: Their number.
         seed: Of the draws.
@@ -41,7 +41,7 @@ def bootstrap_interval(
     """
     check_level(level)
     _checks.whole_number("resamples", resamples, minimum=100, maximum=10**7)
-    totals, whole, estimate_from = by_totals(ensemble, statistic)
+    totals, whole, estimate_from = by_totals(statistic, ensemble)
     number = len(totals)
     if number < 2 or not whole.standard_error > 0:
         return math.nan, math.nan

@@ -61,20 +61,20 @@ class Convergence:
         return f"Convergence of the {self.final}, over {self.numbers[0]} to {self.numbers[-1]} samples"
 
 
-def convergence(ensemble: EnsembleLike, statistic: Statistic, points: int = 40) -> Convergence:
+def convergence(statistic: Statistic, ensemble: EnsembleLike, points: int = 40) -> Convergence:
     """How the estimate of `statistic` converges as the number of samples grows.
 
     Args:
+        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
         ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``; the estimates use its first retained
             samples.
-        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
         points: The largest number of estimates; their numbers of samples are spread evenly on a logarithmic scale, from
             2 to all retained samples.
 
     Raises:
         ValueError: For other arguments and for an ensemble of fewer than 2 retained samples.
     """
-    totals, final, estimate_from = by_totals(ensemble, statistic)
+    totals, final, estimate_from = by_totals(statistic, ensemble)
     if len(totals) < 2:
         raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(totals)}.")
     _checks.whole_number("points", points, minimum=2, maximum=10**6)

@@ -5,7 +5,7 @@ import html
 import math
 import operator
 from collections.abc import Callable, Hashable, Mapping
-from typing import NamedTuple, SupportsFloat, TypeGuard
+from typing import Any, NamedTuple, SupportsFloat, TypeGuard
 
 import numpy as np
 
@@ -19,14 +19,25 @@ _LONGEST_NAME = 100  # letters: a combination with a longer name only says of ho
 _ROUND_OFF = 1e-15  # what is left, relative to each, of two derivatives that cancel
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """The covariance of several estimates from the same samples, in their units, (estimates, estimates)."""
+
+    covariance: np.ndarray
+
+
 class _Source(NamedTuple):
-    """An estimate from samples, which others are computed from."""
+    """An estimate from samples, which others are computed from.
+
+    `shared`: the errors of estimates from the same samples, and its place among them, where these are known.
+    """
 
     origin: Hashable
     name: str
     value: float
     standard_error: float
     samples: int
+    shared: tuple[SharedErrors, int] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,8 +54,8 @@ class Estimate:
     Errors are propagated to first order. An estimate knows what it was computed from, so that ``e - e`` is 0 with the
     error 0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
     different keys, are taken to be independent. Two different estimates of one origin are not, and how they are
-    correlated is not known: what is computed from both has a value, but the error NaN. Of a combination `samples` is
-    such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
+    correlated is not known: what is computed from both has a value, but the error NaN. (It is known of the results of
+    one call of `sensitivity`.) Of a combination `samples` is such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
 
     ``<``, ``<=``, ``>`` and ``>=`` compare values, which says nothing about significance: for that, see whether
     ``(a - b).interval()`` holds 0. ``==`` asks whether two estimates are the same in all that they say.
@@ -57,6 +68,8 @@ class Estimate:
     samples: int
     origin: Hashable = dataclasses.field(default_factory=object, compare=False, repr=False)
     _slopes: Mapping[_Source, float] | None = dataclasses.field(default=None, init=False, compare=False, repr=False)
+
+    _shared: tuple[SharedErrors, int] | None = dataclasses.field(default=None, init=False, compare=False, repr=False)
 
     __array_ufunc__ = None  # arithmetic with NumPy's numbers is left to the methods below
 
@@ -249,9 +262,8 @@ def _slopes_of(estimate: Estimate) -> Mapping[_Source, float]:
     """The derivatives of an estimate by those that it was computed from; by itself, if it is from samples."""
     if estimate._slopes is not None:
         return estimate._slopes
-    own = _Source(
-        estimate.origin, estimate.name, float(estimate.value), float(estimate.standard_error), estimate.samples
-    )
+    numbers = float(estimate.value), float(estimate.standard_error), estimate.samples
+    own = _Source(estimate.origin, estimate.name, *numbers, estimate._shared)
     return {own: 1.0}
 
 
@@ -263,12 +275,90 @@ def _error_and_samples(slopes: Mapping[_Source, float], fewest: int) -> tuple[fl
     uncertain = {source: slope for source, slope in slopes.items() if source.standard_error != 0}
     if not uncertain:
         return 0.0, fewest
-    if len({source.origin for source in uncertain}) < len(uncertain):
+    groups = _groups(uncertain)
+    if len({sources[0].origin for sources in groups}) < len(groups):
         return math.nan, fewest
-    variances = [(slope * source.standard_error) ** 2 for source, slope in uncertain.items()]
+    variances = [_variance(sources, uncertain) for sources in groups]
     total = math.fsum(variances)
     if not (math.isfinite(total) and total > 0 and all(source.samples > 1 for source in uncertain)):
         return math.sqrt(total) if total >= 0 else math.nan, fewest
     shares = [variance / total for variance in variances]
-    freedom = 1 / sum(share**2 / (source.samples - 1) for share, source in zip(shares, uncertain, strict=True))
+    freedom = 1 / sum(share**2 / (sources[0].samples - 1) for share, sources in zip(shares, groups, strict=True))
     return math.sqrt(total), max(2, math.floor(freedom * (1 + 1e-12)) + 1)
+
+
+def _groups(sources: Mapping[_Source, float]) -> list[list[_Source]]:
+    """The sources, those together of which the covariance is known."""
+    found: dict[Hashable, list[_Source]] = {}
+    for source in sources:
+        found.setdefault(source if source.shared is None else source.shared[0], []).append(source)
+    return list(found.values())
+
+
+def _variance(sources: list[_Source], slopes: Mapping[_Source, float]) -> float:
+    """The variance of the sum of some sources times their slopes; of several, the covariance is known."""
+    first = sources[0]
+    if len(sources) == 1 or first.shared is None:
+        return (slopes[first] * first.standard_error) ** 2
+    own = [source.shared[1] for source in sources if source.shared is not None]
+    weights = np.array([slopes[source] for source in sources])
+    return max(float(weights @ first.shared[0].covariance[np.ix_(own, own)] @ weights), 0.0)
+
+
+def shared_estimate(
+    name: str, value: float, standard_error: float, unit: str, samples: int, origin: Hashable,
+    shared: tuple[SharedErrors, int] | None,
+) -> Estimate:  # fmt: skip
+    """An estimate whose correlation with others from the same samples is known, if it is `shared` with them."""
+    estimate = Estimate(name, value, standard_error, unit, samples, origin)
+    object.__setattr__(estimate, "_shared", shared)
+    return estimate
+
+
+class Computable:
+    """What can be computed with like the `Estimate` that it has."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """Its value, with its error."""
+        raise NotImplementedError
+
+    __array_ufunc__ = None
+
+    def __float__(self) -> float:
+        return float(self.estimate)
+
+    def __neg__(self) -> Estimate:
+        return -self.estimate
+
+    def __abs__(self) -> Estimate:
+        return abs(self.estimate)
+
+    def __add__(self, other: object) -> Estimate:
+        return self.estimate + _plain(other)
+
+    def __radd__(self, other: object) -> Estimate:
+        return _plain(other) + self.estimate
+
+    def __sub__(self, other: object) -> Estimate:
+        return self.estimate - _plain(other)
+
+    def __rsub__(self, other: object) -> Estimate:
+        return _plain(other) - self.estimate
+
+    def __mul__(self, other: object) -> Estimate:
+        return self.estimate * _plain(other)
+
+    def __rmul__(self, other: object) -> Estimate:
+        return _plain(other) * self.estimate
+
+    def __truediv__(self, other: object) -> Estimate:
+        return self.estimate / _plain(other)
+
+    def __rtruediv__(self, other: object) -> Estimate:
+        return _plain(other) / self.estimate
+
+
+def _plain(other: Any) -> Any:
+    """The estimate of what has one; other things as they are."""
+    return other.estimate if isinstance(other, Computable) else other

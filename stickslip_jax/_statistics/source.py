@@ -61,7 +61,7 @@ def origin_of(ensemble: EnsembleLike) -> Hashable:
     return ("no key", float(ensemble.t1), int(moments.number), *map(float, moments.mean))
 
 
-def by_totals(ensemble: object, statistic: Statistic) -> tuple[np.ndarray, Estimate, Callable[[Moments], Estimate]]:
+def by_totals(statistic: Statistic, ensemble: object) -> tuple[np.ndarray, Estimate, Callable[[Moments], Estimate]]:
     """The totals of the retained samples, and the estimates from all samples and from other moments of their totals.
 
     Raises ValueError for an ensemble without sticks, and unless `statistic` is a function that returns an `Estimate`.

@@ -130,5 +130,5 @@ STATISTICS = {
 }
 """What studies and sweeps estimate, by name; the mean total stick time would only repeat the stick fraction."""
 
-DIFFERENTIABLE = tuple(one for one in (*STATISTICS.values(), mean_total_stick_time) if one.is_of_sticks)
-"""The statistics that `sensitivity` takes: the lanes that follow derivatives count sticks, not slips."""
+DIFFERENTIABLE = (*STATISTICS.values(), mean_total_stick_time)
+"""The statistics that `sensitivity` takes."""

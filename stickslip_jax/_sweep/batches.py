@@ -59,7 +59,9 @@ def _simulated(plan: Plan, task: Task) -> Ensemble:
     fewest = min(plan.samples, plan.batch)
     # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or more.
     retained = max(0, RETAINED - task.first)
-    return simulate_batch(run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest)
+    return simulate_batch(
+        run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest, outputs=plan.outputs
+    )
 
 
 def _derivatives(plan: Plan, task: Task) -> Derivatives:
@@ -89,6 +91,7 @@ def packed(ensemble: Ensemble) -> bytes:
         "run_seconds": ensemble.run_seconds,
     }
     arrays = {"floats": encoder.floats, "integers": encoder.integers}
+    arrays |= {f"output_{name}": column for name, column in ensemble.output_values.items()}
     if retained is not None:
         arrays |= {f"stick_{name}": column for name, column in retained.sticks.columns.items()}
         arrays["totals"] = retained.totals
@@ -122,12 +125,16 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
         found = {name: decoder.decoded(head[name]) for name in _SUMS}
         sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
         retained = Retained(FlatSticks.of(**sticks), arrays["totals"]) if sticks else None
+        outputs = {name: arrays[f"output_{name}"] for name in fields["output_units"]}
+        if any(len(column) != end - first for column in outputs.values()):
+            raise ValueError("its outputs are of other samples")
         counts = dict(zip(Status, head["status_counts"], strict=True))
         numbers: dict[str, Any] = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
     except _UNFIT as error:
         raise DamagedBatchError(str(error)) from error
     return Ensemble(
-        **fields, **found, **numbers, status_counts=counts, retained=retained, totals=None, flat_sticks=None,
+        **fields, **found, **numbers, status_counts=counts, retained=retained, sample_totals=None, flat_sticks=None,
+        output_values=outputs,
         threads=1, compile_seconds=0.0,
     )  # fmt: skip
 

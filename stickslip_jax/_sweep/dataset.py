@@ -11,7 +11,7 @@ from .._ensemble.netcdf import DamagedFileError, as_netcdf, read_netcdf, verifie
 from .._ensemble.result import Ensemble
 from .._files import write_whole
 from .._numerics.dyadic import CommonBins
-from .._statistics.distribution import DEFAULT_BINS, default_bins
+from .._statistics.distribution import DEFAULT_BINS, Distribution, default_bins
 from .._statistics.estimate import Estimate
 from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
@@ -121,6 +121,8 @@ def _put_statistics(
             variables.estimate(point, name, STATISTICS[name](ensemble))
         if name in bins:
             _put_distribution(variables, point, name, ensemble, bins[name])
+    for name, of in ensemble.outputs.items():
+        _put_output(variables, point, name, of)
     if plan.keep != "totals":
         _put_orders(variables, point, ensemble)
         if plan.realizations:
@@ -142,6 +144,15 @@ def _put_distribution(variables: Variables, point: int, name: str, ensemble: Ens
         point, f"{name}_count_in_bin", histogram.counts, f"number of values of {label}", dimensions=(dimension,)
     )
     variables.put(point, f"{name}_density", histogram.density, f"density of {label}", per, dimensions=(dimension,))
+
+
+def _put_output(variables: Variables, point: int, name: str, of: Distribution) -> None:
+    """Mean, spread and quantiles of an output of a user's own, and of how many samples."""
+    variables.estimate(point, f"{name}_mean", of.mean, f"mean of {name}")
+    variables.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
+    quantiles = [float(of.quantile(level).value) for level in LEVELS]
+    variables.put(point, f"{name}_quantile", quantiles, f"quantile of {name}", of.unit, dimensions=("quantile",))
+    variables.put(point, f"{name}_values", of.number, f"number of samples with a value of {name}")
 
 
 def _put_orders(variables: Variables, point: int, ensemble: Ensemble) -> None:
@@ -204,7 +215,7 @@ def _point_coordinates(plan: Plan) -> dict[str, _Variable]:
 def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, _Variable]:
     found: dict[str, _Variable] = {}
     position = require_system(plan.setting.system).stick_position.unit
-    if bins:
+    if bins or plan.outputs:
         found["quantile"] = ("quantile", list(LEVELS), {"long_name": "share of values", "units": "1"})
     for name, common in bins.items():
         edges = common.edges

@@ -16,12 +16,12 @@ from .header import ID_LENGTH
 from .plan import Plan
 
 MANIFEST, COPY = "manifest.json", "manifest-copy.json"
-FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 3
+FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 4
 _OLDER_FORMAT = "stickslip_jax study"  # of versions 1 and 2
 OBJECTS = ("system", "law", "y0", "method")
-DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "batch", "dtype")
+DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "batch", "dtype", "output_code")
 _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
-_ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest"}
+_ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest", "output_code": "outputs"}
 """What the user calls it, where that is another name."""
 ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
 _DEEPEST = 64  # levels of parts within parts; ours have some ten

@@ -11,8 +11,10 @@ import numpy as np
 
 from .. import _checks
 from .._ensemble.data import Keep
+from .._ensemble.outputs import TAKEN, fields_of_outputs, runner_for
 from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._numerics.random_bits import key_data_of
+from .._simulation.outputs import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
@@ -67,6 +69,7 @@ class Plan:
     realizations: int
     batch: int
     dtype: str
+    outputs: dict[str, Output] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _checks.truth("independent", self.independent)
@@ -75,6 +78,11 @@ class Plan:
         self.samples = checked_samples(self.samples)
         self.realizations = _checks.whole_number("realizations", self.realizations, minimum=0)
         self.batch = _checks.whole_number("batch", self.batch, maximum=MOST_SAMPLES)
+
+    @property
+    def output_code(self) -> list[list[str]]:
+        """Name, unit and a check sum of the code of each output: functions themselves are not stored."""
+        return [[name, output.unit, output.code_sum] for name, output in sorted(self.outputs.items())]
 
     @cached_property
     def _with_values(self) -> Setter:
@@ -106,6 +114,7 @@ class Plan:
     def fields_at(self, point: int) -> dict[str, Any]:
         """The fields of the `Ensemble` of a point that its arguments are, without what only simulating it needs."""
         fields = {name: getattr(self, name) for name in ("t1", "numbering", "dtype")}
+        fields |= fields_of_outputs(self.outputs)
         return {**self.setting_at(point)._asdict(), **fields, "key_data": key_data_in(self.key_at(point))}
 
     def check(self) -> None:
@@ -114,7 +123,7 @@ class Plan:
         for _, wrt in self.derivatives:
             parameters_of(self.setting_at(0).model._asdict(), wrt)
         try:
-            self.run_at(0)
+            runner_for(self.run_at(0), self.outputs)
         except ValueError as error:
             raise ValueError(f"The point {self.points.described(0)} cannot be simulated: {error}") from error
 
@@ -187,6 +196,12 @@ def checked_errors(standard_error: object, statistics: tuple[str, ...]) -> dict[
             )
         _checks.positive(f"standard_error[{name!r}]", value)
     return {name: float(value) for name, value in standard_error.items()}
+
+
+def outputs_in(outputs: Outputs | None, points: Points) -> dict[str, Output]:
+    """The checked outputs. Raises ValueError for anything else, and for the name of a parameter."""
+    parameters = dict.fromkeys((*points.parameters, *(one.name for one in points.dimensions)), "a parameter")
+    return checked_outputs(outputs, TAKEN | parameters)
 
 
 def checked_keep(keep: object) -> Keep:

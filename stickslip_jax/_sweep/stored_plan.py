@@ -10,6 +10,7 @@ from .. import _checks
 from .._dynamics.common.validation import check_method
 from .._ensemble.encoding import Decoder
 from .._ensemble.unknown import Unknown
+from .._simulation.outputs import Output
 from .._statistics.accumulator import Numbering
 from .errors import SweepError
 from .manifest import OBJECTS, Manifest
@@ -56,7 +57,22 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
         "derivatives": _known(derivatives, lambda one: checked_derivatives([one])),
         "standard_errors": checked_errors(fields["standard_errors"] or None, statistics),
     }
+    fields["outputs"] = _outputs(fields.pop("output_code"), to_run)
     return Plan(_setting(body, to_run), _points(body["dimensions"]), **fields)
+
+
+def _outputs(stored: list[list[str]], to_run: bool) -> dict[str, Output]:
+    """The outputs, whose functions are not stored."""
+    if stored and to_run:
+        raise SweepError(
+            f"its outputs ({', '.join(name for name, *_ in stored)}) are functions of your own, which are not stored; "
+            "run your own program again with the same folder, which goes on from here."
+        )
+    return {name: Output(_not_stored, name, unit) for name, unit, _ in stored}
+
+
+def _not_stored(one: object) -> float:
+    raise SweepError("the functions of outputs are not stored")
 
 
 def _setting(body: Manifest, to_run: bool) -> Setting:

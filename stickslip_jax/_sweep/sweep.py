@@ -16,6 +16,7 @@ from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
+from .._simulation.outputs import Outputs
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import SampledQuantity
 from .._statistics.totals import StatisticOfTotals
@@ -76,6 +77,9 @@ class Sweep:
         realizations: Of how many samples the sticks are in the result, for figures.
         batch: Number of samples that are simulated, and stored, together; by default chosen from the size of the
             sweep. It decides the last digits of means.
+        outputs: As in `simulate_ensemble`. Of an output "peak" the result has ``peak_mean``,
+            ``peak_standard_deviation`` (each with ``..._error``), ``peak_quantile`` and ``peak_values``, the number of
+            samples with a value. Functions are not stored: to go on, run the same program again.
 
     Raises:
         ValueError: For arguments that do not fit, at any point.
@@ -110,6 +114,7 @@ class Sweep:
         standard_error: Mapping[str, float] | None = None,
         realizations: int = 0,
         batch: int | None = None,
+        outputs: Outputs | None = None,
     ):
         check_method(method)
         points, samples = points_of(over), plans.checked_samples(samples)
@@ -130,6 +135,7 @@ class Sweep:
             realizations=realizations,
             batch=plans.usual_batch(points.number, samples) if batch is None else batch,
             dtype=str(jnp.result_type(float)),
+            outputs=plans.outputs_in(outputs, points),
         )
         self._plan.check()
         self._folder: Path | None = None
@@ -247,7 +253,7 @@ class Sweep:
         return simulate_ensemble(
             *setting.model[:2], t1=plan.t1, samples=samples, key=plan.key_at(point), y0=setting.y0,
             method=setting.method, keep=keep, orders=numbering.orders, count_initial_rest=numbering.count_initial_rest,
-            threads=threads, progress=progress,
+            threads=threads, progress=progress, outputs=plan.outputs,
         )  # fmt: skip
 
     def _number_of(self, values: Mapping[str, float]) -> int:

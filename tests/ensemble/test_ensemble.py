@@ -68,6 +68,18 @@ def test_a_sample_depends_on_its_key_and_number_only(kept, changed):
         np.testing.assert_array_equal(getattr(other.flat_sticks, name), getattr(kept.flat_sticks, name)[:total])
 
 
+def test_totals_of_each_sample(kept):
+    totals = ss.simulate_ensemble(SYSTEM, POISSON, samples=150, keep="totals", **RUN)
+    for name in totals.totals._fields:
+        np.testing.assert_array_equal(getattr(totals.totals, name), getattr(kept.totals, name), strict=name != "sticks")
+    back = ss.Ensemble.from_xarray(totals.to_xarray())
+    np.testing.assert_array_equal(back.totals.stick_time, kept.totals.stick_time)
+    np.testing.assert_array_equal(back.extended(samples=10).totals.sticks[:150], kept.totals.sticks)
+    streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=150, **RUN)
+    with pytest.raises(ValueError, match=r'did not keep the totals of each sample; call .*keep="totals"'):
+        _ = streamed.totals
+
+
 def test_streamed_and_kept_ensembles_agree(kept):
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=150, keep="statistics", **RUN)
     assert streamed.moments.number == kept.moments.number == 150

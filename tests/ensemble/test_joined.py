@@ -27,7 +27,7 @@ def compare(one, other, rtol):
         other.first_sample,
         other.status_counts,
     )
-    for name in ("flat_sticks", "totals", "retained"):
+    for name in ("flat_sticks", "sample_totals", "retained"):
         for mine, its in zip(jax.tree.leaves(getattr(one, name)), jax.tree.leaves(getattr(other, name)), strict=True):
             np.testing.assert_array_equal(mine, its)
     ours, theirs = (jax.tree.leaves((many.moments, many.accumulator)) for many in (one, other))

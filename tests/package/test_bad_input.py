@@ -151,7 +151,7 @@ def test_where_a_table_is_to_be_written():
 
 
 def test_a_statistic_for_the_bootstrap_has_an_error():
-    refuses(lambda: ss.bootstrap_interval(ensemble(), lambda one: 1.0), "statistic", 1.0)
+    refuses(lambda: ss.bootstrap_interval(lambda one: 1.0, ensemble()), "statistic", 1.0)
 
 
 @pytest.mark.parametrize("value", [-0.1, -1, -1e-300], ids=show)

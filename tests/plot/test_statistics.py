@@ -230,7 +230,7 @@ def test_axes_name_quantity_and_unit(many):
     joint = plot.joint_histogram(many.statistics.joint("duration", "position"))
     assert joint[0].figure.axes[-1].get_ylabel() == "probability density (1/(s m))"
     assert plot.histogram(many.statistics.stick_fraction).get_ylabel() == "probability density"
-    settled = [convergence(many, ss.mean_stick_duration), histogram_convergence(many, bins=6)]
+    settled = [convergence(ss.mean_stick_duration, many), histogram_convergence(many, bins=6)]
     assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in map(plot.convergence, settled)] == [
         ("number of samples", "mean stick duration (pooled) (s)"),
         ("number of samples of each of the two histograms", "distance of the histograms\n(total variation)"),
@@ -241,7 +241,7 @@ def test_legends_hide_no_data(many):
     """Each legend lies wholly above its axes and inside the figure."""
     holes = np.array([[1.0, 2.0], [3.0, np.nan]])
     others = [
-        plot.convergence(convergence(many, ss.stick_fraction)),
+        plot.convergence(convergence(ss.stick_fraction, many)),
         plot.convergence(histogram_convergence(many, bins=6)),
         plot.parameter_map([1, 2], [1, 2], holes, **MAP_LABELS),
     ]
@@ -257,7 +257,7 @@ def test_given_axes_are_used_and_no_other_figure_is_made(many):
     statistics = many.statistics
     assert plot.histogram(statistics.duration, ax=axes[0]) is axes[0]
     assert plot.means_by_order(many, "start", ax=axes[1]) is axes[1]
-    assert plot.convergence(convergence(many, ss.stick_fraction), ax=axes[2]) is axes[2]
+    assert plot.convergence(convergence(ss.stick_fraction, many), ax=axes[2]) is axes[2]
     assert plot.stick_raster(many, ax=axes[3]) is axes[3]
     assert plot.stick_fraction_curve([1.0], [ss.stick_fraction(many)], ax=axes[4]) is axes[4]
     assert plot.parameter_map([1, 2], [1, 2], np.ones((2, 2)), **MAP_LABELS, ax=axes[5]) is axes[5]
@@ -285,7 +285,7 @@ def test_no_sticks_are_noted(none):
     heights, edges = steps(plot.histogram(statistics.stick_count))
     assert heights.tolist() == [1]
     assert edges.tolist() == [-0.5, 0.5]
-    ax = plot.convergence(convergence(none, ss.mean_stick_duration))
+    ax = plot.convergence(convergence(ss.mean_stick_duration, none))
     assert [note.get_text() for note in ax.texts] == ["not defined in 3 samples"]
 
 
@@ -314,7 +314,7 @@ def test_bad_arguments(many, annotations_unchecked):
     statistics = many.statistics
     joint = statistics.joint("duration", "position")
     totals = simulate(2, keep="totals")
-    settled = convergence(many, ss.stick_fraction)
+    settled = convergence(ss.stick_fraction, many)
     curve, square = plot.stick_fraction_curve, np.ones((2, 2))
     length = statistics.duration
     wrong = [

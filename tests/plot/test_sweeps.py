@@ -14,7 +14,7 @@ from stickslip_jax._statistics.estimate import Estimate
 
 
 def test_convergence_draws_estimates_band_and_final_value(many):
-    result = convergence(many, ss.mean_stick_duration)
+    result = convergence(ss.mean_stick_duration, many)
     ax = plot.convergence(result, level=0.95)
     assert ax.get_xscale() == "log"
     numbers, values = line(ax, "from the first samples").get_data()

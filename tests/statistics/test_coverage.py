@@ -59,7 +59,7 @@ def test_t_intervals_cover_as_often_as_they_promise(many, statistic, level):
 def test_bootstrap_intervals_cover_as_often_as_they_promise(many, statistic):
     truth, hits = statistic(many).value, []
     for number, study in enumerate(small_studies(many, 250)):
-        low, high = ss.bootstrap_interval(study, statistic, level=0.9, resamples=300, seed=number)
+        low, high = ss.bootstrap_interval(statistic, study, level=0.9, resamples=300, seed=number)
         hits.append(low <= truth <= high)
     assert_covers(hits, 0.9)
 
@@ -83,7 +83,7 @@ def test_bootstrap_intervals_are_those_of_samples_drawn_again(many):
     study, resamples, own = list(small_studies(many, number + 1))[-1], 8000, 20_000
     value, error, _ = pooled(groups[number])
     again, errors, _ = pooled(groups[number][np.random.default_rng(2).integers(SIZE, size=(own, SIZE))])
-    low, high = ss.bootstrap_interval(study, ss.mean_stick_duration, level=0.9, resamples=resamples)
+    low, high = ss.bootstrap_interval(ss.mean_stick_duration, study, level=0.9, resamples=resamples)
     for end, share in ((low, 0.95), (high, 0.05)):
         off = 4 * math.sqrt(share * (1 - share) * (1 / resamples + 1 / own))
         least, most = np.quantile((again - value) / errors, (share - off, share + off))
@@ -129,7 +129,7 @@ def test_sticks_ended_by_a_switch_number_rate_times_stick_time(mu, speed, rate):
 
 @pytest.mark.parametrize("statistic", [ss.stick_fraction, ss.mean_stick_duration], ids=lambda one: one.__name__)
 def test_convergence_predicts_the_samples_that_an_error_takes(many, statistic):
-    found = ss.convergence(many, statistic)
+    found = ss.convergence(statistic, many)
     assert found.numbers[0] == 2
     assert found.numbers[-1] == len(many.retained.totals)
     assert found.values[-1] == pytest.approx(statistic(many).value)
@@ -143,7 +143,7 @@ def test_convergence_predicts_the_samples_that_an_error_takes(many, statistic):
 
 
 def test_running_values_are_those_of_the_first_samples(many):
-    found = ss.convergence(many, ss.mean_stick_duration, points=5)
+    found = ss.convergence(ss.mean_stick_duration, many, points=5)
     for number, value, error in zip(found.numbers, found.values, found.errors, strict=True):
         part = dataclasses.replace(many, moments=Moments.of(many.retained.totals[:number]))
         one = ss.mean_stick_duration(part)

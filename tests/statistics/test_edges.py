@@ -141,7 +141,7 @@ def test_bad_arguments_are_named(annotations_unchecked):
         (lambda: made.joint("start", ("duration", 2)), r"or neither, but 'start' and \('duration', 2\) were given"),
         (lambda: made.joint("start", "duration").histogram(200), "Argument bins must be at most 128"),
         (lambda: made.duration.mean.interval(1.0), "Argument level must lie between 0 and 1"),
-        (lambda: ss.convergence(SYSTEM, ss.stick_fraction), "Argument ensemble must be the result"),
+        (lambda: ss.convergence(ss.stick_fraction, SYSTEM), "Argument ensemble must be the result"),
     ):
         with pytest.raises(ValueError, match=message):
             ask()
@@ -154,22 +154,22 @@ def test_arguments_of_what_needs_an_ensemble(tmp_path, annotations_unchecked):
     for ask, message in (
         (lambda: ss.simulate_ensemble(SYSTEM, ss.Constant(1.0), t1=1.0, samples=1, orders=0), "Argument orders must"),
         (lambda: many.write_sticks(tmp_path / "sticks.csv"), 'did not keep its sticks; call .*keep="sticks"'),
-        (lambda: ss.convergence(one, ss.stick_fraction), "must hold 2 finished samples or more, but it has 1"),
-        (lambda: ss.convergence(many, ss.stick_fraction, points=1), "Argument points must be a whole number"),
+        (lambda: ss.convergence(ss.stick_fraction, one), "must hold 2 finished samples or more, but it has 1"),
+        (lambda: ss.convergence(ss.stick_fraction, many, points=1), "Argument points must be a whole number"),
         (lambda: ss.histogram_convergence(many), "must hold 4 finished samples or more, but it has 3"),
         (
-            lambda: ss.bootstrap_interval(many, ss.stick_fraction, resamples=5),
+            lambda: ss.bootstrap_interval(ss.stick_fraction, many, resamples=5),
             "Argument resamples must be a whole number",
         ),
         (
-            lambda: ss.convergence(many, "stick_fraction"),
+            lambda: ss.convergence("stick_fraction", many),
             "Argument statistic must be a function such as stick_fraction",
         ),
-        (lambda: ss.bootstrap_interval(many, ss.stick_fraction, level=90), "Argument level must lie between 0 and 1"),
+        (lambda: ss.bootstrap_interval(ss.stick_fraction, many, level=90), "Argument level must lie between 0 and 1"),
     ):
         with pytest.raises(ValueError, match=message):
             ask()
-    assert ss.bootstrap_interval(one, ss.stick_fraction) == pytest.approx((math.nan, math.nan), nan_ok=True)
+    assert ss.bootstrap_interval(ss.stick_fraction, one) == pytest.approx((math.nan, math.nan), nan_ok=True)
 
 
 def test_motion_without_chance():
@@ -178,4 +178,4 @@ def test_motion_without_chance():
     duration = many.statistics.duration
     assert duration.repeated_share.value == 1
     assert math.isnan(duration.differential_entropy.value)
-    assert ss.bootstrap_interval(many, ss.stick_fraction) == pytest.approx((math.nan, math.nan), nan_ok=True)
+    assert ss.bootstrap_interval(ss.stick_fraction, many) == pytest.approx((math.nan, math.nan), nan_ok=True)

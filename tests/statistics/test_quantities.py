@@ -66,11 +66,3 @@ def test_sensitivities_see_the_same_statistic(statistic):
     assert (differentiated.name, differentiated.unit) == (statistic.label, statistic.unit)
     parts = differentiated.parts(StickSequence(np.array([1.0, 4.0, 0.0]), duration, mask), 30.0)
     np.testing.assert_allclose(parts, differentiated.weights(30.0) @ [2.5, 2.0, 1.0], rtol=1e-15)
-
-
-@pytest.mark.parametrize("statistic", [ss.mean_slip_count, ss.mean_slip_duration], ids=repr)
-def test_statistics_of_slips_have_no_sensitivity(statistic, annotations_unchecked):
-    taken = "stick_fraction, mean_stick_count, mean_stick_duration, mean_total_stick_time"
-    message = f"Argument statistic must be {taken}, or a StickStatistic .* but {statistic.name} was given"
-    with pytest.raises(ValueError, match=message):
-        ss.sensitivity(statistic, SYSTEM, ss.PoissonSwitching(1.0, 1.0), wrt="mu", t1=10.0, samples=10)

@@ -237,6 +237,6 @@ def test_totals_alone_have_no_statistics(kept):
     totals = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="totals", chunk=64, **RUN)
     assert ss.stick_fraction(totals).value == pytest.approx(ss.stick_fraction(kept).value, rel=1e-12)
     assert totals.accumulator is totals.retained is totals.flat_sticks is None
-    for ask in (lambda: totals.statistics, totals.summary, lambda: ss.convergence(totals, ss.stick_fraction)):
+    for ask in (lambda: totals.statistics, totals.summary, lambda: ss.convergence(ss.stick_fraction, totals)):
         with pytest.raises(ValueError, match="kept only totals; call simulate_ensemble"):
             ask()

@@ -202,7 +202,7 @@ def test_initial_rest_is_counted_if_asked_for(tmp_path):
 
 def test_motor_cart_by_statistics_alone(tmp_path, monkeypatch):
     whole = run(tmp_path, CART).ensemble
-    bare = dataclasses.replace(whole, flat_sticks=None, totals=None)
+    bare = dataclasses.replace(whole, flat_sticks=None, sample_totals=None)
     monkeypatch.setattr("stickslip_jax.study._run.simulate", lambda *_: bare)
     study = run(tmp_path, CART + 'keep = "statistics"\n', out=str(tmp_path / "bare"))
     assert study.first_sticks is None

@@ -27,6 +27,10 @@ class Path(eqx.Module):
     def state(self, time: FloatArray) -> State:
         """The state at one time (s)."""
 
+    @abc.abstractmethod
+    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+        """The largest value of `sign` times one number of the state until the time `last` (s), where it is `final`."""
+
     @property
     @abc.abstractmethod
     def smooth(self) -> Signal | None:

@@ -15,6 +15,7 @@ from ..._systems.switched_model import Segments, State
 from ..._types import FloatArray, Number, Scalar
 from ..common.path import Path, Run
 from .crossing import Motion, cross_interval, scales_of, status_of
+from .extremes import largest_in_interval
 from .given import Given, beginnings, final_motion, ordered_sticks
 
 
@@ -37,6 +38,14 @@ class IntervalPath(Path):
         )
         motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
         return motion.x, motion.v
+
+    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+        dtype = final.dtype
+        scales = scales_of(self.system, self.t1, dtype)
+        of_interval = partial(largest_in_interval, scales, of_velocity=number == 1, sign=sign)
+        durations, velocities = (jnp.asarray(one, dtype) for one in (self.base.durations, self.base.velocities))
+        found = jnp.max(jax.vmap(of_interval)(self.beginnings, durations, velocities))
+        return jnp.maximum(found * scales.omega if number == 1 else found, sign * final)
 
     @property
     def smooth(self) -> None:

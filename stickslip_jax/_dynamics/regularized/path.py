@@ -20,6 +20,7 @@ from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..._types import Array, FloatArray, IntArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
+from ..common.extremes import largest_in_steps
 from ..common.method import Regularized
 from ..common.path import Path, Run
 from ..common.segments import SegmentLaws
@@ -71,6 +72,13 @@ class CubicPath(Path):
         return tuple(
             hermite(tau, h, y[index], rate[index], y[index + 1], end_rate[index])
             for y, rate, end_rate in zip(self.y, self.rates, self.end_rates, strict=True)
+        )
+
+    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+        columns = (self.y[number][:-1], self.rates[number], self.y[number][1:], self.end_rates[number])
+        lengths = jnp.diff(self.t)
+        return largest_in_steps(
+            lambda step, tau: sign * hermite(tau, step[1], *step[0]), (columns, lengths), lengths, sign * final
         )
 
     @property

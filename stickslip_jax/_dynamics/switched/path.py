@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..._events.sticks import sticks_in_order
@@ -16,11 +17,12 @@ from ..._status import Status
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..._types import FloatArray, Number, Scalar
+from ..common.extremes import largest_in_steps
 from ..common.method import Exact
 from ..common.path import Path, Run
 from ..common.time_scales import max_steps_advice
 from ..common.validation import Arguments
-from .run import Beginnings, run_trajectory, state_at, steps_for
+from .run import Beginnings, run_trajectory, state_at, state_in_step, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
 _MOST_SLOPES = 3  # by more numbers, going back over the steps takes less time
@@ -41,6 +43,13 @@ class StepPath(Path):
 
     def state(self, time: FloatArray) -> State:
         return state_at(self.system, self.excitation, self.solver, self.beginnings, time)
+
+    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+        begun, model = self.beginnings, self.system.switched_model(self.excitation.signal, self.solver)
+        lengths = jnp.append(begun.t[1:], last) - begun.t
+        return largest_in_steps(
+            lambda step, h: sign * state_in_step(model, step, h)[number], begun, lengths, sign * final
+        )
 
     @property
     def smooth(self) -> Signal | None:
