@@ -45,7 +45,7 @@ class IntervalPath(Path):
         of_interval = partial(largest_in_interval, scales, of_velocity=number == 1, sign=sign)
         durations, velocities = (jnp.asarray(one, dtype) for one in (self.base.durations, self.base.velocities))
         found = jnp.max(jax.vmap(of_interval)(self.beginnings, durations, velocities))
-        return jnp.maximum(found * scales.omega if number == 1 else found, sign * final)
+        return jnp.maximum(found, sign * final)
 
     @property
     def smooth(self) -> None:
