@@ -99,7 +99,9 @@ class Settled(NamedTuple):
     share: FloatArray
 
 
-def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray) -> Settled:
+def settled(
+    gain: FloatArray, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray
+) -> Settled:
     """Which contacts that are asked friction holds.
 
     `slack`: by how much the share of a stick that goes on may exceed 1: round-off at the limit.
