@@ -1,7 +1,7 @@
 """Reference for linear structures with several dry-friction contacts, in numpy and scipy, good to about 1e-11.
 
-The structure is ``M x'' + C x' + K x = F(t) + W^T u`` in SI units. Contact ``i`` acts along the row ``w_i`` of ``W`` and
-slides with the relative velocity ``g_i = w_i x' - b_i V(t)``; its friction ``u_i`` acts along ``w_i``. It is one of
+The structure is ``M x'' + C x' + K x = F(t) + W^T u`` in SI units. Contact ``i`` slides with the relative velocity
+``g_i = w_i x' - b_i V(t)``, where ``w_i`` is a row of ``W``; its friction ``u_i`` acts along ``w_i``. It is one of
 
 - open, where its normal force is not positive: ``u_i = 0``;
 - slipping: ``u_i = -sign(g_i) kinetic_i(|g_i|) N_i(t)``;
@@ -374,7 +374,7 @@ def _follow_arc(run: Motion, arc: _Arc, t: float, y: np.ndarray, end: float, rto
             values = gaps[row]
             if not fresh[row] and values[0] > 0 and np.all(np.diff(values) < 0) and values[-1] > 0:
                 continue
-            at = lambda s, row=row: arc.gaps(s, dense(s))[row]  # noqa: E731
+            at = lambda s, row=row, dense=dense: arc.gaps(s, dense(s))[row]  # noqa: E731
             note = lambda dip, scale=scales[row]: run.close("grazing", max(dip / scale, 0.0))  # noqa: E731
             without = row >= n and np.max(np.abs(values)) <= floors[row]  # never any normal force
             zero, fresh[row] = _zero(values, times, floors[row], fresh[row], at, _ignore if without else note)
@@ -443,7 +443,8 @@ def follow(
     run = Motion()
     book, y, sides = _Book(run, structure), np.concatenate([x0, v0, [0.0]]).astype(float), None
     step, last = None, -math.inf
-    for piece, (t, end) in enumerate(itertools.pairwise(edges)):
+    for piece, (start, end) in enumerate(itertools.pairwise(edges)):
+        t = start
         sides, why = _start_piece(run, structure, piece, t, y, end, sides, max_step)
         book.note(t, y, sides, why)
         last = _instant(run, last, t, max_step)
@@ -480,7 +481,7 @@ def _start_piece(run, structure, piece, t, y, end, before, max_step):
     sides = np.where(closed, np.where(rest, STUCK, np.sign(relative)), OPEN).astype(int)
     why = {}
     if before is not None:
-        why = {i: BASE_SWITCHED for i in np.flatnonzero((before == STUCK) & ~rest).tolist()}
+        why = dict.fromkeys(np.flatnonzero((before == STUCK) & ~rest).tolist(), BASE_SWITCHED)
     return _settle(run, _Arc(structure, piece, sides, max_step), t, y, {}), why
 
 
