@@ -113,8 +113,9 @@ MARGINS = ("grazing", "holding", "case", "instants")
 class _Arc:
     """The equations while no contact changes; `sides` holds -1, 1, STUCK or OPEN for each."""
 
-    def __init__(self, structure: Structure, piece: int, sides: np.ndarray, max_step: float):
+    def __init__(self, structure: Structure, piece: int, sides: np.ndarray, max_step: float, weight: float):
         self.structure, self.piece, self.sides, self.max_step = structure, piece, sides, max_step
+        self.weight = weight  # the largest normal force in this piece, in N
         self.d, self.stuck, self.slipping = len(structure.mass), sides == STUCK, np.abs(sides) == 1
         inverse = np.linalg.inv(structure.mass)
         self.inverse, self.across = inverse, inverse @ structure.directions.T
@@ -171,7 +172,7 @@ class _Arc:
     def speed(self, t: float, y: np.ndarray) -> float:
         """The largest speed around."""
         now = self.structure
-        pushes = np.diag(self.delassus) * now.static * np.abs(self.normal(t))
+        pushes = np.diag(self.delassus) * now.static * self.weight
         speeds = np.abs(now.directions) @ np.abs(y[self.d : 2 * self.d])
         return (
             np.max(speeds)
@@ -181,9 +182,8 @@ class _Arc:
 
     def scales(self, t: float, y: np.ndarray) -> np.ndarray:
         """What each gap is measured against, ``(2 n,)``."""
-        normal = np.abs(self.normal(t))
-        limits = self.structure.static * np.maximum(normal, 1e-3 * np.max(normal))
-        forces = np.maximum(normal, np.max(normal) or 1.0)
+        limits = self.structure.static * np.maximum(np.abs(self.normal(t)), 1e-3 * self.weight)
+        forces = np.full(len(self.sides), self.weight)
         return np.concatenate([np.where(self.stuck, limits, self.speed(t, y)), forces]) + 1e-300
 
     def project(self, t: float, y: np.ndarray, rest: np.ndarray) -> None:
@@ -417,7 +417,7 @@ class _Book:
 def _is_closed(arc: _Arc, t: float, end: float) -> np.ndarray:
     """Which normal forces are positive; where one is zero, a little later decides."""
     normal, later = arc.normal(t), arc.normal(t + 1e-6 * min(end - t, arc.max_step))
-    return np.where(np.abs(normal) > FLOOR * np.max(np.abs(normal)), normal, later) > 0
+    return np.where(np.abs(normal) > FLOOR * arc.weight, normal, later) > 0
 
 
 def follow(
@@ -445,11 +445,12 @@ def follow(
     step, last = None, -math.inf
     for piece, (start, end) in enumerate(itertools.pairwise(edges)):
         t = start
-        sides, why = _start_piece(run, structure, piece, t, y, end, sides, max_step)
+        weight = float(np.max(np.abs(structure.normal_forces(np.linspace(t, end, 65), piece)))) or 1.0
+        sides, why = _start_piece(run, structure, piece, t, y, end, sides, max_step, weight)
         book.note(t, y, sides, why)
         last = _instant(run, last, t, max_step)
         while t < end:
-            arc = _Arc(structure, piece, sides, max_step)
+            arc = _Arc(structure, piece, sides, max_step, weight)
             t, y, row, step = _follow_arc(run, arc, t, y, end, rtol, step)
             if arc.stuck.any():
                 arc.project(t, y, np.flatnonzero(arc.stuck))
@@ -472,22 +473,24 @@ def _instant(run: Motion, last: float, t: float, max_step: float) -> float:
     return t
 
 
-def _start_piece(run, structure, piece, t, y, end, before, max_step):
+def _start_piece(run, structure, piece, t, y, end, before, max_step, weight):
     """The sides at 0 or after a break, from those `before` it; and why sticks ended, where it was the base."""
     n = len(structure.directions)
-    arc = _Arc(structure, piece, np.zeros(n, int), max_step)
+    arc = _Arc(structure, piece, np.zeros(n, int), max_step, weight)
     relative, closed = arc.relative(t, y), _is_closed(arc, t, end)
     rest = np.abs(relative) <= REST * arc.speed(t, y)
     sides = np.where(closed, np.where(rest, STUCK, np.sign(relative)), OPEN).astype(int)
     why = {}
     if before is not None:
         why = dict.fromkeys(np.flatnonzero((before == STUCK) & ~rest).tolist(), BASE_SWITCHED)
-    return _settle(run, _Arc(structure, piece, sides, max_step), t, y, {}), why
+    return _settle(run, _Arc(structure, piece, sides, max_step, weight), t, y, {}), why
 
 
 def _change(run: Motion, arc: _Arc, t: float, y: np.ndarray, row: int) -> np.ndarray:
     """The sides after the gap `row` has closed."""
     n, sides, released = len(arc.sides), arc.sides.copy(), {}
+    if row < n and sides[row] == STUCK and arc.normal(t)[row] <= VIABLE * arc.weight:
+        row += n  # it needs nothing, and is held until it opens
     if row >= n:
         i = row - n
         relative = arc.relative(t, y)[i]
@@ -500,7 +503,7 @@ def _change(run: Motion, arc: _Arc, t: float, y: np.ndarray, row: int) -> np.nda
     # Others that came to rest at this very instant; a slip that has just begun from rest is not among them.
     relative, slipping = np.abs(arc.relative(t, y)), np.abs(sides) == 1
     sides[slipping & (relative <= REST * arc.speed(t, y))] = STUCK
-    asked = _Arc(arc.structure, arc.piece, sides, arc.max_step)
+    asked = _Arc(arc.structure, arc.piece, sides, arc.max_step, arc.weight)
     if asked.stuck.any():
         asked.project(t, y, np.flatnonzero(asked.stuck))
     after = _settle(run, asked, t, y, released)

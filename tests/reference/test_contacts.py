@@ -1,4 +1,4 @@
-"""Self-checks of the reference for several contacts: known cases, balances, conditions, and other ways to its answers."""
+"""Self-checks of the reference for several contacts: known cases, balances, conditions, and other ways there."""
 
 import math
 
@@ -190,7 +190,7 @@ def test_contacts_at_rest_are_the_one_solution_of_the_bounded_problem(seed):
 
 
 def test_of_two_that_need_too_much_the_one_in_greater_need_breaks_first():
-    """A block on a block on the floor, pushed: the lower contact breaks, and its weaker friction lets the upper hold."""
+    """Without a difference of static and kinetic friction: minimize ``u G u / 2 + rates u`` within the limits."""
     across = np.array([[1.0, 0.0], [-1.0, 1.0]])  # of the lower block on the floor, of the upper one on it
     delassus, rates = across @ across.T, across @ np.array([1.0, 2.0])
     static = np.array([2.0, 1.9])  # they need 3 and 2
@@ -211,7 +211,6 @@ def test_normal_force_that_comes_and_goes():
     start = 2 * math.pi + math.acos(1 - 0.4 / 0.3)
     assert names(run) == [(0, HORIZON)]
     assert run.sticks[0].start == pytest.approx(start, abs=1e-12)
-    path = 2 * math.pi * 0.6 - 0.3 * math.pi + 0.3 * math.pi  # 0.3 (pi - 0) in the first half turn, then 0.6 pi
     path = 0.3 * math.pi + 0.6 * math.pi + 0.9 * (start - 2 * math.pi) - 0.3 * math.sin(start)
     assert run.sticks[0].position == pytest.approx(path, abs=1e-11)
     assert run.sticks[0].displacement == pytest.approx(path - start, abs=1e-11)

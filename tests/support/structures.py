@@ -61,7 +61,7 @@ def _chain(rng: np.random.Generator, contacts: int, springs: bool):
 
 
 def _stack(rng: np.random.Generator, contacts: int, springs: bool):
-    """Blocks that rub on the base and on each other, or any directions at all; independent, so no force is undefined."""
+    """Blocks that rub on the base and on each other, or any directions at all; independent, for defined forces."""
     d = contacts + int(rng.integers(0, 2))
     mass, stiffness = np.diag(rng.uniform(0.5, 2, d)), np.zeros((d, d))
     if springs:
