@@ -8,7 +8,8 @@ from numpy.polynomial.legendre import leggauss
 from scipy.optimize import lsq_linear
 from support.structures import random_structure, reference_motion
 
-from .contacts import HORIZON, OPEN, OPENED, RELEASED, STUCK, Motion, Structure, _settle_block, follow
+from .contact_arcs import HORIZON, OPEN, STUCK, Motion, Structure
+from .contacts import OPENED, RELEASED, _settle_block, follow
 from .event_driven import simulate_mass_spring
 
 
@@ -190,7 +191,7 @@ def test_contacts_at_rest_are_the_one_solution_of_the_bounded_problem(seed):
 
 
 def test_of_two_that_need_too_much_the_one_in_greater_need_breaks_first():
-    """Without a difference of static and kinetic friction: minimize ``u G u / 2 + rates u`` within the limits."""
+    """A block on a block on the floor, pushed: the lower contact breaks, and slides so slowly that the upper holds."""
     across = np.array([[1.0, 0.0], [-1.0, 1.0]])  # of the lower block on the floor, of the upper one on it
     delassus, rates = across @ across.T, across @ np.array([1.0, 2.0])
     static = np.array([2.0, 1.9])  # they need 3 and 2

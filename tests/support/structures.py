@@ -11,7 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
-from reference.contacts import Motion, Structure, follow
+from reference.contact_arcs import Motion, Structure
+from reference.contacts import follow
 
 BASES = ("constant", "harmonic", "square", "lines")
 
