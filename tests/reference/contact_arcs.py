@@ -87,7 +87,7 @@ class Motion:
         """The state ``(x, x', displacement of the base)`` at one instant."""
         return self.stretches[max(bisect_right(self.stretches, t, key=itemgetter(0)) - 1, 0)][3](t)
 
-    def close(self, kind: str, value: float) -> None:
+    def close(self, kind: str, value: float | np.ndarray) -> None:
         """Note a margin."""
         self.margins[kind] = min(self.margins[kind], float(value))
 
@@ -240,7 +240,7 @@ def _exact(arc: Arc, start: float, before: np.ndarray, rtol: float) -> Callable[
 
 def _polish(arc: Arc, exact, row: int, t: float, start: float, stop: float) -> tuple[float, np.ndarray, float]:
     """The instant at which a gap closes by the exact states, near `t`; also the state there and the gap's slope."""
-    y, h = exact(t), 1e-6 * (stop - start)
+    y, h, slope = exact(t), 1e-6 * (stop - start), 0.0
     for _ in range(3):
         rate, value = arc.slope(t, y), arc.gaps(t, y)[row]
         slope = (arc.gaps(t + h, y + h * rate)[row] - arc.gaps(t - h, y - h * rate)[row]) / (2 * h)
@@ -259,6 +259,7 @@ def follow_arc(run: Motion, arc: Arc, t: float, y: np.ndarray, end: float, rtol:
     fresh = (np.abs(start_gaps) <= 100 * floors) & ~np.concatenate([arc.stuck, np.zeros(n, bool)])
     first = min(first, end - t) if first else None
     solver = DOP853(arc.slope, t, y, end, max_step=arc.max_step, first_step=first, rtol=rtol, atol=1e-3 * rtol)
+    start = stop = t
     while solver.status == "running":
         start, before = solver.t, solver.y.copy()
         solver.step()

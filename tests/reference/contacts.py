@@ -145,8 +145,8 @@ def _is_closed(arc: Arc, t: float, end: float) -> np.ndarray:
 def follow(
     structure: Structure,
     t1: float,
-    x0: Sequence[float],
-    v0: Sequence[float],
+    x0: Sequence[float] | np.ndarray,
+    v0: Sequence[float] | np.ndarray,
     *,
     rtol: float = 1e-12,
     max_step: float | None = None,
@@ -186,7 +186,7 @@ def follow(
     for i in list(book.current):
         book.finish(i, edges[-1], HORIZON)
     run.sticks.sort(key=lambda stick: (stick.start, stick.contact))
-    run.position, run.velocity = y[: arc.d], y[arc.d : 2 * arc.d]
+    run.position, run.velocity = np.split(y[:-1], 2)
     return run
 
 
