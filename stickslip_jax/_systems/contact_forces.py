@@ -9,7 +9,7 @@ Which contacts at rest are held is a linear complementarity problem with bounds 
 friction are equal and the gain is positive definite it has one solution (Stewart and Trinkle 1996; Pfeiffer and
 Glocker 1996). Where static friction is larger the rule is one after the other: what stuck holds up to its static limit,
 the stick that needs the largest share of its limit breaks first and falls to kinetic friction, and then the rest are
-asked again.
+asked again. What has broken and is driven back by the others is held again by at most its kinetic friction.
 """
 
 from typing import NamedTuple
@@ -85,9 +85,13 @@ class Limits(NamedTuple):
         """The force in a slip of this sign; 0 for the sign 0."""
         return jnp.where(sign > 0, self.forward, jnp.where(sign < 0, -self.backward, 0))
 
-    def share(self, force: FloatArray) -> FloatArray:
-        """The `force` that a stick needs, over the largest one in its direction; infinite where none is possible."""
-        limit = jnp.where(force > 0, self.static_forward, self.static_backward)
+    def share(self, force: FloatArray, broken: BoolArray | bool = False) -> FloatArray:
+        """The `force` that a stick needs, over the largest one in its direction; infinite where none is possible.
+
+        `broken`: what kinetic friction must hold, its stick being over.
+        """
+        static = jnp.where(force > 0, self.static_forward, self.static_backward)
+        limit = jnp.where(broken, jnp.where(force > 0, self.forward, self.backward), static)
         can = limit > 0
         return jnp.where(can, force / jnp.where(can, limit, 1), jnp.inf)
 
@@ -106,9 +110,9 @@ def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Quest
     """
     asked = question.asked
 
-    def shares(sign):
+    def shares(sign, broken=False):
         force = solved(gain, drift, limits.slip(sign), asked & (sign == 0))
-        return force, limits.share(force)
+        return force, limits.share(force, broken)
 
     # What has just been released slips in the direction in which it is driven.
     start = jnp.where(asked, 0, question.sign)
@@ -120,9 +124,9 @@ def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Quest
         breaks = asked & ~question.released & (jnp.abs(share) > allowed)
         return Settled(jnp.where(breaks, driven, start), share)
 
-    def again(state: tuple[FloatArray, FloatArray, IntArray, BoolScalar]):
-        sign, decisive, passes, _ = state
-        force, share = shares(sign)
+    def again(state: tuple[FloatArray, FloatArray, BoolArray, IntArray, BoolScalar]):
+        sign, decisive, broken, passes, _ = state
+        force, share = shares(sign, broken)
         held, slips = asked & (sign == 0), asked & (sign != 0) & ~question.released
         excess = jnp.where(held, jnp.abs(share) - allowed, -jnp.inf)
         # A contact that others drive back is held again: its friction alone would reverse it.
@@ -131,9 +135,9 @@ def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Quest
         returns = (back == jnp.max(back)) & (back > 0) & ~jnp.any(breaks)
         decisive = jnp.where(held, share, decisive)
         new = jnp.where(breaks, jnp.where(force > 0, 1, -1), jnp.where(returns, 0, sign)).astype(sign.dtype)
-        return new, decisive, passes + 1, jnp.any(breaks | returns)
+        return new, decisive, broken | breaks, passes + 1, jnp.any(breaks | returns)
 
     most = _PASSES * len(drift) + 1
-    first = (start, share, jnp.zeros((), jnp.int32), jnp.any(asked))
-    sign, share, _, _ = lax.while_loop(lambda s: s[3] & (s[2] < most), again, first)
+    first = (start, share, jnp.zeros_like(asked), jnp.zeros((), jnp.int32), jnp.any(asked))
+    sign, share, *_ = lax.while_loop(lambda s: s[4] & (s[3] < most), again, first)
     return Settled(sign, share)
