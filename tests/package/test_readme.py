@@ -19,7 +19,7 @@ DOCUMENTS = {
     "docs/howto/own_system.md": 2,
     "docs/howto/precision.md": 2,
     "docs/howto/save.md": 2,
-    "docs/howto/sliding_block.md": 2,
+    "docs/howto/sliding_block.md": 1,
     "docs/regularized.md": 2,
     "docs/sensitivity.md": 1,
     "docs/statistics.md": 4,
