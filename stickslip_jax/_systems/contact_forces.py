@@ -110,7 +110,7 @@ def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Quest
     """
     asked = question.asked
 
-    def shares(sign, broken=False):
+    def shares(sign: FloatArray, broken: BoolArray | bool = False) -> tuple[FloatArray, FloatArray]:
         force = solved(gain, drift, limits.slip(sign), asked & (sign == 0))
         return force, limits.share(force, broken)
 

@@ -23,7 +23,7 @@ DOCUMENTS = {
     "docs/howto/precision.md": 2,
     "docs/howto/records.md": 6,
     "docs/howto/save.md": 2,
-    "docs/howto/sliding_block.md": 2,
+    "docs/howto/sliding_block.md": 1,
     "docs/limits.md": 2,
     "docs/regularized.md": 2,
     "docs/sensitivity.md": 2,

@@ -69,6 +69,15 @@ def test_some_samples_without_a_spring():
         assert mean(ss.stick_fraction(many)) == pytest.approx(np.mean(times) / 20.0, rel=1e-10)
 
 
+def test_a_start_on_the_base_is_a_stick_from_the_first_instant():
+    """For every stiffness, to the last bit: it is the initial rest, which is not counted."""
+    system = ss.MassSpring(1.0, ss.LogNormal(median=4.0, log_std=0.1), 1.0, ss.Coulomb(1.0))
+    many = ss.simulate_ensemble(system, LAW, t1=5.0, samples=300, key=jax.random.key(0), y0=(0.0, 1.0), keep="sticks")
+    starts = np.asarray(many.sticks.start)[np.asarray(many.sticks.mask)]
+    assert np.sum(starts == 0) > 100
+    assert np.min(starts[starts > 0]) > 1e-9
+
+
 def test_steps_of_a_traced_stiffness_that_is_zero():
     def final(stiffness):
         system = ss.MassSpring(1.0, stiffness, 1.0, ss.Coulomb(0.5), damping=0.1)

@@ -34,7 +34,8 @@ class Motion(NamedTuple):
 def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
     """The system's scales as arrays of `dtype`."""
     mass, held = jnp.asarray(system.mass, dtype), jnp.asarray(system.friction.static * system.normal_force, dtype)
-    return Scales.of(jnp.asarray(system.stiffness, dtype) / mass, held / mass, jnp.asarray(t1, dtype))
+    # An infinite mass would rest on every base: 0 * infinity makes its state NaN (`NOT_FINITE`).
+    return Scales.of(jnp.asarray(system.stiffness, dtype) / mass, held / mass + 0 * mass, jnp.asarray(t1, dtype))
 
 
 def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[str, ...] = ()) -> Motion:
