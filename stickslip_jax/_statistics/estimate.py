@@ -52,7 +52,8 @@ class Estimate:
     error 0, and ``e + e`` has twice the error of e. Estimates of different origin, such as those of two ensembles with
     different keys, are taken to be independent. Two different estimates of one origin are not, and how they are
     correlated is not known: what is computed from both has a value, but the error NaN. (It is known of the results of
-    one call of `sensitivity`.) Of a combination `samples` is such that `interval` has the degrees of freedom of Welch and Satterthwaite, rounded down.
+    one call of `sensitivity`.) Of a combination `samples` is such that `interval` has the degrees of freedom of Welch
+    and Satterthwaite, rounded down.
 
     ``<``, ``<=``, ``>`` and ``>=`` compare values, which says nothing about significance: for that, see whether
     ``(a - b).interval()`` holds 0. ``==`` asks whether two estimates are the same in all that they say.
