@@ -363,8 +363,8 @@ class Simulation(WithMethods):
         )
 
 
-@partial(jax.jit, static_argnums=(1, 2))
-def _largest(one: Simulation, number: int, sign: int) -> FloatArray:
+@partial(jax.jit, static_argnums=1)
+def _largest(one: Simulation, number: int, sign: Scalar) -> FloatArray:
     """The largest value of `sign` times one number of the state."""
     return one._path.largest(number, sign, one.time_reached, one.final_state[number])
 

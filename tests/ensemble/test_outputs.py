@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.switched import path
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -135,6 +136,16 @@ def test_uncertain_models(name):
     )
     for i in (0, 69):
         assert some.output_values["peak"][i] == pytest.approx(float(one_of(some, i).peak("velocity")), rel=1e-8)
+
+
+def test_samples_that_need_more_steps_get_them(monkeypatch):
+    """Under jit the number of steps is fixed; those for whom it is too small are simulated again."""
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8), damping=0.1)
+    run = {**RUN, "samples": 12, "outputs": {"peak": lambda one: one.peak("velocity")}}
+    enough = ss.simulate_ensemble(system, ss.RandomPhase(ss.Harmonic(1.0, 1.3)), **run)
+    monkeypatch.setattr(path, "steps_for", lambda *_: 64)
+    again = ss.simulate_ensemble(system, ss.RandomPhase(ss.Harmonic(1.0, 1.3)), **run)
+    np.testing.assert_allclose(again.output_values["peak"], enough.output_values["peak"], rtol=1e-12)
 
 
 def test_sobol_indices_of_an_output():

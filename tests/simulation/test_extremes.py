@@ -135,5 +135,11 @@ def test_bad_coordinates():
     for wrong in ("x", 0):
         with pytest.raises(ValueError, match="Argument coordinate must be one of 'position', 'velocity'"):
             at_rest().maximum(wrong)
+
+
+def test_motor_and_cart():
     cart = ss.simulate(ss.MotorCart(mu=0.5), ss.SourceVoltage(), t1=0.5)
-    assert float(cart.maximum("current")) > 0
+    times = np.linspace(0.0, 0.5, 1001)
+    for name, values in zip(("angle", "angular velocity", "current"), cart.evaluate(times), strict=True):
+        on_grid = float(values.max())
+        assert on_grid - 1e-9 <= float(cart.maximum(name)) <= on_grid + 1e-2 * abs(on_grid), name

@@ -107,8 +107,8 @@ BAD = [
     ),
     ({"sensitivities": ["mu"]}, r"sensitivities must hold pairs of a statistic and the parameter"),
     (
-        {"sensitivities": [("mean_slip_count", "mu")]},
-        r"must hold pairs .* but \('mean_slip_count', 'mu'\)",
+        {"sensitivities": [("mean_slip_number", "mu")]},
+        r"must hold pairs .* but \('mean_slip_number', 'mu'\)",
     ),
     ({"sensitivities": [("stick_fraction", "nope")]}, r"wrt must name one of .*, but 'nope' was given"),
     ({"samples": 0}, r"samples must be a whole number of at least 1, but 0 was given"),

@@ -12,7 +12,7 @@ from ..._excitation.segments import added
 from ..._excitation.smooth import Signal
 from ..._excitation.voltage import SourceVoltage
 from ..._systems.switched_model import Segments, State
-from ..._types import FloatArray
+from ..._types import FloatArray, Scalar
 
 
 class Path(eqx.Module):
@@ -28,7 +28,7 @@ class Path(eqx.Module):
         """The state at one time (s)."""
 
     @abc.abstractmethod
-    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
         """The largest value of `sign` times one number of the state until the time `last` (s), where it is `final`."""
 
     @property

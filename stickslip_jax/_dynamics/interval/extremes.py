@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from ..._types import BoolArray, FloatArray
+from ..._types import BoolArray, FloatArray, Scalar
 from .arcs import Scales, carry_across, first_arc, mirrored, time_of_arc
 from .crossing import Motion
 from .spring import Spring, quotient, swung
@@ -30,7 +30,7 @@ class _Arc(NamedTuple):
 
 
 def largest_in_interval(
-    scales: Scales, motion: Motion, duration: FloatArray, velocity: FloatArray, *, of_velocity: bool, sign: int
+    scales: Scales, motion: Motion, duration: FloatArray, velocity: FloatArray, *, of_velocity: bool, sign: Scalar
 ) -> FloatArray:
     """The largest value of `sign` times the position (m), or the velocity (m/s), in an interval.
 

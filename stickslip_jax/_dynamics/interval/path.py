@@ -39,7 +39,7 @@ class IntervalPath(Path):
         motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
         return motion.x, motion.v
 
-    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
         dtype = final.dtype
         scales = scales_of(self.system, self.t1, dtype)
         of_interval = partial(largest_in_interval, scales, of_velocity=number == 1, sign=sign)

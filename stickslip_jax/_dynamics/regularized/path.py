@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -74,12 +75,14 @@ class CubicPath(Path):
             for y, rate, end_rate in zip(self.y, self.rates, self.end_rates, strict=True)
         )
 
-    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
         columns = (self.y[number][:-1], self.rates[number], self.y[number][1:], self.end_rates[number])
         lengths = jnp.diff(self.t)
-        return largest_in_steps(
-            lambda step, tau: sign * hermite(tau, step[1], *step[0]), (columns, lengths), lengths, sign * final
-        )
+
+        def inside(step: tuple[State, FloatArray], tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return jax.jvp(lambda tau: sign * hermite(tau, step[1], *step[0]), (tau,), (jnp.ones_like(tau),))
+
+        return largest_in_steps(inside, (columns, lengths), sign * columns[0], lengths, sign * final)
 
     @property
     def smooth(self) -> Signal | None:

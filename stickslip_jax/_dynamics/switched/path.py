@@ -44,12 +44,16 @@ class StepPath(Path):
     def state(self, time: FloatArray) -> State:
         return state_at(self.system, self.excitation, self.solver, self.beginnings, time)
 
-    def largest(self, number: int, sign: int, last: FloatArray, final: FloatArray) -> FloatArray:
+    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
         begun, model = self.beginnings, self.system.switched_model(self.excitation.signal, self.solver)
         lengths = jnp.append(begun.t[1:], last) - begun.t
-        return largest_in_steps(
-            lambda step, h: sign * state_in_step(model, step, h)[number], begun, lengths, sign * final
-        )
+
+        def inside(step: Beginnings, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+            y = state_in_step(model, step, h)
+            rates = model.rates(model.forcing(step.t, step.segments), h, y, step.sign)
+            return sign * y[number], sign * rates[number]
+
+        return largest_in_steps(inside, begun, sign * begun.y[number], lengths, sign * final)
 
     @property
     def smooth(self) -> Signal | None:
