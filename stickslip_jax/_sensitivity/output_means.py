@@ -40,7 +40,7 @@ def output_means(problem: Problem, samples: int) -> Callable[[Array], Float[Arra
         if any(isinstance(number_at(model, parameter.path[:end]), RandomNumber) for end in range(len(parameter.path))):
             raise ValueError(
                 f"Argument wrt must name plain numbers for outputs, but {shown(parameter.path)} is that of a "
-                "distribution; use sensitivity, or StickStatistic objects."
+                "distribution; use sensitivity."
             )
     key = jax.random.wrap_key_data(problem.key_data)
     options = (problem.samples, 0, key, None, problem.method, "totals", Numbering(1, True))
