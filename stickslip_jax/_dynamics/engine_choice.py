@@ -66,9 +66,9 @@ class BySteps(NamedTuple):
     def lanes(self, y0: tuple[Number, ...], dtype: DType) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
         system, _, method, t1 = self.arguments
-        if system.switched_model(None, method.solver).contacts is not None:
+        if system.has_contacts:
             raise ValueError(
-                f"Argument system of an ensemble must have one contact, but a {type(system).__name__} with several was "
+                f"Argument system of an ensemble must be one with a single contact, but a {type(system).__name__} was "
                 "given: follow its samples by jax.vmap over simulate."
             )
         excitation, step = self.arguments.checked_step("law")

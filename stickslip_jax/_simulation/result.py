@@ -153,8 +153,9 @@ class Simulation(WithMethods):
         Raises:
             ValueError: For another name, and for a batch.
 
-        >>> one = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))
-        >>> print(f"{one.maximum():.4f} m, {one.maximum('velocity'):.4f} m/s, {one.peak('position'):.4f} m")
+        >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
+        >>> one = ss.simulate(system, ss.Constant(1.0), t1=10.0, y0=(0.0, 1.0))
+        >>> print(f"{one.maximum():.4f} m, {one.maximum('velocity'):.4f} m/s, {one.peak():.4f} m")
         0.7500 m, 1.0000 m/s, 0.7500 m
         """
         return _largest(self, self._number_of(coordinate), 1)

@@ -50,9 +50,15 @@ class LinearStructure(System):
     uncoupled: bool | None = eqx.field(static=True, default=None)
 
     def __post_init__(self):
-        check_structure(self.mass, self.stiffness, self.damping, self.contacts, self.force)
+        # Equinox converts the fields after this.
+        contacts, force = entries_of(self.contacts), entries_of(self.force)
+        check_structure(self.mass, self.stiffness, self.damping, contacts, force)
         if self.uncoupled is None:
-            object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, self.contacts))
+            object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
+
+    @property
+    def has_contacts(self) -> bool:
+        return True
 
     @property
     def size(self) -> int:

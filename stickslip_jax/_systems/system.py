@@ -114,6 +114,11 @@ class System(Checked):
         """The time scales of the system and of its excitation, by name."""
 
     @property
+    def has_contacts(self) -> bool:
+        """Whether it has a list of contacts, of any number, each with sticks of its own."""
+        return False
+
+    @property
     def has_fixed_time_scales(self) -> bool:
         """Whether the motion has no other time scales than `time_scales`, whatever the state."""
         return False
