@@ -174,8 +174,9 @@ class MassSpring(System):
     @property
     def _clock(self) -> Scalar:
         """In which the motion changes: the time of one radian, or 1 s where there is hardly a spring."""
-        omega = lax.stop_gradient(jnp.asarray(self.stiffness / self.mass, float)) ** 0.5
-        return jnp.where(omega > _SOFT, 1 / jnp.where(omega > _SOFT, omega, 1), 1.0)
+        squared = jnp.asarray(self.stiffness / self.mass, float)
+        swings = squared > _SOFT**2
+        return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is None and self.damping is None and isinstance(self.force, Signal):
