@@ -30,12 +30,22 @@ def compare(one, other, rtol):
     for name in ("flat_sticks", "sample_totals", "retained"):
         for mine, its in zip(jax.tree.leaves(getattr(one, name)), jax.tree.leaves(getattr(other, name)), strict=True):
             np.testing.assert_array_equal(mine, its)
-    ours, theirs = (jax.tree.leaves((many.moments, many.accumulator)) for many in (one, other))
-    for mine, its in zip(map(np.asarray, ours), map(np.asarray, theirs), strict=True):
-        if mine.dtype.kind in "iu" or rtol == 0:
-            np.testing.assert_array_equal(mine, its)
-        else:
-            np.testing.assert_allclose(mine, its, rtol=rtol, atol=rtol * np.max(np.abs(its), initial=0))
+    ours, theirs = (
+        {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(parts)}
+        for parts in ((many.moments, many.accumulator) for many in (one, other))
+    )
+    assert ours.keys() == theirs.keys()
+    for name, its in theirs.items():
+        if its.dtype.kind in "iu" or rtol == 0:
+            np.testing.assert_array_equal(ours[name], its)
+            continue
+        size = np.max(np.abs(its), initial=0)
+        if name.endswith(".third"):  # terms of both signs, whose sizes add up to at most this
+            owner = name.removesuffix("third")
+            span = theirs[owner + "largest"] - theirs[owner + "smallest"]
+            squares = np.diagonal(theirs[owner + "scatter"], axis1=-2, axis2=-1)
+            size = np.where(squares > 0, squares * np.where(squares > 0, span, 0), 0)
+        np.testing.assert_allclose(ours[name], its, rtol=rtol, atol=rtol * np.max(size, initial=0), err_msg=name)
 
 
 @pytest.mark.parametrize("keep", KEEPS)

@@ -25,7 +25,7 @@ def flat():
 
 def test_columns_are_those_of_a_record():
     """By name, in the precision of the times; what is not given is not known."""
-    assert (*NUMBERS, "ending", "mask") == tuple(field.name for field in dataclasses.fields(Sticks))
+    assert (*NUMBERS, "ending", "mask", "contact") == tuple(field.name for field in dataclasses.fields(Sticks))
     sticks = flat()
     assert tuple(sticks.columns) == ("count", *NUMBERS, "ending")
     for name in NUMBERS:
