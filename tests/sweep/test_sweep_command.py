@@ -56,6 +56,8 @@ mu = { linspace = [0.5, 2.0, 4] }
 """
 
 
+KEPT = "what is done is kept, and the same command goes on from there.\n"
+
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
@@ -282,14 +284,14 @@ def test_looking_changes_nothing_and_leaves_damaged_batches_out(capsys, finished
 # --- as a process of its own
 
 
-def _started(*arguments):
-    """A run in ``sweep``, begun, and with a batch that is done."""
+def _started(*arguments, said="done"):
+    """A run in ``sweep``, begun, and with a line that says `said` in its log."""
     begun = _log().count("begun")
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + 120
-    while (_log().count("begun") == begun or "done" not in _log()) and time.monotonic() < deadline:
+    while (_log().count("begun") == begun or said not in _log()) and time.monotonic() < deadline:
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
     return process
@@ -332,19 +334,32 @@ def test_stopped_sweep_goes_on(capsys, tmp_path):
     assert cli.main(["status", "sweep"]) == 0
     assert f"{done[1]} of 4 points done" in capsys.readouterr().out
     stored = set(Path("sweep/batches").iterdir())
-    kept = "what is done is kept, and the same command goes on from there.\n"
-    for code, said in ((143, f"stickslip: Terminated; {kept}"), (130, f"stickslip: Interrupted; {kept}")):
-        process = _started("resume", "sweep", "--threads", "1")
-        try:
-            process.send_signal(signal.SIGTERM if code == 143 else signal.SIGINT)
-            if code == 130:  # the first Ctrl-C says what it does; the second one ends it at once
-                assert process.stderr.readline() + process.stderr.readline() == f"\n{asked}\n"
-                process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=60)
-        finally:
-            process.kill()
-        assert (process.returncode, out, err) == (code, "", said)
-        assert stored <= set(Path("sweep/batches").iterdir())
+    process = _started("resume", "sweep", "--threads", "1")
+    try:
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (process.returncode, out, err) == (143, "", f"stickslip: Terminated; {KEPT}")
+    assert stored <= set(Path("sweep/batches").iterdir())
+    assert cli.main(["status", "sweep"]) == 0
+    assert "`stickslip resume sweep` goes on from here." in capsys.readouterr().out
+
+
+def test_second_interrupt_ends_a_sweep_at_once(capsys, tmp_path):
+    """The batch under way takes minutes: a short one could end, and with it the process, before the second Ctrl-C."""
+    path = config_file(tmp_path, LONG.replace("t1 = 2000.0", "t1 = 1e6").replace("batch = 4096", "batch = 100_000"))
+    process = _started("sweep", path, "--out", "sweep", "--threads", "1", said="begun")
+    time.sleep(1.0)  # until a batch is under way: before, there is nothing to wait for
+    try:
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.readline() + process.stderr.readline()
+        assert said.startswith("\nStopping after the batches under way")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (process.returncode, out, err) == (130, "", f"stickslip: Interrupted; {KEPT}")
     assert cli.main(["status", "sweep"]) == 0
     assert "`stickslip resume sweep` goes on from here." in capsys.readouterr().out
 
