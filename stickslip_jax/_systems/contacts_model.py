@@ -12,7 +12,7 @@ from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step
 from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
 from .contact_forces import Limits, acceleration, settled, solved
-from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel
+from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
@@ -111,9 +111,9 @@ class ContactsModel(SwitchedModel[F]):
         now = self.instant(forcing, none, y)
         limits = self.limits(forcing, none, y, now.velocity)
         friction = jnp.maximum(limits.static_forward, limits.static_backward)
-        # What the forces change in the time of one radian: on a base at rest all relative velocity is due to them.
-        change = (jnp.abs(now.drift) + jnp.abs(acceleration(now.gain, 0 * now.drift, friction))) / self.fastest
-        return jnp.where(sign == 0, 2.0, self.velocity_scale(forcing, y) + change)
+        rate = jnp.abs(now.drift) + jnp.abs(acceleration(now.gain, 0 * now.drift, friction))
+        size = with_change(self.velocity_scale(forcing, y), rate, self.fastest, self.time(forcing))
+        return jnp.where(sign == 0, 2.0, size)
 
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
         return self._held(forcing, jnp.zeros((), y[0].dtype), y, resting)

@@ -31,13 +31,12 @@ from .built_in import is_built_in
 from .friction import FrictionLaw, times_of_slips
 from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
-from .switched_model import Base, FloatPair, Segments, base_motion
+from .switched_model import Base, FloatPair, Segments, base_motion, with_change
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
 _SOFT = 0.01  # rad/s, of a spring that does not set the time in which a motion changes
-_SO_FAR = 16.0  # times the speeds of a motion: beyond what friction changes in one radian, unless the spring is soft
 _PASSED = StepCount(6.0, 1.0)
 _DECAYED = StepCount(2.0, 1.0)
 
@@ -284,10 +283,7 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         velocity = self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
         omega, deceleration = lax.stop_gradient((jnp.sqrt(k / m), self.friction.static * self.system.normal_force / m))
         slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * jnp.abs(y[0])
-        # What friction changes in the time of one radian; of a soft spring, no more than has moved so far.
-        moved = _SO_FAR * (slip + deceleration * forcing.t)
-        slip = slip + jnp.where(deceleration < moved * omega, deceleration / jnp.where(omega > 0, omega, 1), moved)
-        return jnp.where(sign == 0, 2.0, slip)
+        return jnp.where(sign == 0, 2.0, with_change(slip, deceleration, omega, forcing.t))
 
     def on_base(self, forcing: OscillatorForcing, y: State) -> State:
         return y[0], self.base_motion(forcing, jnp.zeros_like(y[0]))[0]

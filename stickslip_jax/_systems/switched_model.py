@@ -13,9 +13,10 @@ import jax.numpy as jnp
 
 from .._excitation.segments import Segment
 from .._excitation.smooth import Signal
-from .._types import BoolArray, DType, FloatArray, FloatScalar, Number, State
+from .._types import BoolArray, DType, FloatArray, FloatScalar, Number, Scalar, State
 
 NOISE_ULPS = 64  # the round-off of the guard, in units in the last place of its scale
+_SO_FAR = 16.0  # times the speeds of a motion: beyond what forces change in one radian, unless the motion is slow
 
 F = TypeVar("F")
 """The forcing of a model: its excitation from the time a step begins until a segment ends."""
@@ -49,6 +50,16 @@ def base_motion(
     if smooth is None:
         return Base(velocity, slope)
     return Base(velocity + smooth.value(t + tau), slope + smooth.rate(t + tau))
+
+
+def with_change(velocity: FloatArray, rate: FloatArray, fastest: Scalar, t: FloatScalar) -> FloatArray:
+    """The size of the relative `velocity`, with what forces change of it at this `rate` in the time of one radian.
+
+    On a base at rest all relative velocity is due to them. The radian is that of the `fastest` motion (rad/s); where
+    that is slow or zero, forces change no more than has moved until the time `t`.
+    """
+    moved = _SO_FAR * (velocity + rate * t)
+    return velocity + jnp.where(rate < moved * fastest, rate / jnp.where(fastest > 0, fastest, 1), moved)
 
 
 class Question(NamedTuple):

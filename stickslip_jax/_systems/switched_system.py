@@ -25,7 +25,7 @@ from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_s
 from .._types import BoolScalar, ExplicitSolver, FloatScalar, Number, Scalar, Solver, State
 from .friction import Coulomb, FrictionLaw
 from .one_contact import OneContactModel
-from .switched_model import Base, FloatPair, Segments, base_motion
+from .switched_model import Base, FloatPair, Segments, base_motion, with_change
 from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
 from .user_system_checks import check_fields, check_motion
 
@@ -297,10 +297,9 @@ class GeneralModel(OneContactModel[GeneralForcing]):
         slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
         slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
         if self.system.shortest_time is not None:
-            # What the forces change in the time of one radian: on a base at rest all relative velocity is due to them.
             contact = self._contact(t, base, y)
             change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
-            slip = slip + self.system.shortest_time / (2 * np.pi) * (change + jnp.abs(contact.gain))
+            slip = with_change(slip, change + jnp.abs(contact.gain), 2 * np.pi / self.system.shortest_time, t)
         return jnp.where(sign == 0, 2.0, slip)
 
     def on_base(self, forcing: GeneralForcing, y: State) -> State:

@@ -43,7 +43,8 @@ def started(tmp_path, name: str, *arguments: str) -> subprocess.Popen:
 
 def interrupted(tmp_path, after: float) -> tuple[int, str]:
     """How the command ends that gets Ctrl-C some time after its beginning."""
-    process = started(tmp_path, "stickslip", "sweep", "--out", "sweep", "--samples", "100000")
+    # A sweep that takes minutes, however much of it earlier calls have done.
+    process = started(tmp_path, "stickslip", "sweep", "--out", "sweep", "--samples", "10000000")
     time.sleep(after)
     process.send_signal(signal.SIGINT)
     time.sleep(0.02)

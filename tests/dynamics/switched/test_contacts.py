@@ -154,3 +154,55 @@ def test_the_table_of_sticks_names_their_contacts():
     with pytest.raises(ValueError, match="of_contact"):
         one.to_xarray()
     assert one.of_contact(2).to_xarray()["stick_count"] == 2
+
+
+class SlowBlock(ss.SwitchedSystem):
+    """A sliding block whose shortest time scale is far beyond the horizon."""
+
+    shortest: float
+    normal_force: float = 2.0
+
+    @property
+    def state_names(self):
+        return "position in m", "velocity in m/s"
+
+    @property
+    def shortest_time(self):
+        return self.shortest
+
+    def rates(self, t, y, base, friction):
+        return y[1], -self.normal_force * friction
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+
+SLOW = {
+    "structure": ss.LinearStructure(np.ones(1), np.zeros(1), contacts=(ss.Contact(np.ones(1), 2.0, ss.Coulomb(1.0)),)),
+    "soft structure": ss.LinearStructure(
+        np.ones(1), np.full(1, 1e-60), contacts=(ss.Contact(np.ones(1), 2.0, ss.Coulomb(1.0)),)
+    ),
+    "mass": ss.MassSpring(1.0, 0.0, 2.0, ss.Coulomb(1.0)),
+    "soft mass": ss.MassSpring(1.0, 1e-60, 2.0, ss.Coulomb(1.0)),
+    "user's system": SlowBlock(1e30),
+}
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("name", SLOW)
+def test_motion_without_springs_is_not_taken_for_rest(name, dtype):
+    """Round-off is judged by the speeds of the motion, not by what forces would change in its longest time.
+
+    Reference: the block's velocity falls by 2 m/s^2 until it has that of the belt.
+    """
+    with jax.enable_x64(dtype == "float64"):
+        belt = ss.VelocitySteps(np.ones(4), np.array([0.5, -0.5, 0.75, -0.25]))
+        method = ss.Exact() if dtype == "float64" else ss.Exact(step=0.05)
+        one = ss.simulate(SLOW[name], belt, t1=4.0, y0=(0.0, 1.0), method=method)
+        mask = np.asarray(one.sticks.mask)
+        assert int(one.status) == ss.Status.FINISHED
+        assert int(one.near_grazing_count) == 0 or dtype == "float32"  # which is cautious
+        found = np.stack([np.ravel(one.sticks.start)[mask], np.ravel(one.sticks.end)[mask]], axis=1)
+    expected = [[0.25, 1.0], [1.5, 2.0], [2.625, 3.0], [3.5, 4.0]]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 if dtype == "float64" else 1e-6)

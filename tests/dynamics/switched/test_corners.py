@@ -190,7 +190,9 @@ def test_steep_rates_of_a_users_system_are_followed_or_told():
         assert one.status == fine.status == ss.Status.FINISHED
         pairs = zip(one.final_state, fine.final_state, strict=True)
         assert max(abs(float(a) - float(b)) for a, b in pairs) < 1e-8
-    assert follow(1e-12).status == ss.Status.OUT_OF_STEPS
+    assert follow(1e-8).status == ss.Status.OUT_OF_STEPS
+    with pytest.raises(ValueError, match="must be smooth functions of the state, but rate number 1 jumps"):
+        follow(1e-12)
 
 
 class Hung(ss.SwitchedSystem):
