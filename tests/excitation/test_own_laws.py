@@ -247,7 +247,7 @@ class Hidden(Runaway):
 def test_a_base_without_a_value_is_reported(base, method):
     one = ss.simulate(SYSTEM, base, t1=10.0, method=method)
     assert ss.Status(int(one.status)) is ss.Status.NOT_FINITE
-    assert 4.9 < float(one.time_reached) < 5.2
+    assert 5 <= float(one.time_reached) < 5.06  # the end of the step in which it happens
 
 
 @pytest.mark.slow

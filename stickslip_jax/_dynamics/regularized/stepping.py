@@ -139,7 +139,7 @@ def advance_fixed(
     a shorter one.
     """
     forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
-    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps)
+    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps) & ~jnp.isnan(lane.y[0])
     stop = t1
     for segment_state in lane.segment_states:
         stop = jnp.minimum(stop, segment_state.segment.end)
