@@ -1,6 +1,7 @@
 """Settings of the whole test session: float64, annotations checked at run time, repeatable property tests."""
 
 import gc
+import signal
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -9,6 +10,10 @@ import jax
 import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
+
+# A shell that starts the tests in the background has them ignore Ctrl-C, and every process that they start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Tracing makes many objects that stay: to look for garbage after every 700 new ones took a fifth of the time it takes.
 gc.set_threshold(100_000, 50, 50)

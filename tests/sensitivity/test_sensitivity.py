@@ -195,6 +195,7 @@ CLOSELY = {"random steps": 1e-4, "random steps, three levels": 1e-3}
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:mu and cart_mass act on this only through their product")  # as they do
 @pytest.mark.parametrize("name", OTHER)
 def test_other_bases(name):
     case, wrt = OTHER[name]

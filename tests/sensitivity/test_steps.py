@@ -11,6 +11,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax._sensitivity import windows
+from stickslip_jax._sensitivity.chunks import run_chunks
 from stickslip_jax._sensitivity.estimators import counted, recorded
 from stickslip_jax._sensitivity.pilot import problem_of
 
@@ -145,7 +146,7 @@ def test_counted_as_recorded(system, law):
         problem, pilot = problem_of(
             statistic, system, law, ("mu", "stiffness"), 20.0, 600, jax.random.key(1), anywhere()
         )
-        accumulator = run(problem, pilot, bandwidths)
+        accumulator = run_chunks([run(problem, pilot, bandwidths)], 600, threads=1).single(0)
         columns = accumulator.columns
         means.append(
             (

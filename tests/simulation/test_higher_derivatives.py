@@ -101,7 +101,7 @@ def outcome(case: Case):
 
     def of(point):
         done = case.simulate(*point)
-        sticks = [jnp.where(done.sticks.mask, v, 0.0)[:6] for v in done.sticks.__dict__.values() if v.dtype == float]
+        sticks = [jnp.where(done.sticks.mask, v, 0.0)[:6] for v in jax.tree.leaves(done.sticks) if v.dtype == float]
         return jnp.concatenate([*sticks, jnp.stack(done.final_state)])
 
     return of
