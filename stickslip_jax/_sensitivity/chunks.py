@@ -159,9 +159,15 @@ def run_chunks(sources: list[Source], samples: int, threads: int) -> JointAccumu
 
 
 def derivatives_of(
-    function: Callable[[Array], tuple[_Value, _Other]], engine: Engine, paths: tuple[Path, ...], dtype: DType
+    function: Callable[[Array], tuple[_Value, _Other]],
+    engine: Engine,
+    paths: tuple[Path, ...],
+    dtype: DType,
+    chosen: IntArray | None = None,
 ) -> tuple[_Value, _Value, _Other]:
     """Value of `function` of the engine's numbers at `paths`, its derivatives along a first axis, its other output.
+
+    `chosen`: by which of them; by default by all.
 
     One pass simulates the motion once for all. The numbers are varied in units of their own size (1 where it is 0), so
     that bandwidths of kernels are relative to the parameter.
@@ -172,7 +178,8 @@ def derivatives_of(
     def along(direction):
         return jax.jvp(function, (values,), (direction,), has_aux=True)
 
-    return jax.vmap(along, out_axes=(None, 0, None))(jnp.diag(units))
+    directions = jnp.diag(units)
+    return jax.vmap(along, out_axes=(None, 0, None))(directions if chosen is None else directions[chosen])
 
 
 def units_of(engine: Engine, paths: tuple[Path, ...]) -> Float[np.ndarray, " paths"]:
@@ -185,16 +192,18 @@ _Slopes: TypeAlias = tuple[Array, tuple[Array, ...], tuple[Array, ...]]
 
 
 def _count(
-    job: Job, *, paths: tuple[Path, ...], lanes: int, rows: int, dtype: DType
+    job: Job, chosen: AnyArray, *, paths: tuple[Path, ...], lanes: int, rows: int, dtype: DType
 ) -> tuple[tuple[Array, Array], _Slopes, IntArray]:
-    """Total stick time and number of sticks, their derivatives by the numbers at `paths`, and status; (rows, lanes)."""
+    """Total stick time and number of sticks, their derivatives by the `chosen` ones of the numbers at `paths`, and
+    status; (rows, lanes).
+    """
 
     def run(values):
         varied = job._replace(engine=with_numbers(job.engine, paths, values))
         counted = summarize(varied, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.event_parts, counted.in_window), (counted.sticks, counted.status)
 
-    (time, _, _), slopes, (sticks, status) = derivatives_of(run, job.engine, paths, dtype)
+    (time, _, _), slopes, (sticks, status) = derivatives_of(run, job.engine, paths, dtype, jnp.asarray(chosen))
     return (time, sticks), slopes, status
 
 

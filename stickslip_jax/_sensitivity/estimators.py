@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeAlias, TypeVar
 
+import jax
 import numpy as np
 
 from .._dynamics.common.engine import Engine
@@ -20,6 +21,7 @@ from .sequences import BufferSizes, Features, RecordedCounts
 from .statistic import OfTotals
 from .step_counting import StepCounting
 
+_TOGETHER = 2  # derivatives in one pass of time steps: XLA (jaxlib 0.10) makes no native loop of three with damping
 _MOST_TRIES = 6  # with larger and larger buffers of a realisation
 
 _Result = TypeVar("_Result")
@@ -77,12 +79,19 @@ def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> Callab
     """A function of a task's first sample and number of samples, with derivatives by the numbers at `paths`."""
     lanes, rows, _ = lanes_and_rows(problem)
     units = units_of(engine, paths)[:, None]
+    together = len(paths) if problem.by_intervals else min(len(paths), _TOGETHER)
+    parts = -(-len(paths) // together)
+    chosen = np.minimum(np.arange(parts * together, dtype=np.int32), len(paths) - 1).reshape(parts, together)
 
     def count(first: int, number: int) -> list[Rows]:
         job = problem.job(engine, first, lanes * rows, -(-number // lanes))
-        totals, (d_time, d_events, d_window), status = count_chunk[is_built_in(engine)](
-            job, paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype
-        )
+        found = [
+            count_chunk[is_built_in(engine)](job, part, paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype)
+            for part in chosen
+        ]
+        totals, _, status = found[0]  # the same in all
+        slopes = jax.tree.map(lambda *each: np.concatenate(each)[: len(paths)], *(one[1] for one in found))
+        d_time, d_events, d_window = slopes
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)
         time, event_parts = flat(d_time, number) / units, [flat(leaf, number) / units for leaf in d_events]
         in_window = [flat(leaf, number) for leaf in d_window]
