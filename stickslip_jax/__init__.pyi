@@ -24,6 +24,7 @@ from ._ensemble.data import Keep as Keep
 from ._ensemble.result import Ensemble as Ensemble
 from ._events.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
+from ._excitation.force_steps import ForceSteps as ForceSteps
 from ._excitation.gaussian import GaussianProcess as GaussianProcess
 from ._excitation.ground import GroundAcceleration as GroundAcceleration, GroundMotion as GroundMotion
 from ._excitation.kanai_tajimi import KanaiTajimi as KanaiTajimi

@@ -59,9 +59,13 @@ class Quantity:
         first, *more = self.meaning.split("; ", 1)
         return "; ".join([", ".join(part for part in (first, self.unit) if part), *more])
 
+    def is_function(self, value: object) -> bool:
+        """Whether `value` is a function of time, of fields that may hold one in place of a number."""
+        return False
+
     def check(self, name: str, value: object) -> None:
         """Check `value`, the argument `name`. Raises ValueError for anything but a finite number within the bounds."""
-        if not self.ndim and is_distribution(value):
+        if self.is_function(value) or (not self.ndim and is_distribution(value)):
             return
         # Of many numbers, one for each sample, name the first that does not fit.
         if not self.ndim and not _checks.is_traced(value) and _checks.dimensions(value) == 1:
@@ -118,7 +122,7 @@ def is_distribution(value: object) -> bool:
 
 def varies(value: object, about: "Quantity | Choice") -> bool:
     """Whether the field `about` holds more than one number: a distribution, or an array with one for each sample."""
-    if isinstance(about, Choice) or about.ndim or _checks.is_traced(value):
+    if isinstance(about, Choice) or about.ndim or _checks.is_traced(value) or about.is_function(value):
         return False
     return is_distribution(value) or _checks.dimensions(value) == 1
 

@@ -9,6 +9,7 @@ from .. import _checks
 from .._fields import Checked, Quantity
 from .._types import Number
 from .friction import FrictionLaw
+from .normal_force import NormalForce, NormalForceQuantity
 
 
 def numbers_of(values: Any) -> Any:
@@ -29,7 +30,8 @@ class Contact(Checked):
 
     Args:
         direction: (d,), what each velocity of the structure contributes to the relative velocity.
-        normal_force: N, positive.
+        normal_force: N, positive; or a function of time: a `Signal` such as `Harmonic`, a `Recorded` or a `ForceSteps`.
+            While that is zero or negative the contact is open: there is no friction, and it does not stick.
         friction: The friction law, such as `Coulomb(mu)`.
         on_base: How much of the base velocity is subtracted: 1 for a mass that rubs on the base, 0 for a contact
             between two masses, or with the ground.
@@ -39,7 +41,10 @@ class Contact(Checked):
     """
 
     direction: Any = eqx.field(converter=numbers_of)
-    normal_force: Annotated[Number, Quantity("N", above=0)]
+    normal_force: Annotated[
+        NormalForce,
+        NormalForceQuantity("N", above=0, hint="a contact that opens has a function of time, such as a ForceSteps"),
+    ]
     friction: FrictionLaw
     on_base: Annotated[Number, Quantity("", meaning="share of the base velocity that is subtracted")] = 1.0
 
@@ -50,12 +55,14 @@ class Contact(Checked):
             raise _checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
 
     @classmethod
-    def of_mass(cls, index: int, masses: int, normal_force: Number, friction: FrictionLaw) -> "Contact":
+    def of_mass(cls, index: int, masses: int, normal_force: NormalForce, friction: FrictionLaw) -> "Contact":
         """The contact of mass number `index` (from 0) of `masses` with the base."""
         return cls(_unit(index, masses), normal_force, friction)
 
     @classmethod
-    def between(cls, first: int, second: int, masses: int, normal_force: Number, friction: FrictionLaw) -> "Contact":
+    def between(
+        cls, first: int, second: int, masses: int, normal_force: NormalForce, friction: FrictionLaw
+    ) -> "Contact":
         """The contact of mass number `first` with mass number `second` (from 0) of `masses`."""
         return cls(_unit(first, masses) - _unit(second, masses), normal_force, friction, on_base=0.0)
 

@@ -85,13 +85,21 @@ class Limits(NamedTuple):
         """The force in a slip of this sign; 0 for the sign 0."""
         return jnp.where(sign > 0, self.forward, jnp.where(sign < 0, -self.backward, 0))
 
+    @property
+    def largest(self) -> FloatArray:
+        """The largest friction forces in sticks; of normal forces that are negative, as if they were positive."""
+        return jnp.maximum(jnp.abs(self.static_forward), jnp.abs(self.static_backward))
+
+    def static(self, force: FloatArray) -> FloatArray:
+        """The limit of a stick that needs this `force`."""
+        return jnp.where(force > 0, self.static_forward, self.static_backward)
+
     def share(self, force: FloatArray, broken: BoolArray | bool = False) -> FloatArray:
         """The `force` that a stick needs, over the largest one in its direction; infinite where none is possible.
 
         `broken`: what kinetic friction must hold, its stick being over.
         """
-        static = jnp.where(force > 0, self.static_forward, self.static_backward)
-        limit = jnp.where(broken, jnp.where(force > 0, self.forward, self.backward), static)
+        limit = jnp.where(broken, jnp.where(force > 0, self.forward, self.backward), self.static(force))
         can = limit > 0
         return jnp.where(can, force / jnp.where(can, limit, 1), jnp.inf)
 

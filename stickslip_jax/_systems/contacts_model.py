@@ -6,15 +6,17 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step
-from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
+from .._types import Array, BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
 from .contact_forces import Limits, acceleration, settled, solved
 from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
+_MOMENT_ULPS = 16  # the moment after which a contact that closes has a normal force
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
 
 
@@ -39,6 +41,10 @@ class ContactsModel(SwitchedModel[F]):
 
     Slips and sticks are integrated by `solver`, whose error estimate shortens its steps. `fastest`: the highest angular
     frequency or decay rate of the system, rad/s.
+
+    Where normal forces vary, the sign of each of them follows the modes of the contacts, as if it were the mode of one
+    more contact that never sticks: +1 closed, -1 open. Its guard is the normal force, with this sign. An open contact
+    has no friction and nothing that ends its mode but its closing; the sign of its own mode means nothing.
     """
 
     solver: ExplicitSolver
@@ -71,15 +77,52 @@ class ContactsModel(SwitchedModel[F]):
         `friction`: the largest friction forces, (contacts,).
         """
 
+    @property
+    def varying(self) -> tuple[int, ...]:
+        """The contacts whose normal forces vary."""
+        return ()
+
+    def varying_normal_forces(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+        """The normal forces that vary, N; asked only where some do."""
+        raise NotImplementedError("of models in which none does")
+
+    def normal_scale(self, forcing: F, y: State) -> FloatArray:
+        """The sizes of the terms that add up to `varying_normal_forces`; asked only where some do."""
+        raise NotImplementedError("of models in which none does")
+
+    def _own(self, of_modes: Array) -> Array:
+        """Of the modes, those of the contacts."""
+        return of_modes[: len(of_modes) - len(self.varying)]
+
+    def _with_normal(self, of_contacts: Array, of_normal: Array | int | float) -> Array:
+        """Modes, from those of the contacts and of the normal forces that vary."""
+        if not self.varying:
+            return of_contacts
+        of_normal = jnp.broadcast_to(jnp.asarray(of_normal, of_contacts.dtype), (len(self.varying),))
+        return jnp.concatenate([of_contacts, of_normal])
+
+    def _is_open(self, sign: FloatArray) -> BoolArray:
+        """Which contacts are open, (contacts,)."""
+        own = jnp.zeros(self._own(sign).shape, bool)
+        return own.at[np.array(self.varying)].set(sign[len(own) :] < 0) if self.varying else own
+
+    def _limits(self, forcing: F, tau: FloatScalar, y: State, velocity: FloatArray, sign: FloatArray) -> Limits:
+        """The `limits`, zero in open contacts."""
+        limits = self.limits(forcing, tau, y, velocity)
+        if not self.varying:
+            return limits
+        is_open = self._is_open(sign)
+        return Limits(*(jnp.where(is_open, 0, force) for force in limits))
+
     def friction_forces(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> FloatArray:
         """The friction forces against the relative velocities in the mode `sign`, (contacts,)."""
-        now = self.instant(forcing, tau, y)
-        return solved(now.gain, now.drift, self.limits(forcing, tau, y, now.velocity).slip(sign), sign == 0)
+        now, own = self.instant(forcing, tau, y), self._own(sign)
+        return solved(now.gain, now.drift, self._limits(forcing, tau, y, now.velocity, sign).slip(own), own == 0)
 
     def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
-        now = self.instant(forcing, tau, y)
-        slip = self.limits(forcing, tau, y, now.velocity).slip(sign)
-        added = self.effect(forcing, tau, y, solved(now.gain, now.drift, slip, sign == 0))
+        now, own = self.instant(forcing, tau, y), self._own(sign)
+        slip = self._limits(forcing, tau, y, now.velocity, sign).slip(own)
+        added = self.effect(forcing, tau, y, solved(now.gain, now.drift, slip, own == 0))
         return tuple(a + b for a, b in zip(now.rates, added, strict=True))
 
     def flow_and_error(
@@ -87,7 +130,7 @@ class ContactsModel(SwitchedModel[F]):
     ) -> tuple[State, FloatScalar | None]:
         reached, error = runge_kutta_step(Partial(type(self).rates, self, forcing, sign=sign), y, h, solver=self.solver)
         gross = self._gross_changes(forcing, y, h)
-        return self._held(forcing, h, reached, sign == 0), _worst(relative_error(error, y, reached, gross))
+        return self._held(forcing, h, reached, self._own(sign) == 0), _worst(relative_error(error, y, reached, gross))
 
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
         return self.instant(forcing, tau, y).velocity
@@ -96,41 +139,96 @@ class ContactsModel(SwitchedModel[F]):
         rates = self.rates(forcing, tau, y, sign)
 
         def at(tau, y):
-            now = self.instant(forcing, tau, y)
-            limits = self.limits(forcing, tau, y, now.velocity)
-            force = solved(now.gain, now.drift, limits.slip(sign), sign == 0)
+            now, own = self.instant(forcing, tau, y), self._own(sign)
+            limits = self._limits(forcing, tau, y, now.velocity, sign)
+            force = solved(now.gain, now.drift, limits.slip(own), own == 0)
+            if self.varying:
+                slips = jnp.where(self._is_open(sign), 1, own * now.velocity)
+                normal = sign[len(own) :] * self.varying_normal_forces(forcing, tau, y)
+                return jnp.concatenate(
+                    [jnp.where(own == 0, _bounded_guard(limits.static(force), force), slips), normal]
+                )
             share = limits.share(force)
             possible = jnp.abs(share) < jnp.inf
             share = jnp.where(possible, share, 0)
-            return jnp.where(sign == 0, jnp.where(possible, 1 - share * share, -1), sign * now.velocity)
+            return jnp.where(own == 0, jnp.where(possible, 1 - share * share, -1), own * now.velocity)
 
-        return jax.jvp(at, (tau, y), (jnp.ones_like(tau), rates))
+        guard, rate = jax.jvp(at, (tau, y), (jnp.ones_like(tau), rates))
+        # A normal force that is and stays zero: the contact stays open.
+        is_normal = self._with_normal(jnp.zeros_like(self._own(sign), bool), True)
+        return jnp.where(is_normal & (guard == 0) & (rate == 0), 1, guard), rate
 
     def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
-        none = jnp.zeros((), y[0].dtype)
+        none, own = jnp.zeros((), y[0].dtype), self._own(sign)
         now = self.instant(forcing, none, y)
-        limits = self.limits(forcing, none, y, now.velocity)
-        friction = jnp.maximum(limits.static_forward, limits.static_backward)
+        friction = self.limits(forcing, none, y, now.velocity).largest
         rate = jnp.abs(now.drift) + jnp.abs(acceleration(now.gain, 0 * now.drift, friction))
         size = with_change(self.velocity_scale(forcing, y), rate, self.fastest, self.time(forcing))
-        return jnp.where(sign == 0, 2.0, size)
+        scale = jnp.where(own == 0, 2.0, size)
+        return self._with_normal(scale, self.normal_scale(forcing, y)) if self.varying else scale
+
+    def at_rest(self, forcing: F, y: State) -> BoolArray:
+        velocity = self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
+        noise = self.noise(forcing, y, self._with_normal(jnp.ones_like(velocity), 1))
+        return self._with_normal(jnp.abs(velocity) <= self._own(noise), 0)
+
+    def slip_sign(self, forcing: F, y: State) -> FloatArray:
+        slips = super().slip_sign(forcing, y)
+        return self._with_normal(slips, self._normal_sign(forcing, y)) if self.varying else slips
+
+    def _normal_sign(self, forcing: F, y: State) -> FloatArray:
+        """The sign of each varying normal force right after `tau` 0; -1 where it stays zero."""
+        none = jnp.zeros((), y[0].dtype)
+        # Relative velocities may jump here, and the rates of the state with them: they are those of the base alone.
+        rates = self.instant(forcing, none, y).rates
+
+        def at(tau, y):
+            return self.varying_normal_forces(forcing, tau, y)
+
+        value, rate = jax.jvp(at, (none, y), (jnp.ones_like(none), rates))
+        eps = jnp.finfo(y[0].dtype).eps
+        noise = eps * (NOISE_ULPS * self.normal_scale(forcing, y) + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
+        return jnp.where(jnp.where(jnp.abs(value) <= noise, rate, value) > 0, 1, -1).astype(y[0].dtype)
+
+    def after(
+        self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        if not self.varying:
+            return sign, landed, jnp.zeros_like(landed)
+        own, before = self._own(sign), sign[len(self._own(sign)) :]
+        of_normal = landed[len(own) :]
+        now = jnp.where(ended, self._normal_sign(forcing, y), jnp.where(of_normal, -before, before))
+        # What ends an open contact's mode is its closing alone; then all is asked anew.
+        changed = jnp.zeros(own.shape, bool).at[np.array(self.varying)].set(now != before)
+        contacts = self._own(landed) & ~changed
+        return self._with_normal(own, now), self._with_normal(contacts, False), self._with_normal(changed, False)
 
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
-        return self._held(forcing, jnp.zeros((), y[0].dtype), y, resting)
+        return self._held(forcing, jnp.zeros((), y[0].dtype), y, self._own(resting))
 
     def decided(self, forcing: F, y: State, question: Question) -> Decision:
         none = jnp.zeros((), y[0].dtype)
-        y = self.at_base_velocity(forcing, y, question.asked)
+        y, modes = self.at_base_velocity(forcing, y, question.asked), question.sign
+        question = Question(*map(self._own, question))
         now = self.instant(forcing, none, y)
-        limits = self.limits(forcing, none, y, jnp.where(question.asked, 0, now.velocity))
         together = jnp.where(question.asked, 0, question.sign)
-        _, rate = self.guard(forcing, none, y, together)
-        eps = jnp.finfo(y[0].dtype).eps
+        _, rate = self.guard(forcing, none, y, self._with_normal(together, modes[len(together) :]))
+        rate, eps = self._own(rate), jnp.finfo(y[0].dtype).eps
+        # A contact that closes has no normal force yet: what it can hold is seen a moment later.
+        moment = none
+        if self.varying:
+            moment = _MOMENT_ULPS * eps * (self.time(forcing) + jnp.minimum(1 / self.fastest, 1))
+        limits = self._limits(forcing, moment, y, jnp.where(question.asked, 0, now.velocity), modes)
         slack = eps * (NOISE_ULPS + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
         found = settled(now.gain, now.drift, limits, question, _finite(slack))
         guard = jnp.where(jnp.abs(found.share) < jnp.inf, 1 - found.share**2, -1)
-        direction = jnp.where(found.sign != 0, found.sign, jnp.where(found.share > 0, 1, -1))
-        return Decision(found.sign == 0, direction.astype(guard.dtype), guard, rate)
+        direction = jnp.where(found.sign != 0, found.sign, jnp.where(found.share > 0, 1, -1)).astype(guard.dtype)
+        return Decision(
+            self._with_normal(found.sign == 0, False),
+            self._with_normal(direction, modes[len(together) :]),
+            self._with_normal(guard, jnp.inf),
+            self._with_normal(rate, 0),
+        )
 
     @abc.abstractmethod
     def time(self, forcing: F) -> FloatScalar:
@@ -149,8 +247,17 @@ class ContactsModel(SwitchedModel[F]):
         model, forcing, y, h = without_derivatives((self, forcing, y, h))
         none = jnp.zeros_like(h)
         now = model.instant(forcing, none, y)
-        limits = model.limits(forcing, none, y, now.velocity)
-        return model.gross_changes(forcing, y, h, jnp.maximum(limits.static_forward, limits.static_backward))
+        return model.gross_changes(forcing, y, h, model.limits(forcing, none, y, now.velocity).largest)
+
+
+def _bounded_guard(limit: FloatArray, force: FloatArray) -> FloatArray:
+    """Positive while the `limit` exceeds the `force` of a stick, with the same zeros as ``1 - (force / limit)^2``.
+
+    It stays between -1 and 1 where the limit becomes zero, and without a force it stays 1: the contact opens then.
+    """
+    total = limit * limit + force * force
+    some = total > 0
+    return jnp.where(some, (limit * limit - force * force) / jnp.where(some, total, 1), 1)
 
 
 def _finite(values: FloatArray) -> FloatArray:

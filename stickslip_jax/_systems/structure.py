@@ -9,13 +9,14 @@ import numpy as np
 
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
-from .._excitation.segments import added
+from .._excitation.segments import SegmentLaw, added
 from .._excitation.smooth import Signal
 from .._types import DType, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import Limits
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
+from .normal_force import NormalForce, is_function, periods_of, recorded_in, size_of, values_at
 from .structure_checks import check_structure, is_uncoupled
 from .switched_model import Segments, base_motion
 from .system import SOLVED, Coordinate, System, TimeScale, shortest_period
@@ -59,6 +60,15 @@ class LinearStructure(System):
     @property
     def has_contacts(self) -> bool:
         return True
+
+    @property
+    def normal_forces(self) -> tuple[NormalForce, ...]:
+        """The normal force of each contact."""
+        return tuple(contact.normal_force for contact in self.contacts)
+
+    @property
+    def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
+        return recorded_in(self.normal_forces)
 
     @property
     def size(self) -> int:
@@ -108,7 +118,7 @@ class LinearStructure(System):
         }
         for number, signal in enumerate(signals):
             scales[f"shortest period of force {number}"] = TimeScale(signal.shortest_period, SOLVED)
-        return scales
+        return scales | {name: TimeScale(period, SOLVED) for name, period in periods_of(self.normal_forces).items()}
 
     @property
     def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
@@ -137,13 +147,17 @@ def _largest_eigenvalue(mass: Any, matrix: Any) -> FloatScalar:
 
 
 class StructureForcing(NamedTuple):
-    """The piecewise-linear parts of base velocity (m/s) and ground acceleration (m/s^2) from time `t` on."""
+    """The piecewise-linear parts of base velocity (m/s), ground acceleration (m/s^2) and normal forces (N, one for each
+    that is a record or steps) from time `t` on.
+    """
 
     t: FloatScalar
     base: FloatScalar
     base_slope: FloatScalar
     ground: FloatScalar
     ground_slope: FloatScalar
+    normal: FloatArray
+    normal_slope: FloatArray
 
 
 class StructureModel(ContactsModel[StructureForcing]):
@@ -180,13 +194,19 @@ class StructureModel(ContactsModel[StructureForcing]):
         return tuple(part[i] for part in y for i in range(self.structure.size))
 
     def stick_position(self, y: State) -> FloatArray:
-        return self._of(self.directions, y) @ y[0]
+        return self._with_normal(self._of(self.directions, y) @ y[0], 0)
 
     def time(self, forcing: StructureForcing) -> FloatScalar:
         return forcing.t
 
     def forcing(self, t: FloatScalar, segments: Segments) -> StructureForcing:
-        return StructureForcing(t, *added(t, segments.base), *added(t, segments.ground))
+        values, slopes = [t[None][:0]], [t[None][:0]]  # there may be none
+        for segment in segments.normal:
+            value, slope = added(t, (segment,))
+            values.append(value[None])
+            slopes.append(slope[None])
+        recorded = jnp.concatenate(values), jnp.concatenate(slopes)
+        return StructureForcing(t, *added(t, segments.base), *added(t, segments.ground), *recorded)
 
     def instant(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> Instant:
         base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
@@ -202,10 +222,24 @@ class StructureModel(ContactsModel[StructureForcing]):
         return jnp.zeros_like(y[0]), -(self._of(self.by_force, y) @ force)
 
     def limits(self, forcing: StructureForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
-        contacts = self.structure.contacts
-        normal = jnp.stack([jnp.asarray(contact.normal_force, velocity.dtype) for contact in contacts])
-        forces = normal[:, None] * _coefficients(tuple(contact.friction for contact in contacts), velocity)
+        laws = tuple(contact.friction for contact in self.structure.contacts)
+        forces = self._normal_forces(forcing, tau)[:, None] * _coefficients(laws, velocity)
         return Limits(*forces.T)
+
+    @property
+    def varying(self) -> tuple[int, ...]:
+        return tuple(number for number, one in enumerate(self.structure.normal_forces) if is_function(one))
+
+    def varying_normal_forces(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._normal_forces(forcing, tau)[np.array(self.varying)]
+
+    def normal_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
+        now = self._normal_forces(forcing, jnp.zeros_like(forcing.t))
+        return jnp.stack([size_of(self.structure.normal_forces[number], now[number]) for number in self.varying])
+
+    def _normal_forces(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+        recorded = forcing.normal + tau * forcing.normal_slope
+        return values_at(self.structure.normal_forces, forcing.t + tau, recorded)
 
     def velocity_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
         base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, jnp.zeros_like(forcing.t))

@@ -28,11 +28,12 @@ Guard: TypeAlias = tuple[FloatArray, FloatArray]
 
 
 class Segments(NamedTuple):
-    """The present segments of the piecewise-linear parts of base velocity, ground acceleration and force."""
+    """The present segments of what is piecewise linear: base velocity, ground acceleration, force and normal forces."""
 
     base: tuple[Segment, ...]
     ground: tuple[Segment, ...]
     force: tuple[Segment, ...]
+    normal: tuple[Segment, ...] = ()
 
 
 class Base(NamedTuple):
@@ -157,6 +158,24 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def noise(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
         """The round-off of the guard at `tau` 0."""
         return NOISE_ULPS * jnp.finfo(y[0].dtype).eps * self.guard_scale(forcing, y, sign)
+
+    def after(
+        self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """What an event or the end of a segment does to the normal forces, before it is decided what contacts do.
+
+        Args:
+            forcing: From there on.
+            y: The state there.
+            sign: Of the mode until then.
+            landed: Which modes end there.
+            ended: Whether a segment ends there.
+
+        Returns:
+            The `sign` with which to decide; the modes that end there of contacts alone; and which contacts must be
+            asked, because they close or open there.
+        """
+        return sign, landed, jnp.zeros_like(landed)
 
     def slip_sign(self, forcing: F, y: State) -> FloatArray:
         """The sign of the relative velocity at and right after `tau` 0, for a state that is not `at_rest`."""

@@ -11,6 +11,7 @@ from .._claims import keeps
 from .._excitation.excitation import Excitation
 from .._excitation.random import RandomPhase, RandomSignal
 from .._excitation.recorded import Recorded
+from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
@@ -161,6 +162,11 @@ class System(Checked):
     @property
     def recorded_loads(self) -> tuple[Recorded, ...]:
         """External forces that are piecewise linear in time."""
+        return ()
+
+    @property
+    def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
+        """Normal forces that are piecewise linear in time."""
         return ()
 
     @property

@@ -58,6 +58,42 @@ def test_what_a_contact_refuses(arguments, message):
         ss.Contact(*arguments)
 
 
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: contact_under("20 N"), "Argument normal_force must be a single real number"),
+        (lambda: contact_under(0.0), "Argument normal_force must be positive .*; a contact that opens has a function"),
+        (lambda: ss.ForceSteps([0.0, 1.0], [1.0]), "Arguments times and values must have the same length"),
+        (lambda: ss.ForceSteps([0.5, 1.0], [1.0, 2.0]), "Argument times must begin with 0"),
+        (lambda: run_on(ss.ForceSteps([0.0, 1.0], [0.0, 1.0])), "a ForceSteps was given, which is a force"),
+        (lambda: run_under(ss.Recorded([0.0, 1.0], [2.0, 1.0])), "Argument normal_force must last until t1 = 2 s"),
+        (lambda: run_under(Unknown()), "shortest period of normal force 0"),
+    ],
+)
+def test_what_a_normal_force_refuses(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+class Unknown(ss.Signal):
+    """A normal force of unknown shortest period."""
+
+    def value(self, t):
+        return 2.0 + jnp.sin(t)
+
+
+def contact_under(normal_force):
+    return ss.Contact((1.0, 0.0), normal_force, DRY)
+
+
+def run_under(normal_force):
+    return ss.simulate(pair(contacts=(contact_under(normal_force),)), ss.Constant(0.1), t1=2.0)
+
+
+def run_on(base):
+    return ss.simulate(pair(), base, t1=2.0)
+
+
 def test_static_friction_below_kinetic_is_refused():
     with pytest.raises(ValueError, match="mu_static"):
         ss.Contact([1.0], 1.0, ss.Coulomb(0.3, 0.2))

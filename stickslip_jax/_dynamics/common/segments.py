@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import SegmentLaw, SegmentState, following_segment
@@ -17,21 +18,22 @@ class SegmentLaws(eqx.Module):
     base: tuple[SegmentLaw, ...]
     ground: tuple[SegmentLaw, ...]
     force: tuple[SegmentLaw, ...]
+    normal: tuple[SegmentLaw, ...]
 
     @classmethod
     def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
-        """The parts of excitation and force that consist of segments."""
-        return cls(excitation.base, excitation.ground, system.recorded_loads)
+        """The parts of excitation, force and normal forces that consist of segments."""
+        return cls(excitation.base, excitation.ground, system.recorded_loads, system.recorded_normal_forces)
 
     @property
     def all(self) -> tuple[SegmentLaw, ...]:
-        return self.base + self.ground + self.force
+        return self.base + self.ground + self.force + self.normal
 
     def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
         """The current segments."""
         now = tuple(segment_state.segment for segment_state in segment_states)
-        second, third = len(self.base), len(self.base) + len(self.ground)
-        return Segments(now[:second], now[second:third], now[third:])
+        ends = np.cumsum([len(self.base), len(self.ground), len(self.force)])
+        return Segments(now[: ends[0]], now[ends[0] : ends[1]], now[ends[1] : ends[2]], now[ends[2] :])
 
 
 def following_segments(

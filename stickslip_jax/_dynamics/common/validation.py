@@ -53,7 +53,8 @@ class Arguments(NamedTuple):
         """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
         if _checks.is_traced(self.t1):
             return
-        loads = (("force", load) for load in self.system.recorded_loads)
+        loads = [("force", load) for load in self.system.recorded_loads]
+        loads += [("normal_force", load) for load in self.system.recorded_normal_forces]
         for name, motion in (("base", motion_of(self.base)), *loads):
             if motion.covered_time < float(self.t1) * (1 - 1e-12):
                 raise ValueError(

@@ -62,32 +62,33 @@ def _mode_after(
     """The mode from here on. `ended`: whether a segment ended here; `jumped`: whether the base velocity jumped."""
     was_stick = lane.sign == 0
     resting = model.at_rest(forcing, lane.y)
+    sign, landed, changed = model.after(forcing, lane.y, lane.sign, stop.landed, ended)
     # The end of a segment. A slip goes on unless the base jumps; everything else is decided as at a start.
-    resolve = ended & (was_stick | jumped)
+    resolve = (ended & (was_stick | jumped)) | changed
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
     goes_on = was_stick & ~jumped
-    asked, stays = stop.landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_stick)
+    asked, stays = landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_stick)
     if model.coupled:
         # Where one mode changes, the friction that other sticks need changes too.
-        stays = was_stick & any_of(stop.landed) & ~stop.landed
+        stays = was_stick & any_of(landed | changed) & ~landed
         asked, goes_on = asked | stays, goes_on | stays
-    released = stop.landed & was_stick
+    released = landed & was_stick
     holds, release_sign, guard, guard_rate = model.decided(
-        forcing, lane.y, Question(lane.sign, asked, released, goes_on & ~released)
+        forcing, lane.y, Question(sign, asked, released, goes_on & ~released)
     )
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
-    turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -lane.sign)
-    sign = jnp.where(stop.landed, jnp.where(~was_stick & holds, 0, turned), lane.sign)
+    turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -sign)
+    sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), sign)
     at_limit = goes_on & is_not_below(guard, guard_rate, lane.t)
     held_or_released = jnp.where(holds | at_limit, 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, model.slip_sign(forcing, lane.y))
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
     # A mass that sticks has the base's velocity to the last bit.
-    rests = (resolve & (resting | goes_on)) | (stop.landed & (sign == 0))
+    rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))
     y = model.at_base_velocity(forcing, lane.y, rests)
-    at_rest = (stop.landed & (resting | (sign == 0))) | (stays & (sign != 0))
-    decided = (stop.landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
+    at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
+    decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
     return _Mode(y, sign, at_rest, jnp.where(decided, jnp.abs(guard), jnp.inf))
 
 

@@ -95,6 +95,9 @@ def run_trajectory(
         return no_stick(dtype, ALL, lane.sign.shape), beginning(lane)
 
     lane, (records, beginnings) = stopping_scan(one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle)
+    if model.contacts is not None:  # what follows the contacts are the signs of normal forces, which never stick
+        lane = lane._replace(totals=jax.tree.map(lambda of_each: of_each[: model.contacts], lane.totals))
+        records = jax.tree.map(lambda of_each: of_each[:, : model.contacts], records)
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
 
 

@@ -13,15 +13,24 @@ def structure_of(setup):
     """The system of a set-up, and its base motion."""
     sticky = np.any(setup["static"] > setup["kinetic"])
     contacts = tuple(
-        ss.Contact(row, float(normal), ss.Coulomb(float(mu), float(mu_static) if sticky else None), float(gain))
+        ss.Contact(row, normal, ss.Coulomb(float(mu), float(mu_static) if sticky else None), float(gain))
         for row, normal, mu, mu_static, gain in zip(
-            setup["directions"], setup["normal"], setup["kinetic"], setup["static"], setup["base_gains"], strict=True
+            setup["directions"], normal_forces_of(setup), setup["kinetic"], setup["static"], setup["base_gains"],
+            strict=True,
         )
-    )
+    )  # fmt: skip
     waves = zip(setup["force_amplitude"], setup["force_frequency"], setup["force_phase"], strict=True)
     force = tuple(ss.Harmonic(*map(float, wave)) for wave in waves) if np.any(setup["force_amplitude"]) else None
     damping = setup["damping"] if np.any(setup["damping"]) else None
     return ss.LinearStructure(setup["mass"], setup["stiffness"], damping, contacts, force), base_of(setup["base"])
+
+
+def normal_forces_of(setup):
+    """Numbers, or harmonics where they vary."""
+    if not np.any(setup["normal_amplitude"]):
+        return setup["normal"].tolist()
+    names = "normal_amplitude", "normal_frequency", "normal_phase", "normal"
+    return [ss.Harmonic(*map(float, numbers)) for numbers in zip(*(setup[name] for name in names), strict=True)]
 
 
 def base_of(base):
@@ -35,9 +44,9 @@ def base_of(base):
     return ss.Recorded(base["times"], base["velocities"])
 
 
-def differences(seed, contacts, coupled=None):
+def differences(seed, contacts, coupled=None, varying=False):
     """How far the engine is off: of the state, of the times of sticks; and whether round-off decides about an event."""
-    setup = random_structure(np.random.default_rng(seed), contacts, coupled=coupled, varying=False)
+    setup = random_structure(np.random.default_rng(seed), contacts, coupled=coupled, varying=varying)
     expected = reference_motion(setup)
     system, base = structure_of(setup)
     found = ss.simulate(system, base, t1=setup["t1"], y0=(*setup["x0"], *setup["v0"]))
@@ -62,9 +71,18 @@ def test_structures(coupled):
     assert times < 1e-8
 
 
+@pytest.mark.parametrize("coupled", [False, True])
+def test_structures_whose_contacts_open_and_close(coupled):
+    state, times, told = differences(4, 3, coupled, varying=True)
+    assert not told
+    assert state < 1e-9
+    assert times < 1e-8
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("varying", [False, True])
 @pytest.mark.parametrize("seed", range(100, 127))
-def test_more_structures(seed):
+def test_more_structures(seed, varying):
     """Nothing differs but where the reference or the engine says that round-off decides."""
-    state, times, told = differences(seed, 2 + seed % 9)
+    state, times, told = differences(seed, 2 + seed % 9, varying=varying)
     assert told or (state < 1e-9 and times < 1e-8)
