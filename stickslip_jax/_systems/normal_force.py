@@ -1,7 +1,7 @@
 """Normal forces of contacts: numbers, or functions of time."""
 
 import dataclasses
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax.numpy as jnp
 
@@ -56,8 +56,9 @@ def size_of(normal_force: NormalForce, value: FloatScalar) -> FloatScalar:
     if isinstance(normal_force, (Recorded, ForceSteps)):
         return jnp.max(jnp.abs(jnp.asarray(normal_force.values, value.dtype)))
     if isinstance(normal_force, Signal) and normal_force.is_harmonic:
-        amplitudes = jnp.atleast_1d(jnp.asarray(normal_force.tones[0], value.dtype))
-        return jnp.sum(jnp.abs(amplitudes)) + jnp.abs(jnp.asarray(normal_force.mean, value.dtype))
+        tones: Any = normal_force
+        amplitudes = jnp.atleast_1d(jnp.asarray(tones.tones[0], value.dtype))
+        return jnp.sum(jnp.abs(amplitudes)) + jnp.abs(jnp.asarray(tones.mean, value.dtype))
     return jnp.abs(value)
 
 
