@@ -322,7 +322,7 @@ class Computable:
     @property
     def estimate(self) -> Estimate:
         """Its value, with its error."""
-        raise NotImplementedError
+        raise NotImplementedError("each subclass has its own")
 
     __array_ufunc__ = None
 
