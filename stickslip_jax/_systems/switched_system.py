@@ -1,4 +1,4 @@
-"""User-defined systems: any ordinary differential equations with one dry-friction contact.
+"""User-defined systems: any ordinary differential equations with dry-friction contacts.
 
 Slips and sticks are integrated; their ends follow from the rates. With the relative velocity ``sigma(t, y, base)`` and
 ``rates = a + b friction``, one unit of friction changes ``sigma'`` by ``gain = grad sigma . b`` (negative). In a stick,
@@ -22,13 +22,16 @@ from .._excitation.segments import added
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
-from .._types import BoolScalar, ExplicitSolver, FloatScalar, Number, Scalar, Solver, State
+from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .friction import Coulomb, FrictionLaw
+from .general_contacts import GeneralContactsModel
 from .one_contact import OneContactModel
-from .switched_model import Base, FloatPair, Segments, base_motion, with_change
+from .switched_model import Base, FloatPair, GeneralForcing, Segments, base_motion, with_change
 from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+from .user_contacts_checks import check_contacts
 from .user_system_checks import check_fields, check_motion
 
+_SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
 
@@ -78,6 +81,14 @@ class SwitchedSystem(System):
     differentiate with respect to. Where the annotation of a field holds a `Quantity`, the constructor checks the
     field. Anything else, such as a name or a function, is declared ``field: str = equinox.field(static=True)``.
 
+    For several contacts declare their number, ``contacts = 2``. `friction` is then an array (contacts,), and
+    `relative_velocity` returns as many numbers; `static_ratio` may be an array too. Their forces must act as those of
+    masses do: friction in any contact slows the sliding there. `simulate` with `Exact` follows such a system.
+
+    Normal forces that depend on time or state are returned by `normal_force`; `friction` is then in N (or N m), to be
+    multiplied by the friction coefficient. Where a normal force is zero or negative its contact is open: no friction,
+    and no stick.
+
     The position of a stick is the first number of the state. Figures label their axes by `state_names`; override
     `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
 
@@ -91,7 +102,7 @@ class SwitchedSystem(System):
         """Name and unit of each number of the state: ``("angle in rad", "angular velocity in rad/s")``."""
 
     @abc.abstractmethod
-    def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> tuple[FloatScalar | float, ...]:
+    def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatArray) -> tuple[FloatScalar | float, ...]:
         """The time derivative of the state, computed by JAX.
 
         Write a kinetic force that depends on the relative velocity r as ``friction * force(jnp.abs(r))``. Rates must be
@@ -111,8 +122,10 @@ class SwitchedSystem(System):
         """
 
     @abc.abstractmethod
-    def relative_velocity(self, t: FloatScalar, y: State, base: Base) -> FloatScalar:
-        """The relative velocity in the contact: a smooth scalar function of the state.
+    def relative_velocity(
+        self, t: FloatScalar, y: State, base: Base
+    ) -> FloatArray | tuple[FloatScalar, ...] | list[FloatScalar]:
+        """The relative velocity in the contact: a smooth scalar function of the state; of each of several contacts.
 
         Args:
             t: Time, s.
@@ -124,7 +137,21 @@ class SwitchedSystem(System):
         """
 
     @property
-    def static_ratio(self) -> Scalar:
+    def contacts(self) -> int | None:
+        """The number of contacts, 1 to 64; None for one whose relative velocity and friction are scalars."""
+        return None
+
+    def normal_force(
+        self, t: FloatScalar, y: State, base: Base
+    ) -> FloatArray | tuple[FloatScalar, ...] | list[FloatScalar]:
+        """The normal forces (contacts,), N (or N m), smooth functions of the state, of a system with `contacts`.
+
+        Not overridden: contacts never open, and `friction` of `rates` is a share of the kinetic force.
+        """
+        raise NotImplementedError("only what a subclass gives is asked for")
+
+    @property
+    def static_ratio(self) -> Scalar | FloatArray:
         """Largest static friction force over the kinetic one at vanishing speed, ``mu_static / mu``; at least 1."""
         return 1.0
 
@@ -150,11 +177,27 @@ class SwitchedSystem(System):
         return tuple(map(Coordinate.of, self.state_names))
 
     @property
-    def static_exceeds_kinetic(self) -> bool:
-        return float(self.static_ratio) > 1
+    def has_contacts(self) -> bool:
+        return self.contacts is not None
 
-    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "GeneralModel":
-        return GeneralModel(self, smooth, diffrax.Dopri8() if solver is None else solver)
+    @property
+    def has_normal_force(self) -> bool:
+        """Whether normal forces are given as functions."""
+        return type(self).normal_force is not SwitchedSystem.normal_force
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return float(jnp.max(jnp.asarray(self.static_ratio))) > 1
+
+    def switched_model(
+        self, smooth: Signal | None, solver: ExplicitSolver | None
+    ) -> "GeneralModel | GeneralContactsModel":
+        solver = diffrax.Dopri8() if solver is None else solver
+        if self.has_contacts:
+            shortest = self.shortest_time
+            fastest = jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
+            return GeneralContactsModel(solver=solver, system=self, smooth=smooth, fastest=fastest)
+        return GeneralModel(self, smooth, solver)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         with _checks.traceable(f"The property shortest_time of {type(self).__name__}"):
@@ -173,7 +216,7 @@ class SwitchedSystem(System):
         check_fields(self)
 
     def check_state(self, y0: tuple[Number, ...]) -> None:
-        check_motion(self, y0)
+        (check_contacts if self.has_contacts else check_motion)(self, y0)
 
     def check_excitation(self, excitation: Excitation) -> None:
         super().check_excitation(excitation)
@@ -182,14 +225,6 @@ class SwitchedSystem(System):
                 f"Argument base of a {type(self).__name__} must be a base velocity, but a ground acceleration was "
                 "given; write what the acceleration of the ground does into rates, as a function of time."
             )
-
-
-class GeneralForcing(NamedTuple):
-    """The piecewise-linear part of the base velocity from time `t` on: value (m/s) and slope."""
-
-    t: FloatScalar
-    base: FloatScalar
-    base_slope: FloatScalar
 
 
 class _Contact(NamedTuple):

@@ -1,7 +1,7 @@
-"""Checks of a user's system, as far as it can be checked before it is simulated."""
+"""Checks of a user's `SwitchedSystem`, as far as it can be checked before it is simulated."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,22 +9,20 @@ import numpy as np
 
 from .. import _checks
 from .._types import Array, Number
+from .structure_checks import MOST_CONTACTS
 from .switched_model import Base
 from .system import System
 
-if TYPE_CHECKING:
-    from .switched_system import SwitchedSystem
-
 _SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
 _ONE_CONTACT = (
-    "a system has one dry-friction contact: smooth the force of any other, F jax.numpy.tanh(v / width) with a small "
-    "width."
+    "declare the number of dry-friction contacts, contacts = 2, or smooth the force of another one, "
+    "F jax.numpy.tanh(v / width) with a small width."
 )
 _NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
-_AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
+AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 
-def check_fields(system: "SwitchedSystem") -> None:
+def check_fields(system: Any) -> None:
     """Check the fields and properties of `system`. Raises ValueError for what does not fit."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(system):
         if not isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array)):
@@ -48,8 +46,11 @@ def check_fields(system: "SwitchedSystem") -> None:
     kind = type(system).__name__
     with _checks.traceable(f"The property static_ratio of {kind}"):
         ratio = system.static_ratio
-    _checks.numeric("static_ratio", ratio)
-    if not _checks.is_traced(ratio) and ratio < 1:
+    if system.contacts is None:
+        _checks.numeric("static_ratio", ratio)
+    elif np.shape(ratio) not in ((), (_checks.whole_number("contacts", system.contacts, maximum=MOST_CONTACTS),)):
+        raise _checks.refused("static_ratio", f"be one number or an array ({system.contacts},)", ratio)
+    if not _checks.is_traced(ratio) and np.min(np.asarray(ratio)) < 1:
         raise ValueError(
             f"Argument static_ratio must be at least 1, but {ratio} was given: a stick holds at least as "
             "well as a slip."
@@ -61,7 +62,7 @@ def check_fields(system: "SwitchedSystem") -> None:
             _checks.positive(name, value)
 
 
-def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
+def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     """Check the methods of `system` in the state `y0` at time 0, with the base at rest. Raises ValueError for what they
     must not return.
     """
@@ -87,7 +88,7 @@ def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
         raise ValueError(
             f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
         ) from error
-    _check_rates(kind, rates[0], len(y))
+    check_rates(kind, rates[0], len(y))
     with _checks.traceable(f"The method relative_velocity of {kind}"):
         velocity = system.relative_velocity(zero, y, base)
         jax.make_jaxpr(type(system).relative_velocity)(traced, zero, y, base)
@@ -103,11 +104,11 @@ def check_motion(system: "SwitchedSystem", y0: tuple[Number, ...]) -> None:
     gradient = jax.grad(lambda y: jnp.asarray(system.relative_velocity(zero, y, base), float))(y)
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((rates, gradient))):
         return
-    _check_smooth(system, y, base)
+    check_smooth(system, y, base, jnp.ones(()))
     _check_affine(kind, np.array([[float(rate) for rate in row] for row in rates]), np.array(gradient, float))
 
 
-def _check_rates(kind: str, rates: object, size: int) -> None:
+def check_rates(kind: str, rates: object, size: int) -> None:
     if not isinstance(rates, (tuple, list)) or len(rates) != size:
         shown = f"{len(rates)}" if isinstance(rates, (tuple, list)) else _checks.show(rates)
         raise ValueError(
@@ -122,7 +123,7 @@ def _check_rates(kind: str, rates: object, size: int) -> None:
             )
 
 
-def _takes_two(system: "SwitchedSystem", t: Array, y: tuple[Array, ...], base: Base) -> bool:
+def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: Base) -> bool:
     """Whether the rates of `system` can be asked for with two numbers as friction."""
     try:
         system.rates(t, y, base, jnp.zeros(2))
@@ -131,7 +132,7 @@ def _takes_two(system: "SwitchedSystem", t: Array, y: tuple[Array, ...], base: B
     return True
 
 
-def _check_smooth(system: "SwitchedSystem", y: tuple[Array, ...], base: Base) -> None:
+def check_smooth(system: Any, y: tuple[Array, ...], base: Base, friction: Array) -> None:
     """Check that the rates do not jump where a number of the state passes zero, its initial value, or another number.
 
     There the sign of a velocity changes that somebody writes for a second contact.
@@ -143,12 +144,14 @@ def _check_smooth(system: "SwitchedSystem", y: tuple[Array, ...], base: Base) ->
     for row, (i, centre) in zip(near, places, strict=True):
         row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
     columns = tuple(jnp.asarray(near.reshape(-1, len(y)).T, y[0].dtype))
-    one, size = jnp.ones(()), len(near) * 4
-    found = jax.vmap(lambda *state: tuple(map(jnp.asarray, system.rates(jnp.zeros(()), state, base, one))))(*columns)
+    size = len(near) * 4
+    found = jax.vmap(lambda *state: tuple(map(jnp.asarray, system.rates(jnp.zeros(()), state, base, friction))))(
+        *columns
+    )
     rates = np.stack([np.broadcast_to(np.asarray(rate, float), size) for rate in found], -1).reshape(len(near), 4, -1)
     far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
     most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
-    jumps = (close > _JUMP * far) & (close > _AFFINE * most)
+    jumps = (close > _JUMP * far) & (close > AFFINE * most)
     if not np.any(jumps):
         return
     place, number = (int(index) for index in np.argwhere(jumps)[0])
@@ -165,7 +168,7 @@ def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
     if not np.all(np.isfinite(rates)):
         return  # the status of the simulation reports it
     bend = np.max(np.abs([rates[1] + rates[2] - 2 * rates[0], rates[0] + rates[1] - 2 * rates[3]]), axis=0)
-    wrong = np.flatnonzero(bend > _AFFINE * np.max(np.abs(rates - rates[0]), axis=0, initial=0))
+    wrong = np.flatnonzero(bend > AFFINE * np.max(np.abs(rates - rates[0]), axis=0, initial=0))
     wrong = [number for number in wrong if bend[number] > 1e-5 * np.max(np.abs(rates[:, number]))]
     if wrong:
         values = ", ".join(f"{rate:.6g} at {share:g}" for share, rate in zip(_SHARES, rates[:, wrong[0]], strict=True))
@@ -174,7 +177,7 @@ def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
             f"{values}; multiply the kinetic friction force by friction, and nothing else."
         )
     effects = gradient * (rates[1] - rates[2]) / 2
-    if np.sum(effects) > _AFFINE * np.sum(np.abs(effects)):
+    if np.sum(effects) > AFFINE * np.sum(np.abs(effects)):
         raise ValueError(
             f"Argument rates of a {kind} must let positive friction act against a positive relative velocity, but "
             f"friction = 1 raises the rate of the relative velocity by {np.sum(effects):.6g} against friction = 0; "

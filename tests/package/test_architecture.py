@@ -58,7 +58,6 @@ ROWS = (
 CIRCLES = {
     ("_excitation/motion", "_excitation/random", "_excitation/segments", "_excitation/smooth", "_excitation/voltage"),
     ("_simulation/energy", "_simulation/result"),
-    ("_systems/switched_system", "_systems/user_system_checks"),
 }
 """Known circles of files that name each other in annotations. None may be added; one undone leaves the list."""
 

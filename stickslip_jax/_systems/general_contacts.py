@@ -1,0 +1,157 @@
+"""A user's system with several contacts under its excitation."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from .._excitation.segments import added
+from .._excitation.smooth import Signal
+from .._numerics.primal import without_derivatives
+from .._numerics.runge_kutta import gross_changes
+from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
+from .contact_forces import Limits
+from .contacts_model import ContactsModel, Instant
+from .switched_model import Base, GeneralForcing, Segments, base_motion
+
+
+class GeneralContactsModel(ContactsModel[GeneralForcing]):
+    """A `SwitchedSystem` with several contacts, on a base of velocity ``smooth(t)`` plus piecewise-linear parts."""
+
+    system: Any  # a SwitchedSystem, which makes this model
+    smooth: Signal | None
+    solver: ExplicitSolver
+    fastest: FloatScalar
+
+    @property
+    def contacts(self) -> int:
+        assert self.system.contacts is not None
+        return self.system.contacts
+
+    @property
+    def coupled(self) -> bool:
+        return True
+
+    def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
+        return GeneralForcing(t, *added(t, segments.base))
+
+    def time(self, forcing: GeneralForcing) -> FloatScalar:
+        return forcing.t
+
+    def stick_position(self, y: State) -> FloatArray:
+        return self._with_normal(jnp.broadcast_to(y[0], (self.contacts,)), 0)
+
+    def instant(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> Instant:
+        t, base = self._base_at(forcing, tau)
+        idle, by_friction = self._affine(t, y, base)
+        # The relative velocities depend on the base's velocity only, whose rate is its acceleration.
+        moving = (jnp.ones_like(t), idle, Base(base.acceleration, jnp.zeros_like(t)))
+        velocity, drift = jax.jvp(self._velocities, (t, y, base), moving)
+
+        def along(effect: State) -> FloatArray:
+            return jax.jvp(lambda y: self._velocities(t, y, base), (y,), (effect,))[1]
+
+        return Instant(idle, velocity, drift, -jax.vmap(along, out_axes=1)(by_friction))
+
+    def effect(self, forcing: GeneralForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
+        _, by_friction = self._affine(*self._at(forcing, tau, y))
+        return tuple(jnp.sum(force * each) for each in by_friction)
+
+    def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+        """The rates, continued smoothly to beyond the ends of slips.
+
+        The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
+        absolute relative velocity has a kink there, which would cost the order: beyond, rates are extrapolated from the
+        mirror image of the state.
+        """
+        t, base = self._base_at(forcing, tau)
+        velocity, own = self._velocities(t, y, base), self._own(sign)
+        beyond = (own * velocity < 0) & ~self._is_open(sign)
+        gradients = jax.jacrev(lambda y: self._velocities(t, y, base))(y)
+        rows = jnp.stack(gradients, axis=-1)  # (contacts, states)
+        both = beyond[:, None] & beyond[None, :]
+        matrix = jnp.where(both, rows @ rows.T, jnp.eye(len(own), dtype=t.dtype))
+        shift = rows.T @ jnp.where(beyond, jnp.linalg.solve(matrix, jnp.where(beyond, velocity, 0)), 0)
+        end, image = (tuple(value - k * shift[i] for i, value in enumerate(y)) for k in (1, 2))
+        here, there = (super(GeneralContactsModel, self).rates(forcing, tau, state, sign) for state in (end, image))
+        passed = jnp.any(beyond)
+        return tuple(jnp.where(passed, 2 * a - b, b) for a, b in zip(here, there, strict=True))
+
+    def limits(self, forcing: GeneralForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
+        normal = self._normal_forces(forcing, tau, y)
+        static = normal * jnp.broadcast_to(jnp.asarray(self.system.static_ratio, normal.dtype), normal.shape)
+        return Limits(normal, normal, static, static)
+
+    @property
+    def varying(self) -> tuple[int, ...]:
+        return tuple(range(self.contacts)) if self.system.has_normal_force else ()
+
+    def varying_normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._normal_forces(forcing, tau, y)
+
+    def normal_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
+        t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
+        normal, slopes = self._normal(t, y, base), jax.jacrev(lambda y: self._normal(t, y, base))(y)
+        return jnp.abs(normal) + sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
+
+    def velocity_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
+        t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
+        slopes = jax.jacrev(lambda y: self._velocities(t, y, base))(y)
+        by_base = jax.jacfwd(lambda v: self._velocities(t, y, Base(v, base.acceleration)))(base.velocity)
+        by_state = sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
+        return jnp.abs(self._velocities(t, y, base)) + jnp.abs(by_base * base.velocity) + by_state
+
+    def gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
+        model, forcing, y, h = without_derivatives((self, forcing, y, h))
+        t, base = model._base_at(forcing, jnp.zeros_like(h))
+        none = jnp.zeros_like(friction)
+        slopes = jax.jacfwd(partial(model._rates, t), argnums=(0,))(y, base, none)
+        _, by_friction = model._affine(t, y, base)
+        by_contacts = [jnp.sum(jnp.abs(each) * friction) for each in by_friction]
+        (by_state,) = zip(*slopes, strict=True)
+        return gross_changes(h, y, model._rates(t, y, base, none), by_state, tuple(by_contacts))
+
+    def at_base_velocity(self, forcing: GeneralForcing, y: State, resting: BoolArray) -> State:
+        """As of every model; NaN where the contacts have no unique motion, because friction would drive itself."""
+        y = super().at_base_velocity(forcing, y, resting)
+        gain = self.instant(forcing, jnp.zeros_like(y[0]), y).gain
+        is_unique = jnp.linalg.eigvalsh((gain + gain.T) / 2)[0] > 0
+        return jnp.where(is_unique, y[0], jnp.nan), *y[1:]
+
+    def _at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> tuple[FloatScalar, State, Base]:
+        t, base = self._base_at(forcing, tau)
+        return t, y, base
+
+    def _base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, Base]:
+        return forcing.t + tau, base_motion(self.smooth, *forcing, tau)
+
+    def _rates(self, t: FloatScalar, y: State, base: Base, friction: FloatArray) -> State:
+        return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
+
+    def _affine(self, t: FloatScalar, y: State, base: Base) -> tuple[State, tuple[FloatArray, ...]]:
+        """The rates without friction, and what one unit of friction in each contact adds, each (contacts,)."""
+        none = jnp.zeros(self.contacts, t.dtype)
+
+        def along(direction):
+            return jax.jvp(lambda friction: self._rates(t, y, base, friction), (none,), (direction,))
+
+        return jax.vmap(along, out_axes=(None, 0))(jnp.eye(self.contacts, dtype=t.dtype))
+
+    def _velocities(self, t: FloatScalar, y: State, base: Base) -> FloatArray:
+        return _stacked(self.system.relative_velocity(t, y, base), t)
+
+    def _normal(self, t: FloatScalar, y: State, base: Base) -> FloatArray:
+        return _stacked(self.system.normal_force(t, y, base), t)
+
+    def _normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
+        if not self.system.has_normal_force:
+            return jnp.ones(self.contacts, y[0].dtype)
+        return self._normal(*self._at(forcing, tau, y))
+
+
+def _stacked(values: Any, t: FloatScalar) -> FloatArray:
+    """The numbers of a sequence or an array as an array."""
+    if isinstance(values, (tuple, list)):
+        return jnp.stack([jnp.asarray(value, t.dtype) for value in values])
+    return jnp.asarray(values, t.dtype)
