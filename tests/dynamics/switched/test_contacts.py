@@ -156,6 +156,11 @@ def test_the_table_of_sticks_names_their_contacts():
     assert one.of_contact(2).to_xarray()["stick_count"] == 2
 
 
+def test_force_at_a_jump_is_the_one_after_it():
+    force = ss.ForceSteps([0.0, 1.0], [2.0, 5.0])
+    np.testing.assert_array_equal(force.value(jnp.array([0.0, 0.5, 1.0, 9.0])), [2.0, 2.0, 5.0, 5.0])
+
+
 def end_of_clutches(numbers):
     """State at the end and starts of sticks of two clutches, the second of which closes at a given time."""
     amplitude, closing, force = numbers
