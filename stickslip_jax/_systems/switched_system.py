@@ -37,7 +37,7 @@ _LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller 
 
 
 class SwitchedSystem(System):
-    """A system of your own: ordinary differential equations with one dry-friction contact. Subclass it and write:
+    """A system of your own: ordinary differential equations with a dry-friction contact. Subclass it and write:
 
     - `state_names`: name and unit of each number of the state, two or more.
     - `rates(t, y, base, friction)`: the time derivative of the state.

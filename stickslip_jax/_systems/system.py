@@ -81,7 +81,7 @@ class TimeScale(NamedTuple):
 
 
 class System(Checked):
-    """A mechanical system with one dry-friction contact: all that is particular to it.
+    """A mechanical system with dry-friction contacts: all that is particular to it.
 
     `MassSpring` and `MotorCart` are systems; for one of your own subclass `SwitchedSystem`.
     """
