@@ -214,11 +214,11 @@ class ContactsModel(SwitchedModel[F]):
         together = jnp.where(question.asked, 0, question.sign)
         _, rate = self.guard(forcing, none, y, self._with_normal(together, modes[len(together) :]))
         rate, eps = self._own(rate), jnp.finfo(y[0].dtype).eps
-        # A contact that closes has no normal force yet: what it can hold is seen a moment later.
-        moment = none
-        if self.varying:
+        moment, later = none, y
+        if self.varying:  # a contact that closes has no normal force yet: what it can hold is seen a moment later
             moment = _MOMENT_ULPS * eps * (self.time(forcing) + jnp.minimum(1 / self.fastest, 1))
-        limits = self._limits(forcing, moment, y, jnp.where(question.asked, 0, now.velocity), modes)
+            later = tuple(value + moment * change for value, change in zip(y, now.rates, strict=True))
+        limits = self._limits(forcing, moment, later, jnp.where(question.asked, 0, now.velocity), modes)
         slack = eps * (NOISE_ULPS + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
         found = settled(now.gain, now.drift, limits, question, _finite(slack))
         guard = jnp.where(jnp.abs(found.share) < jnp.inf, 1 - found.share**2, -1)

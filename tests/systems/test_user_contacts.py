@@ -191,6 +191,50 @@ def test_derivative_of_a_pad_that_lifts_off():
     np.testing.assert_allclose(jax.jacfwd(end)(0.6), expected, rtol=1e-6, atol=1e-7)
 
 
+class Clamp(ss.SwitchedSystem):
+    """A free block at rest on a floor at rest, clamped by an oscillator that lifts off."""
+
+    contacts = 1
+
+    @property
+    def state_names(self):
+        return "position in m", "velocity in m/s", "clamp in m", "clamp velocity in m/s"
+
+    def rates(self, t, y, base, friction):
+        return y[1], -0.3 * friction[0], y[3], -y[2]
+
+    def relative_velocity(self, t, y, base):
+        return (y[1] - base.velocity,)
+
+    def normal_force(self, t, y, base):
+        return (y[2],)
+
+    @property
+    def shortest_time(self):
+        return 2 * math.pi
+
+
+@pytest.mark.parametrize("phase", [0.0, math.pi])
+def test_what_rests_sticks_while_it_is_clamped(phase):
+    """No force is needed: a stick begins and ends with the normal force, which depends on the state, or on time."""
+    users = ss.simulate(Clamp(), ss.Constant(0.0), t1=20.0, y0=(0.0, 0.0, math.cos(phase), 0.0))
+    contact = ss.Contact((1.0,), ss.Harmonic(1.0, 1.0, phase), ss.Coulomb(0.3))
+    built_in = ss.simulate(
+        ss.LinearStructure((1.0,), (0.0,), contacts=(contact,)), ss.Constant(0.0), t1=20.0, y0=(0.0, 0.0)
+    )
+    closes, opens = (1.5, 0.5) if phase == 0 else (0.5, 1.5)
+    turns = math.pi * 2 * np.arange(4)
+    begin, end = turns + closes * math.pi, np.minimum(turns + opens * math.pi, 20.0)
+    if phase == 0:
+        begin = np.append(0.0, begin)[: len(end)]
+    expected = np.stack([begin, end], axis=-1)[begin < 20.0]
+    for one in (users, built_in):
+        _, begin, end = listed(one)
+        np.testing.assert_allclose(np.stack([begin, end], axis=-1), expected, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(one.final_state[:2], 0.0, rtol=0, atol=1e-20)
+        assert int(one.status) == ss.Status.FINISHED
+
+
 def bad(**methods):
     return type("Bad", (Blocks,), methods)()
 
