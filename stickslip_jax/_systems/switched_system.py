@@ -187,7 +187,9 @@ class SwitchedSystem(System):
 
     @property
     def static_exceeds_kinetic(self) -> bool:
-        return float(jnp.max(jnp.asarray(self.static_ratio))) > 1
+        ratio = self.static_ratio
+        # Not by jnp.max: under jit that would trace a number that is known.
+        return bool(np.any(np.asarray(ratio) > 1)) if np.ndim(ratio) else float(ratio) > 1
 
     def switched_model(
         self, smooth: Signal | None, solver: ExplicitSolver | None
