@@ -1,7 +1,7 @@
 """Piecewise-constant forces."""
 
 from functools import partial
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ class ForceSteps(SegmentLaw):
         converter=partial(_checks.real_array, "values")
     )
     is_random = False
+    only_with: ClassVar = {"value": ("draw", "next_segment")}
     jumps = False  # of the base velocity: none
 
     def check_relations(self) -> None:

@@ -85,7 +85,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     @property
     def varying(self) -> tuple[int, ...]:
-        return tuple(range(self.contacts)) if self.system.has_normal_force else ()
+        return tuple(range(self.contacts)) if self.system.has_normal_forces else ()
 
     def varying_normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
         return self._normal_forces(forcing, tau, y)
@@ -142,10 +142,10 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return _stacked(self.system.relative_velocity(t, y, base), t)
 
     def _normal(self, t: FloatScalar, y: State, base: Base) -> FloatArray:
-        return _stacked(self.system.normal_force(t, y, base), t)
+        return _stacked(self.system.normal_forces(t, y, base), t)
 
     def _normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
-        if not self.system.has_normal_force:
+        if not self.system.has_normal_forces:
             return jnp.ones(self.contacts, y[0].dtype)
         return self._normal(*self._at(forcing, tau, y))
 

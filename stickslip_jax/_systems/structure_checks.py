@@ -41,6 +41,11 @@ def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
     return bool(np.all(gain == np.diag(np.diag(gain))))
 
 
+def is_singular(eigenvalues: np.ndarray) -> bool:
+    """Whether the smallest of these, in order, is not positive, but for round-off."""
+    return bool(eigenvalues[0] <= _LEAST * eigenvalues[-1])
+
+
 def _is_known(mass: Any, contacts: tuple[Contact, ...]) -> bool:
     return not any(_checks.is_traced(value) for value in (mass, *(contact.direction for contact in contacts)))
 
@@ -80,7 +85,7 @@ def _check_mass(value: Any) -> None:
         return
     mass = np.asarray(value, float)
     eigenvalues = np.sort(mass) if mass.ndim == 1 else np.linalg.eigvalsh(mass)
-    if eigenvalues[0] <= _LEAST * eigenvalues[-1]:
+    if is_singular(eigenvalues):
         raise ValueError(
             f"Argument mass must be positive definite, but its smallest eigenvalue is {eigenvalues[0]:.4g} beside the "
             f"largest, {eigenvalues[-1]:.4g}; leave out coordinates without mass."
@@ -105,7 +110,7 @@ def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
     if not _is_known(mass, contacts):
         return
     eigenvalues = np.linalg.eigvalsh(_gain(mass, contacts))
-    if eigenvalues[0] <= _LEAST * eigenvalues[-1]:
+    if is_singular(eigenvalues):
         raise ValueError(
             "Argument contacts must be independent of each other, but the relative velocity of one is implied by "
             "others (their directions are linearly dependent); join contacts with the same direction in one."

@@ -85,9 +85,9 @@ class SwitchedSystem(System):
     `relative_velocity` returns as many numbers; `static_ratio` may be an array too. Their forces must act as those of
     masses do: friction in any contact slows the sliding there. `simulate` with `Exact` follows such a system.
 
-    Normal forces that depend on time or state are returned by `normal_force`; `friction` is then in N (or N m), to be
-    multiplied by the friction coefficient. Where a normal force is zero or negative its contact is open: no friction,
-    and no stick.
+    Their normal forces, if they depend on time or state, are returned by `normal_forces`; `friction` is then in N (or
+    N m), to be multiplied by the friction coefficient. Where a normal force is zero or negative its contact is open: no
+    friction, and no stick.
 
     The position of a stick is the first number of the state. Figures label their axes by `state_names`; override
     `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
@@ -141,7 +141,7 @@ class SwitchedSystem(System):
         """The number of contacts, 1 to 64; None for one whose relative velocity and friction are scalars."""
         return None
 
-    def normal_force(
+    def normal_forces(
         self, t: FloatScalar, y: State, base: Base
     ) -> FloatArray | tuple[FloatScalar, ...] | list[FloatScalar]:
         """The normal forces (contacts,), N (or N m), smooth functions of the state, of a system with `contacts`.
@@ -181,9 +181,9 @@ class SwitchedSystem(System):
         return self.contacts is not None
 
     @property
-    def has_normal_force(self) -> bool:
+    def has_normal_forces(self) -> bool:
         """Whether normal forces are given as functions."""
-        return type(self).normal_force is not SwitchedSystem.normal_force
+        return type(self).normal_forces is not SwitchedSystem.normal_forces
 
     @property
     def static_exceeds_kinetic(self) -> bool:

@@ -8,11 +8,11 @@ import numpy as np
 
 from .. import _checks
 from .._types import Number
+from .structure_checks import is_singular
 from .switched_model import Base, Segments
 from .user_system_checks import AFFINE, check_rates, check_smooth
 
 _NOTHING = Segments((), (), ())
-_LEAST = 1e-12  # the smallest eigenvalue over the largest: a smaller one is round-off
 
 
 def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
@@ -27,10 +27,10 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     with _checks.traceable(f"The method relative_velocity of {kind}"):
         velocities = system.relative_velocity(zero, y, base)
     _check_number(kind, "relative_velocity", velocities, contacts)
-    if system.has_normal_force:
-        with _checks.traceable(f"The method normal_force of {kind}"):
-            normal_forces = system.normal_force(zero, y, base)
-        _check_number(kind, "normal_force", normal_forces, contacts)
+    if system.has_normal_forces:
+        with _checks.traceable(f"The method normal_forces of {kind}"):
+            normal_forces = system.normal_forces(zero, y, base)
+        _check_number(kind, "normal_forces", normal_forces, contacts)
 
     def rates(friction: np.ndarray) -> tuple:
         return system.rates(zero, y, base, jnp.asarray(friction))
@@ -84,7 +84,7 @@ def _check_unique(kind: str, gain: np.ndarray) -> None:
                 "sign round, or leave out a contact that moves nothing."
             )
     eigenvalues = np.linalg.eigvalsh((gain + gain.T) / 2)
-    if eigenvalues[0] <= _LEAST * eigenvalues[-1]:
+    if is_singular(eigenvalues):
         raise ValueError(
             f"Argument rates of a {kind} must have one motion only, but the effects of the friction forces on the "
             "relative velocities are no positive definite matrix (smallest eigenvalue "

@@ -37,6 +37,11 @@ def check_fields(system: Any) -> None:
                 f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
                 "what the package asks of every system; rename the field."
             )
+    if system.has_normal_forces and not system.has_contacts:
+        raise ValueError(
+            f"Argument normal_forces of a {type(system).__name__} must come with the number of its contacts, but "
+            "contacts is None, and nobody would ask for it: declare contacts = 1, or more."
+        )
     names = system.state_names
     if not isinstance(names, tuple) or len(names) < 2 or not all(isinstance(name, str) for name in names):
         raise ValueError(

@@ -234,6 +234,12 @@ def test_what_must_be_overridden_together():
             def value(self, t):
                 return t
 
+    with pytest.raises(TypeError, match="must override draw or next_segment too where it overrides value"):
+
+        class Ramp(ss.ForceSteps):
+            def value(self, t):
+                return t
+
     with pytest.raises(TypeError, match="must override next_interval too where it overrides next_segment"):
 
         class Ramps(ss.PoissonSwitching):

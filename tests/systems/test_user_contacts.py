@@ -113,7 +113,7 @@ class Pad(ss.SwitchedSystem):
     def relative_velocity(self, t, y, base):
         return (y[1] - base.velocity,)
 
-    def normal_force(self, t, y, base):
+    def normal_forces(self, t, y, base):
         return (self.load + self.slope * y[0],)
 
     @property
@@ -206,7 +206,7 @@ class Clamp(ss.SwitchedSystem):
     def relative_velocity(self, t, y, base):
         return (y[1] - base.velocity,)
 
-    def normal_force(self, t, y, base):
+    def normal_forces(self, t, y, base):
         return (y[2],)
 
     @property
@@ -243,6 +243,10 @@ def bad(**methods):
     ("make", "message"),
     [
         (lambda: bad(contacts=0), "Argument contacts must be"),
+        (
+            lambda: bad(contacts=None, static_ratio=1.0, normal_forces=lambda *_: jnp.ones(1)),
+            "normal_forces of a Bad must come with the number of its contacts",
+        ),
         (lambda: bad(contacts=65), "Argument contacts must be"),
         (lambda: bad(contacts=2), r"Argument static_ratio must be one number or an array \(2,\)"),
         (
@@ -250,8 +254,8 @@ def bad(**methods):
             "relative_velocity of a Bad must return 2 numbers, one for each of its contacts",
         ),
         (
-            lambda: bad(normal_force=lambda *_: jnp.ones(2)),
-            "normal_force of a Bad must return 3 numbers, one for each of its contacts",
+            lambda: bad(normal_forces=lambda *_: jnp.ones(2)),
+            "normal_forces of a Bad must return 3 numbers, one for each of its contacts",
         ),
         (
             lambda: bad(rates=lambda self, t, y, base, f: (*y[3:], *(-(f**2)))),
