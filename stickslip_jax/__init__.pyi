@@ -19,6 +19,7 @@ from ._uncertainty.families import (
 from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
+from ._ensemble.contacts import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts
 from ._ensemble.collecting import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep
 from ._ensemble.result import Ensemble as Ensemble

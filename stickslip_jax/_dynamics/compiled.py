@@ -31,7 +31,7 @@ def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes
     """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
     arrays, which are too large for native loops.
     """
-    return _COMPILED[is_built_in(engine) and not with_records]
+    return _COMPILED[is_built_in(engine) and engine.compiles_natively and not with_records]
 
 
 # filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.

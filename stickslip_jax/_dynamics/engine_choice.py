@@ -66,16 +66,11 @@ class BySteps(NamedTuple):
     def lanes(self, y0: tuple[Number, ...], dtype: DType) -> SwitchedEngine:
         """The engine that simulates samples of the law."""
         system, _, method, t1 = self.arguments
-        if system.has_contacts:
-            raise ValueError(
-                f"Argument system of an ensemble must be one with a single contact, but a {type(system).__name__} was "
-                "given: follow its samples by jax.vmap over simulate."
-            )
         excitation, step = self.arguments.checked_step("law")
         self.arguments.check_length()
         # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
         most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
-        return SwitchedEngine(system, excitation, method.solver, t1, y0, step, most)
+        return SwitchedEngine(system.ready(), excitation, method.solver, t1, y0, step, most)
 
 
 class Smoothed(NamedTuple):

@@ -4,7 +4,7 @@ import dataclasses
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ from .progress import progress_bar
 from .result import Ensemble
 from .setup import MOST_SAMPLES, EnsembleSetup
 
-_Simulate = Callable[[int, int], Part]  # samples ``first .. first + number - 1``
+_Simulate = Callable[[int, int], tuple[Part, ...]]  # samples ``first .. first + number - 1``; the part of each track
 _ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
@@ -114,35 +114,43 @@ def simulate_ensemble(
     numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
+    setup.require_one_track()
     samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
-    found = _found(setup, first, samples, EnsembleAccumulator(samples, keep), threads, chunk, progress, wanted)
+    (found,) = found_by(setup, first, (EnsembleAccumulator(samples, keep),), threads, chunk, progress, wanted)
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))
 
 
-def _found(
-    setup: EnsembleSetup, first: int, samples: int, accumulator: EnsembleAccumulator, threads: int | None,
+def found_by(
+    setup: EnsembleSetup, first: int, accumulators: Sequence[EnsembleAccumulator], threads: int | None,
     chunk: int | None, progress: bool | None, outputs: Mapping[str, Output],
-) -> Fields:  # fmt: skip
-    """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives."""
+) -> list[Fields]:  # fmt: skip
+    """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives.
+
+    `accumulators`: of each track, one where there is one contact. They are given as many samples as they lack.
+    """
+    samples = accumulators[0].missing
     threads = _checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     started = time.perf_counter()
     numbers_of, finished = runner_for(setup, outputs), []
-    simulate = _simulator(setup, plan, accumulator)
-    _compile(simulate, setup, accumulator.keep)
+    simulate = _simulator(setup, plan, accumulators)
+    _compile(simulate, setup, accumulators[0].keep)
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
-        for number, part in _in_order(simulate, plan, first, samples):
-            accumulator.add(part)
-            finished.append(np.equal(part.results.status, Status.FINISHED) if outputs else ())
+        for number, parts in _in_order(simulate, plan, first, samples):
+            for accumulator, part in zip(accumulators, parts, strict=True):
+                accumulator.add(part)
+            finished.append(np.equal(parts[0].results.status, Status.FINISHED) if outputs else ())
             bar.advance(number)
-    accumulator.add_outputs(only(np.concatenate(finished), numbers_of(first, samples, threads)))
-    return {
-        **accumulator.found(),
+    values = only(np.concatenate(finished), numbers_of(first, samples, threads))
+    for accumulator in accumulators:
+        accumulator.add_outputs(values)
+    shared = {
         "threads": min(plan.threads, -(-samples // plan.samples_per_task)),
         "compile_seconds": compiled - started,
         "run_seconds": time.perf_counter() - compiled,
     }
+    return [accumulator.found() | shared for accumulator in accumulators]
 
 
 def _extended(
@@ -160,7 +168,7 @@ def _extended(
     setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, ensemble._key, *options)
     accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)
     accumulator.add_ensemble(ensemble)
-    found = _found(setup, first, samples, accumulator, threads, chunk, progress, outputs)
+    (found,) = found_by(setup, first, (accumulator,), threads, chunk, progress, outputs)
     for name in ("compile_seconds", "run_seconds"):
         found[name] += getattr(ensemble, name)
     return dataclasses.replace(ensemble, samples=ensemble.samples + samples, **found)
@@ -181,10 +189,10 @@ def simulate_batch(
     adaptive = isinstance(setup.engine, AdaptiveBatch)
     plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)
     accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
-    simulate = _simulator(setup, plan, accumulator)
+    simulate = _simulator(setup, plan, (accumulator,))
     numbers_of, finished = runner_for(setup, outputs), []
     for begin, number in plan.tasks(first, samples):
-        part = simulate(begin, number)
+        (part,) = simulate(begin, number)
         accumulator.add(part)
         finished.append(np.equal(part.results.status, Status.FINISHED))
     accumulator.add_outputs(only(np.concatenate(finished), numbers_of(first, samples)))
@@ -241,11 +249,11 @@ class _Plan(NamedTuple):
         return [(begin, min(size, end - begin)) for begin in range(first, end, size)]
 
 
-def _simulator(setup: EnsembleSetup, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
-    """A function that simulates samples ``first .. first + number - 1`` and records what `accumulator` keeps."""
+def _simulator(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
+    """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
     if isinstance(setup.engine, AdaptiveBatch):
-        return _solver(setup, setup.engine, plan, accumulator)
-    return _streamer(setup, plan) if accumulator.keep == "totals" else _recorder(setup, plan, accumulator)
+        return _solver(setup, setup.engine, plan, accumulators[0])
+    return _streamer(setup, plan) if accumulators[0].keep == "totals" else _recorder(setup, plan, accumulators)
 
 
 def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
@@ -256,18 +264,19 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
     how = {"samples": plan.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 
-    def simulate(first: int, number: int) -> Part:
+    def simulate(first: int, number: int) -> tuple[Part]:
         varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, plan.lanes))
         numbers = jnp.asarray(setup.inputs.realization_numbers(first, plan.lanes))
         results, records = solve_chunk(arrays, varying, setup.key_data, numbers, jnp.uint32(number), **how)
         results = SampleTotals(*(np.asarray(leaf)[:number] for leaf in results))
         if records is None:
-            return Part(results)
+            return (Part(results),)
         values = np.stack([np.asarray(column).T for column in records.columns.values()], axis=1)
         sticks = StickCollector()
         sticks.restart(number)
         sticks.add(values, np.asarray(records.ending).T, np.arange(plan.lanes)[None, :])
-        return Part.of(results, sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
+        part = Part.of(results, sticks.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
+        return (part,)
 
     return simulate
 
@@ -277,39 +286,47 @@ def _streamer(setup: EnsembleSetup, plan: _Plan) -> _Simulate:
     assert isinstance(setup.engine, Engine)
     summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
 
-    def simulate(first: int, number: int) -> Part:
+    def simulate(first: int, number: int) -> tuple[Part, ...]:
         job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
         results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
-        return Part(SampleTotals(*(np.asarray(leaf).reshape(-1)[:number] for leaf in results)))
+        results = SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results))
+        return tuple(Part(results.of_track(track)) for track in setup.tracks)
 
     return simulate
 
 
-def _recorder(setup: EnsembleSetup, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
+def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(setup.engine, Engine)
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), setup.dtype
-    lane = np.arange(plan.lanes)
+    lane, track = np.arange(plan.lanes)[:, None], np.arange(len(setup.tracks))
 
-    def simulate(first: int, number: int) -> Part:
+    def simulate(first: int, number: int) -> tuple[Part, ...]:
         if not hasattr(of_thread, "sticks"):
             of_thread.sticks = StickCollector()
         rows = -(-number // plan.lanes)
         job = jax.tree.map(jnp.asarray, setup.job(first, rows, plan.lanes * plan.rows))
         now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
-        of_thread.sticks.restart(number)
+        of_thread.sticks.restart(number * len(track))
         ended, unfinished = [], True
         while unfinished:
             now, buffer, progress = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
             progress = jax.tree.map(np.asarray, progress)
-            sample = progress.row * plan.lanes + lane
-            of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), sample)
-            ended.append((sample[progress.ended], *(column[progress.ended] for column in progress.results)))
+            sample = progress.row[..., None] * plan.lanes + lane
+            # The sticks of each track of a sample are collected as if they were those of a sample.
+            whose = (sample * len(track) + track).reshape(len(sample), -1)
+            of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), whose)
+            ended.append((sample[progress.ended, 0], *(column[progress.ended] for column in progress.results)))
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
-        results = _of_samples(ended, rows * plan.lanes, number)
-        return Part.of(results, of_thread.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
+        results, sticks = _of_samples(ended, rows * plan.lanes, number), of_thread.sticks.sticks
+
+        def part(track: int | None, keeps: bool) -> Part:
+            of_it = sticks if track is None else sticks.of_track(track, len(setup.tracks))
+            return Part.of(results.of_track(track), of_it, setup.t1, setup.numbering, keeps, setup.period)
+
+        return tuple(part(one, to.wants_sticks) for one, to in zip(setup.tracks, accumulators, strict=True))
 
     return simulate
 
@@ -320,13 +337,13 @@ def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) 
     `ended`: sample numbers and results, in the order in which the samples ended.
     """
     sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
-    ordered = [np.empty(samples, column.dtype) for column in columns]
+    ordered = [np.empty((samples, *column.shape[1:]), column.dtype) for column in columns]
     for to, column in zip(ordered, columns, strict=True):
         to[sample] = column
     return SampleTotals(*(column[:number] for column in ordered))
 
 
-def _in_order(simulate: _Simulate, plan: _Plan, first: int, samples: int) -> Iterator[tuple[int, Part]]:
+def _in_order(simulate: _Simulate, plan: _Plan, first: int, samples: int) -> Iterator[tuple[int, tuple[Part, ...]]]:
     """Simulate all tasks in threads, a few at a time, and yield the parts in order of the samples."""
     tasks = deque(plan.tasks(first, samples))
     waiting: deque[tuple[int, Future]] = deque()

@@ -33,7 +33,7 @@ class Part(NamedTuple):
 
     @classmethod
     def of(
-        cls, results: SampleTotals, sticks: StickCollector | FlatSticks, t1: float, numbering: Numbering,
+        cls, results: SampleTotals, sticks: StickStream | FlatSticks, t1: float, numbering: Numbering,
         keep_sticks: bool, period: float | None = None,
     ) -> "Part":  # fmt: skip
         """The part made from the results and the sticks of consecutive samples, simulated up to `t1` (s).
@@ -43,7 +43,7 @@ class Part(NamedTuple):
         """
         finished = np.equal(results.status, Status.FINISHED)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
-        done, found = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks.sticks, None
+        done, found = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks, None
         if period is not None:
             done = with_columns(done, position=within_period(done.position, period))
         if not np.all(finished):
@@ -75,7 +75,9 @@ def prepare(dtype: DType) -> None:
     sticks.restart(1)
     sticks.add(np.zeros((1, len(NUMBERS), 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
     one = np.zeros(1)
-    Part.of(SampleTotals(one, one, one, np.full(1, Status.FINISHED), one), sticks, 1.0, Numbering(1, False), True)
+    Part.of(
+        SampleTotals(one, one, one, np.full(1, Status.FINISHED), one), sticks.sticks, 1.0, Numbering(1, False), True
+    )
 
 
 class EnsembleAccumulator:
@@ -100,6 +102,11 @@ class EnsembleAccumulator:
         self._outputs: list[Mapping[str, np.ndarray]] = []
         self._space = RETAINED if retained is None else retained  # number of sticks that still fit
         self._retained_samples = 0
+
+    @property
+    def missing(self) -> int:
+        """How many samples have not been added."""
+        return self.samples - int(np.sum(self.counts))
 
     @property
     def wants_sticks(self) -> bool:

@@ -98,6 +98,21 @@ class EnsembleSetup:
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         return cls(engine, leaf_numbers, inputs, method, key_data, random, dtype, float(t1), numbering, period)
 
+    @property
+    def tracks(self) -> tuple[int | None, ...]:
+        """What sticks are counted of: every contact, and last all at once; (None,) where it is one thing."""
+        tracks = self.engine.tracks if isinstance(self.engine, Engine) else None
+        return (None,) if tracks is None else tuple(range(tracks))
+
+    def require_one_track(self) -> None:
+        """Raise ValueError for a system with a list of contacts that does not say whose sticks are counted."""
+        if self.tracks != (None,):
+            raise ValueError(
+                f"Argument system must say whose sticks are counted, but a system with {len(self.tracks) - 1} contacts "
+                "was given: take system.of_contact(number) or system.of_all_contacts(), or call simulate_contacts, "
+                "which counts those of every contact."
+            )
+
     def fields(self) -> Fields:
         """The fields of an `Ensemble` that its arguments are."""
         return {

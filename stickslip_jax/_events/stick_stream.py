@@ -62,6 +62,16 @@ class StickStream(NamedTuple):
         count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
         return StickStream(count, last, *(column[..., inside] for column in self[2:]))
 
+    def of_track(self, track: int, tracks: int) -> "StickStream":
+        """The sticks of one track of systems with several contacts, collected as if each track were a sample.
+
+        The tracks of a sample stand one after the other.
+        """
+        of_it = self.owner % tracks == track
+        count, last = self.count[track::tracks], self.last[track::tracks]
+        only = StickStream(count, last, *(column[..., of_it] for column in self[2:]))
+        return only._replace(owner=only.owner // tracks)
+
     def in_order(self) -> FlatSticks:
         """The sticks in order of their samples."""
         first = np.cumsum(self.count) - self.count

@@ -72,11 +72,15 @@ class Simulation(WithMethods):
     final_state: tuple[Float[Array, "*batch"], ...]
     near_grazing_count: Int[Array, "*batch"]
     _path: Path
+    _of_all_contacts: tuple[Sticks, Totals] | None = None
 
     @property
     def slips(self) -> Slips:
         if self.sticks.contact is not None:
-            raise ValueError("Slips are those of one contact here: take simulation.of_contact(number).slips.")
+            raise ValueError(
+                "Slips are those of one contact here: take simulation.of_contact(number).slips, or those of "
+                "simulation.of_all_contacts()."
+            )
         return slips_between(self.sticks, self.time_reached)
 
     def of_contact(self, number: int) -> "Simulation":
@@ -96,7 +100,22 @@ class Simulation(WithMethods):
         contacts = self.totals.sticks.shape[-1]
         _checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
         parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
-        return dataclasses.replace(self, sticks=of_contact(self.sticks, number), totals=parts)
+        return dataclasses.replace(self, sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None)
+
+    def of_all_contacts(self) -> "Simulation":
+        """The same trajectory with the times in which every closed contact sticks, such as the arrest of a chain.
+
+        Returns:
+            A simulation whose sticks and totals are these; positions are those of the first coordinate. A time in which
+            no contact is closed is no stick.
+
+        Raises:
+            ValueError: For a system with one contact.
+        """
+        if self._of_all_contacts is None:
+            raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
+        sticks, totals = self._of_all_contacts
+        return dataclasses.replace(self, sticks=sticks, totals=totals, _of_all_contacts=None)
 
     @property
     def stick_time(self) -> Float[Array, "*batch"]:

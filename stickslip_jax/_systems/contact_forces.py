@@ -20,7 +20,8 @@ from jax import lax
 from .._types import BoolArray, BoolScalar, FloatArray, IntArray
 from .switched_model import Question
 
-_UNROLLED = 8  # contacts, up to which elimination is written out: vectorised over lanes, unlike a call of a library
+WRITTEN_OUT = 8
+"""Masses and contacts, up to which elimination is written out: vectorised over lanes, unlike a call of a library."""
 _PASSES = 3  # for each contact: how often one may break, or be held again
 
 
@@ -31,7 +32,7 @@ def is_diagonal(gain: FloatArray) -> bool:
 
 def acceleration(gain: FloatArray, drift: FloatArray, force: FloatArray) -> FloatArray:
     """The rates of the relative velocities under these friction forces."""
-    return drift - (gain * force if is_diagonal(gain) else _times(gain, force))
+    return drift - (gain * force if is_diagonal(gain) else times(gain, force))
 
 
 def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: BoolArray) -> FloatArray:
@@ -45,19 +46,20 @@ def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: Bool
     both = chosen[:, None] & chosen[None, :]
     matrix = jnp.where(both, gain, jnp.eye(len(chosen), dtype=gain.dtype))
     others = jnp.where(chosen, 0, given)
-    target = jnp.where(chosen, wanted - _times(gain, others), given)
+    target = jnp.where(chosen, wanted - times(gain, others), given)
     return _linear_solve(matrix, target)
 
 
-def _times(gain: FloatArray, force: FloatArray) -> FloatArray:
-    # Not a matrix product: XLA fuses sums of few terms with what surrounds them.
-    return jnp.sum(gain * force[None, :], axis=1) if len(force) <= _UNROLLED else gain @ force
+def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Their product."""
+    # XLA fuses sums of few terms with what surrounds them.
+    return jnp.sum(matrix * vector[None, :], axis=1) if len(vector) <= WRITTEN_OUT else matrix @ vector
 
 
 def _linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots."""
     size = len(target)
-    if size > _UNROLLED:
+    if size > WRITTEN_OUT:
         return jnp.linalg.solve(matrix, target)
     rows = [[matrix[i, j] for j in range(size)] + [target[i]] for i in range(size)]
     for k in range(size):

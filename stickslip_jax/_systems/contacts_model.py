@@ -106,6 +106,11 @@ class ContactsModel(SwitchedModel[F]):
         own = jnp.zeros(self._own(sign).shape, bool)
         return own.at[np.array(self.varying)].set(sign[len(own) :] < 0) if self.varying else own
 
+    def stuck(self, sign: FloatArray) -> BoolArray:
+        is_open = self._is_open(sign)
+        sticks = (self._own(sign) == 0) & ~is_open
+        return jnp.append(sticks, jnp.all(sticks | is_open) & jnp.any(sticks))
+
     def _limits(self, forcing: F, tau: FloatScalar, y: State, velocity: FloatArray, sign: FloatArray) -> Limits:
         """The `limits`, zero in open contacts."""
         limits = self.limits(forcing, tau, y, velocity)

@@ -40,7 +40,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return forcing.t
 
     def stick_position(self, y: State) -> FloatArray:
-        return self._with_normal(jnp.broadcast_to(y[0], (self.contacts,)), 0)
+        return jnp.broadcast_to(y[0], (self.contacts + 1,))
 
     def instant(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> Instant:
         t, base = self._base_at(forcing, tau)

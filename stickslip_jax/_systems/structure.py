@@ -13,16 +13,17 @@ from .._excitation.segments import SegmentLaw, added
 from .._excitation.smooth import Signal
 from .._types import DType, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .contact import Contact, entries_of, numbers_of
-from .contact_forces import Limits
+from .contact_forces import WRITTEN_OUT, Limits, times
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
 from .normal_force import NormalForce, is_function, periods_of, recorded_in, size_of, values_at
 from .structure_checks import check_structure, is_uncoupled
 from .switched_model import Segments, base_motion
-from .system import SOLVED, Coordinate, System, TimeScale, shortest_period
+from .system import SOLVED, Coordinate, TimeScale, shortest_period
+from .with_contacts import WithContacts
 
 
-class LinearStructure(System):
+class LinearStructure(WithContacts):
     """Masses, springs and dampers with several dry-friction contacts: ``M x'' + C x' + K x = f + sum of friction``.
 
     The state is the d positions, then the d velocities. Every stick of every contact is found; `Simulation.sticks` has
@@ -58,8 +59,8 @@ class LinearStructure(System):
             object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
 
     @property
-    def has_contacts(self) -> bool:
-        return True
+    def contact_count(self) -> int | None:
+        return len(self.contacts)
 
     @property
     def normal_forces(self) -> tuple[NormalForce, ...]:
@@ -82,22 +83,36 @@ class LinearStructure(System):
         return (*positions, *(Coordinate(f"velocity {i}", "m/s", rf"\dot x_{{{i}}}") for i in numbers))
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel":
+        solver = diffrax.Dopri8() if solver is None else solver
+        matrices = self.matrices
+        return StructureModel(solver=solver, smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest)
+
+    @property
+    def matrices(self) -> "Matrices":
+        """What the equations of motion need of linear algebra."""
         directions = jnp.stack([jnp.asarray(contact.direction, float) for contact in self.contacts])
         by_force = _inverse_times(self.mass, directions.T)
-        # Contacts that share no mass, directly or through the mass matrix, have no effect on each other.
-        gain = jnp.sum(directions.T * by_force, axis=0) if self.uncoupled else directions @ by_force
-        return StructureModel(
-            solver=diffrax.Dopri8() if solver is None else solver,
-            smooth=smooth,
-            structure=self,
+        return Matrices(
+            inverse_mass=_inverse_times(self.mass, jnp.eye(self.size)),
             stiffness=_inverse_times(self.mass, _matrix(self.stiffness)),
             damping=None if self.damping is None else _inverse_times(self.mass, _matrix(self.damping)),
             directions=directions,
             by_force=by_force,
-            gain=gain,
+            # Contacts that share no mass, directly or through the mass matrix, have no effect on each other.
+            gain=jnp.sum(directions.T * by_force, axis=0) if self.uncoupled else directions @ by_force,
             on_base=jnp.stack([jnp.asarray(contact.on_base, float) for contact in self.contacts]),
             fastest=self.fastest,
         )
+
+    def ready(self) -> "ReadyStructure":
+        new = object.__new__(ReadyStructure)
+        for name, value in [*vars(self).items(), ("known", self.matrices)]:
+            object.__setattr__(new, name, value)
+        return new
+
+    @property
+    def compiles_natively(self) -> bool:
+        return max(self.size, len(self.contacts)) <= WRITTEN_OUT
 
     @property
     def fastest(self) -> FloatScalar:
@@ -127,6 +142,34 @@ class LinearStructure(System):
     @property
     def body_name(self) -> str:
         return "structure"
+
+
+class Matrices(NamedTuple):
+    """What a `LinearStructure` needs of linear algebra.
+
+    - `inverse_mass`, and from the left by it: `stiffness`, `damping`, `by_force` (the `directions` of the contacts).
+    - `gain`: see `contact_forces`. `fastest`: see `LinearStructure.fastest`.
+    """
+
+    inverse_mass: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray | None
+    directions: FloatArray
+    by_force: FloatArray
+    gain: FloatArray
+    on_base: FloatArray
+    fastest: FloatScalar
+
+
+class ReadyStructure(LinearStructure):
+    """A `LinearStructure` whose matrices are `known`; a change of its numbers does not change them."""
+
+    known: Matrices | None = eqx.field(default=None, kw_only=True)
+
+    @property
+    def matrices(self) -> Matrices:
+        assert self.known is not None
+        return self.known
 
 
 def _matrix(values: Any) -> FloatArray:
@@ -161,20 +204,11 @@ class StructureForcing(NamedTuple):
 
 
 class StructureModel(ContactsModel[StructureForcing]):
-    """A `LinearStructure` on a base. State: positions (d,) and velocities (d,).
-
-    `stiffness`, `damping`, `by_force`: the matrices and the directions of the contacts, from the left by the inverse
-    of the mass.
-    """
+    """A `LinearStructure` on a base. State: positions (d,) and velocities (d,)."""
 
     smooth: Signal | None
     structure: LinearStructure
-    stiffness: FloatArray
-    damping: FloatArray | None
-    directions: FloatArray
-    by_force: FloatArray
-    gain: FloatArray
-    on_base: FloatArray
+    matrices: Matrices
     fastest: FloatScalar
 
     @property
@@ -194,7 +228,7 @@ class StructureModel(ContactsModel[StructureForcing]):
         return tuple(part[i] for part in y for i in range(self.structure.size))
 
     def stick_position(self, y: State) -> FloatArray:
-        return self._with_normal(self._of(self.directions, y) @ y[0], 0)
+        return jnp.append(times(self._in_precision_of(y).directions, y[0]), y[0][0])
 
     def time(self, forcing: StructureForcing) -> FloatScalar:
         return forcing.t
@@ -210,16 +244,16 @@ class StructureModel(ContactsModel[StructureForcing]):
 
     def instant(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> Instant:
         base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
-        directions, on_base = self._of(self.directions, y), self._of(self.on_base, y)
-        pull = self._load(forcing, tau) - self._of(self.stiffness, y) @ y[0]
-        if self.damping is not None:
-            pull = pull - self._of(self.damping, y) @ y[1]
-        velocity = directions @ y[1] - on_base * base.velocity
-        drift = directions @ pull - on_base * base.acceleration
-        return Instant((y[1], pull), velocity, drift, self._of(self.gain, y))
+        of = self._in_precision_of(y)
+        pull = self._load(forcing, tau) - times(of.stiffness, y[0])
+        if of.damping is not None:
+            pull = pull - times(of.damping, y[1])
+        velocity = times(of.directions, y[1]) - of.on_base * base.velocity
+        drift = times(of.directions, pull) - of.on_base * base.acceleration
+        return Instant((y[1], pull), velocity, drift, of.gain)
 
     def effect(self, forcing: StructureForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
-        return jnp.zeros_like(y[0]), -(self._of(self.by_force, y) @ force)
+        return jnp.zeros_like(y[0]), -times(self._in_precision_of(y).by_force, force)
 
     def limits(self, forcing: StructureForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
         laws = tuple(contact.friction for contact in self.structure.contacts)
@@ -243,15 +277,16 @@ class StructureModel(ContactsModel[StructureForcing]):
 
     def velocity_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
         base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, jnp.zeros_like(forcing.t))
-        by_mass = jnp.abs(self._of(self.directions, y)) @ jnp.abs(y[1])
-        return by_mass + jnp.abs(self._of(self.on_base, y) * base.velocity)
+        of = self._in_precision_of(y)
+        return times(jnp.abs(of.directions), jnp.abs(y[1])) + jnp.abs(of.on_base * base.velocity)
 
     def gross_changes(self, forcing: StructureForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
         x, v = jnp.abs(y[0]), jnp.abs(y[1])
-        load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + jnp.abs(self._of(self.by_force, y)) @ friction
-        load = load + jnp.abs(self._of(self.stiffness, y)) @ x
-        if self.damping is not None:
-            load = load + jnp.abs(self._of(self.damping, y)) @ v
+        of = self._in_precision_of(y)
+        load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + times(jnp.abs(of.by_force), friction)
+        load = load + times(jnp.abs(of.stiffness), x)
+        if of.damping is not None:
+            load = load + times(jnp.abs(of.damping), v)
         return h * (v + h * load), h * load
 
     def _load(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
@@ -263,10 +298,10 @@ class StructureModel(ContactsModel[StructureForcing]):
         t = forcing.t + tau
         forces = [force.value(t) if isinstance(force, Signal) else force or 0.0 for force in self.structure.force]
         applied = jnp.stack([jnp.asarray(force, t.dtype) for force in forces])
-        return load + _inverse_times(self.structure.mass, applied[:, None]).astype(t.dtype)[:, 0]
+        return load + times(self.matrices.inverse_mass.astype(t.dtype), applied)
 
-    def _of(self, values: FloatArray, y: State) -> FloatArray:
-        return values.astype(y[0].dtype)
+    def _in_precision_of(self, y: State) -> Matrices:
+        return jax.tree.map(lambda values: values.astype(y[0].dtype), self.matrices)
 
 
 def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatArray:

@@ -132,8 +132,12 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """The numbers of the state `y`, one for each coordinate of the system."""
         return y
 
+    def stuck(self, sign: FloatArray) -> BoolArray:
+        """What sticks in the mode `sign`: of several contacts (contacts + 1,), each, and last all that are closed."""
+        return sign == 0
+
     def stick_position(self, y: State) -> FloatArray:
-        """What is recorded as the position of a stick that begins in the state `y`, for each contact."""
+        """What is recorded as the position of a stick that begins in the state `y`, for each that can be `stuck`."""
         return y[0]
 
     @abc.abstractmethod

@@ -27,16 +27,17 @@ from .friction import Coulomb, FrictionLaw
 from .general_contacts import GeneralContactsModel
 from .one_contact import OneContactModel
 from .switched_model import Base, FloatPair, GeneralForcing, Segments, base_motion, with_change
-from .system import SHORTEST_TIME, SOLVED, Coordinate, System, TimeScale, shortest_period
+from .system import SHORTEST_TIME, SOLVED, Coordinate, TimeScale, shortest_period
 from .user_contacts_checks import check_contacts
 from .user_system_checks import check_fields, check_motion
+from .with_contacts import WithContacts
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
 
 
-class SwitchedSystem(System):
+class SwitchedSystem(WithContacts):
     """A system of your own: ordinary differential equations with a dry-friction contact. Subclass it and write:
 
     - `state_names`: name and unit of each number of the state, two or more.
@@ -177,8 +178,8 @@ class SwitchedSystem(System):
         return tuple(map(Coordinate.of, self.state_names))
 
     @property
-    def has_contacts(self) -> bool:
-        return self.contacts is not None
+    def contact_count(self) -> int | None:
+        return self.contacts
 
     @property
     def has_normal_forces(self) -> bool:
@@ -195,7 +196,7 @@ class SwitchedSystem(System):
         self, smooth: Signal | None, solver: ExplicitSolver | None
     ) -> "GeneralModel | GeneralContactsModel":
         solver = diffrax.Dopri8() if solver is None else solver
-        if self.has_contacts:
+        if self.contacts is not None:
             shortest = self.shortest_time
             fastest = jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
             return GeneralContactsModel(solver=solver, system=self, smooth=smooth, fastest=fastest)
@@ -218,7 +219,7 @@ class SwitchedSystem(System):
         check_fields(self)
 
     def check_state(self, y0: tuple[Number, ...]) -> None:
-        (check_contacts if self.has_contacts else check_motion)(self, y0)
+        (check_motion if self.contacts is None else check_contacts)(self, y0)
 
     def check_excitation(self, excitation: Excitation) -> None:
         super().check_excitation(excitation)

@@ -100,6 +100,17 @@ class System(Checked):
             solver: What integrates slips; None for the closed form where there is one.
         """
 
+    def ready(self) -> "System":
+        """The same system, with what its `switched_model` needs of linear algebra done: for loops that make it in each
+        step.
+        """
+        return self
+
+    @property
+    def compiles_natively(self) -> bool:
+        """Whether its motion can be compiled into native loops: without calls of libraries."""
+        return True
+
     def one_contact_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> OneContactModel:
         """The `switched_model` of a system with one contact. Raises ValueError for a system with several."""
         model = self.switched_model(smooth, solver)
@@ -115,9 +126,19 @@ class System(Checked):
         """The time scales of the system and of its excitation, by name."""
 
     @property
-    def has_contacts(self) -> bool:
-        """Whether it has a list of contacts, of any number, each with sticks of its own."""
-        return False
+    def contact_count(self) -> int | None:
+        """The length of its list of contacts, each with sticks of its own; None for a system with one contact."""
+        return None
+
+    @property
+    def track(self) -> int | None:
+        """Of a list of contacts, the one whose sticks alone are counted, -1 for all at once; None: of every one."""
+        return None
+
+    @property
+    def tracks(self) -> int | None:
+        """Of how many things sticks are counted: every contact and all at once; None where it is one."""
+        return None if self.contact_count is None or self.track is not None else self.contact_count + 1
 
     @property
     def has_fixed_time_scales(self) -> bool:

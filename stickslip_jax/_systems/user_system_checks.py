@@ -37,7 +37,7 @@ def check_fields(system: Any) -> None:
                 f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
                 "what the package asks of every system; rename the field."
             )
-    if system.has_normal_forces and not system.has_contacts:
+    if system.has_normal_forces and system.contacts is None:
         raise ValueError(
             f"Argument normal_forces of a {type(system).__name__} must come with the number of its contacts, but "
             "contacts is None, and nobody would ask for it: declare contacts = 1, or more."

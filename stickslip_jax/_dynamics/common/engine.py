@@ -18,6 +18,8 @@ Results = TypeVar("Results")  # of a sample
 class SampleTotals(NamedTuple):
     """What is recorded of each sample: numbers of sticks and slips, total stick time (s), `Status` code, and number of
     near-grazing instants (see `Simulation`); one entry for each sample.
+
+    Of a system with several contacts, an engine's first three are arrays (samples, tracks).
     """
 
     sticks: AnyArray
@@ -26,12 +28,31 @@ class SampleTotals(NamedTuple):
     status: AnyArray
     near_grazing_count: AnyArray
 
+    def of_track(self, track: int | None) -> "SampleTotals":
+        """Those of one track; all of them where there is one contact."""
+        if track is None:
+            return self
+        of_each = (self.sticks, self.slips, self.stick_time)
+        return SampleTotals(*(column[:, track] for column in of_each), self.status, self.near_grazing_count)
+
 
 class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
     """How one lane is simulated step by step; a step is a time step, or a whole interval of the base."""
 
     looks_back: ClassVar[bool] = False
     """Whether `after_block` reads the records of the block."""
+
+    @property
+    def tracks(self) -> int | None:
+        """Of a system with several contacts, how many of its results and records are of something that sticks: each
+        contact, and all at once. None for one contact.
+        """
+        return None
+
+    @property
+    def compiles_natively(self) -> bool:
+        """Whether its steps can be compiled into native loops."""
+        return True
 
     def asked(self, quantities: tuple[str, ...]) -> "Engine":
         """The same engine, whose records hold these `quantities` of each stick; without them it computes none."""

@@ -39,6 +39,8 @@ class Lanes(NamedTuple):
 class Records(NamedTuple):
     """The sticks of some blocks, one slot for each interval or step.
 
+    Of several contacts, the tracks of a lane stand one after the other, as if they were lanes.
+
     Times and positions share one array: XLA updates a single large array of a shape in place, but copies several.
     """
 
@@ -51,8 +53,12 @@ class Records(NamedTuple):
         return cls(jnp.zeros((slots, len(NUMBERS), lanes), dtype), jnp.full((slots, lanes), -1, jnp.int8))
 
     def with_slot(self, slot: Array | int, sticks: Any) -> "Records":
-        """A copy in which slot `slot` holds `sticks`: values (columns, lanes) and endings (lanes,)."""
-        return Records(*(_with(kept, new, slot) for kept, new in zip(self, sticks, strict=True)))
+        """A copy in which slot `slot` holds `sticks`: values (columns, lanes) and endings (lanes,); or with a further
+        axis, of the tracks.
+        """
+        return Records(
+            *(_with(kept, new.reshape(kept.shape[1:]), slot) for kept, new in zip(self, sticks, strict=True))
+        )
 
 
 class Blocks(NamedTuple):
@@ -140,7 +146,7 @@ def record(
 
     results = jax.tree.map(nothing, jax.eval_shape(partial(_results, task.engine), begun))
     reports = Blocks(nothing(begun.row, task.used_rows), jnp.zeros((blocks, lanes), bool), results)
-    records = Records.empty(blocks * BLOCK, lanes, dtype)
+    records = Records.empty(blocks * BLOCK, lanes * (task.engine.tracks or 1), dtype)
     _, following, records, reports = lax.while_loop(goes_on, advance, (jnp.int32(0), begun, records, reports))
     return packed(following), records, reports
 
@@ -232,7 +238,8 @@ def _note(results: Any, row: IntArray, ended: BoolArray, new: Any) -> Any:
 
         def note(kept, new):
             old = lax.dynamic_index_in_dim(kept, at, keepdims=False)
-            return lax.dynamic_update_index_in_dim(kept, jnp.where(ended & (row == at), new, old), at, 0)
+            here = (ended & (row == at)).reshape(ended.shape + (1,) * (new.ndim - 1))
+            return lax.dynamic_update_index_in_dim(kept, jnp.where(here, new, old), at, 0)
 
         return at + 1, jax.tree.map(note, results, new)
 

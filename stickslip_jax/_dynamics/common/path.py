@@ -58,3 +58,4 @@ class Run(NamedTuple):
     final_state: State
     near_grazing_count: Array
     path: Path
+    of_all_contacts: tuple[Sticks, Totals] | None = None

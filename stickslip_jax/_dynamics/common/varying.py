@@ -34,6 +34,14 @@ class VaryingEngine(Engine):
         """That of the template."""
         return self.template.looks_back
 
+    @property
+    def tracks(self) -> int | None:
+        return self.template.tracks
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.template.compiles_natively
+
     def asked(self, quantities: tuple[str, ...]) -> "VaryingEngine":
         return VaryingEngine(self.template.asked(quantities), self.leaf_numbers)
 

@@ -15,7 +15,7 @@ from ..common.ending import has_ended, status_of_lane
 from ..common.engine import Engine, SampleTotals
 from ..common.segments import SegmentLaws
 from .lane import Lane
-from .run import lane_at_start
+from .run import lane_at_start, of_track
 from .stepping import advance
 
 
@@ -43,6 +43,14 @@ class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, Sa
     most_steps: AnyInteger
     quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
+    @property
+    def tracks(self) -> int | None:
+        return self.system.tracks
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.system.compiles_natively
+
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         step = jnp.asarray(self.step_length, dtype)
@@ -57,16 +65,18 @@ class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, Sa
     def step(
         self, shared: SwitchedShared, sample: Signal | None, motion: Lane, drawn: None
     ) -> tuple[Lane, StickRecord]:
-        return advance(self.system.switched_model(sample, self.solver), *shared, motion)
+        motion, record = advance(self.system.switched_model(sample, self.solver), *shared, motion)
+        return motion, of_track(record, self.system)
 
     def ended(self, motion: Lane, before: Lane) -> BoolArray:
         return has_ended(motion, self._t1(motion), jnp.asarray(self.most_steps, jnp.int32))
 
     def results(self, sample: Signal | None, motion: Lane) -> SampleTotals:
+        totals, at_start = of_track((motion.totals, motion.at_start), self.system)
         return SampleTotals(
-            sticks=motion.totals.sticks,
-            slips=count_slips(motion.totals, motion.at_start),
-            stick_time=motion.totals.stick_time,
+            sticks=totals.sticks,
+            slips=count_slips(totals, at_start),
+            stick_time=totals.stick_time,
             status=status_of_lane(motion, self._t1(motion)),
             near_grazing_count=motion.near_grazing_count,
         )

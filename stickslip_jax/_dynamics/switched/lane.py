@@ -15,8 +15,8 @@ NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # fraction of the guard's scale
 class Lane(NamedTuple):
     """Loop state of one trajectory.
 
-    Of each contact (scalars, or arrays (contacts,)): `sign`, that of the relative velocity, 0 in a stick; `event`, and
-    what belongs to sticks.
+    Of each contact (scalars, or arrays): `sign`, that of the relative velocity, 0 in a stick, and `event`. What belongs
+    to sticks is of each that can be `SwitchedModel.stuck`.
     """
 
     t: FloatArray

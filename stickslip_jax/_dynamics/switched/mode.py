@@ -52,7 +52,7 @@ def switched(
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     mode = _mode_after(model, forcing, lane, stop, ended, jumped)
     at_horizon = stop.at_stop & ~(lane.t < t1)
-    following, record = _with_mode(lane, mode, model.stick_position(mode.y), ended & jumped, at_horizon)
+    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon)
     return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
 
 
@@ -93,13 +93,10 @@ def _mode_after(
 
 
 def _with_mode(
-    lane: Lane, mode: _Mode, position: FloatArray, jumped: BoolArray, at_horizon: BoolArray
+    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray
 ) -> tuple[Lane, StickRecord]:
-    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any.
-
-    `position`: of a stick that would begin or end there.
-    """
-    was_stick, sticks = lane.sign == 0, mode.sign == 0
+    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
+    was_stick, sticks, position = model.stuck(lane.sign), model.stuck(mode.sign), model.stick_position(mode.y)
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
     stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)

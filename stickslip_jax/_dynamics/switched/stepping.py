@@ -65,21 +65,21 @@ def start_lane(
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     forcing = model.forcing(zero, segment_laws.segments(segment_states))
     y, sign, margin = mode_at_start(model, forcing, model.start(y0, dtype))
-    none_yet, position = jnp.zeros_like(sign), model.stick_position(y)
+    sticks, position = model.stuck(sign), model.stick_position(y)
     return Lane(
         zero,
         y,
         sign,
         lax.stop_gradient(model.step_limit(zero, step, y, sign)),
         jnp.full((), jnp.inf, dtype),
-        none_yet,
+        jnp.zeros_like(sign),
         none,
         none,
-        none_yet,
+        jnp.zeros(sticks.shape, dtype),
         position,
         begin_quantities(position, quantities),
-        start_totals(dtype, sign.shape),
-        sign == 0,
+        start_totals(dtype, sticks.shape),
+        sticks,
         sum_of(is_tie(margin).astype(jnp.int32)),
         segment_states,
     )

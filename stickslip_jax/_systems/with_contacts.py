@@ -1,0 +1,61 @@
+"""Systems with a list of contacts: which of their sticks are counted."""
+
+from typing import Literal, Self, TypeAlias
+
+import equinox as eqx
+
+from .. import _checks
+from .system import System
+
+Counted: TypeAlias = int | Literal["all"] | None
+"""A contact, by its number from 0; "all": the times in which all contacts that are closed stick; None: every one."""
+
+
+class WithContacts(System):
+    """A system that may have a list of contacts, of any number."""
+
+    counted: Counted = eqx.field(static=True, default=None, kw_only=True)
+
+    def of_contact(self, number: int) -> Self:
+        """The same system, of which the sticks of one contact are counted, as if it had no others.
+
+        What takes systems with one contact takes it: ensembles, studies, sensitivities, statistics, figures.
+
+        Args:
+            number: Of the contact, from 0.
+
+        Raises:
+            ValueError: For a system with one contact, and for a number that is not one of its contacts.
+        """
+        return self._counting(_checks.whole_number("number", number, minimum=0, maximum=self._require_contacts() - 1))
+
+    def of_all_contacts(self) -> Self:
+        """The same system, of which the times are counted in which every closed contact sticks.
+
+        The position of such a stick is that of the first coordinate. A time in which no contact is closed is no stick.
+
+        Raises:
+            ValueError: For a system with one contact.
+        """
+        self._require_contacts()
+        return self._counting("all")
+
+    def _require_contacts(self) -> int:
+        if self.contact_count is None:
+            raise ValueError(
+                f"Argument system must have a list of contacts, but a {type(self).__name__} with one contact was "
+                "given: its sticks are counted already."
+            )
+        return self.contact_count
+
+    def _counting(self, counted: Counted) -> Self:
+        # Not by the constructor, which a user's class may have written anew.
+        new = object.__new__(type(self))
+        for name, value in vars(self).items():
+            object.__setattr__(new, name, value)
+        object.__setattr__(new, "counted", counted)
+        return new
+
+    @property
+    def track(self) -> int | None:
+        return -1 if self.counted == "all" else self.counted
