@@ -6,7 +6,7 @@ The constructors check their arguments by them, and a study's file takes its key
 import dataclasses
 from collections.abc import Iterator
 from functools import cache
-from typing import ClassVar, get_type_hints
+from typing import ClassVar, TypeVar, get_type_hints
 
 import equinox as eqx
 import numpy as np
@@ -153,6 +153,20 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool, bool], ..
     fields = {field.name: field for field in dataclasses.fields(kind)}
     random = {name: kind.may_be_random and not field.metadata.get("static", False) for name, field in fields.items()}
     return tuple((name, about, fields[name].default is None, random[name]) for name, about in described(kind).items())
+
+
+M = TypeVar("M", bound=eqx.Module)
+
+
+def with_fields(module: M, **fields: object) -> M:
+    """A copy of `module` with other values of these fields, made without its constructor.
+
+    For fields that it need not check: a user's class may have another constructor, and a batch has other shapes.
+    """
+    new = object.__new__(type(module))
+    for name, value in {**vars(module), **fields}.items():
+        object.__setattr__(new, name, value)
+    return new
 
 
 def modules_in(tree: object) -> Iterator[eqx.Module]:

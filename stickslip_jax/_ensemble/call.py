@@ -114,7 +114,6 @@ def simulate_ensemble(
     numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
-    setup.require_one_track()
     samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
     (found,) = found_by(setup, first, (EnsembleAccumulator(samples, keep),), threads, chunk, progress, wanted)
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))

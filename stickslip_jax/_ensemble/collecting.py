@@ -54,6 +54,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     for what in ("t1", "keep", "numbering", "dtype"):
         _check_same(what, [getattr(one, what) for one in ensembles])
     _check_same("outputs", [dict(sorted(one.output_units.items())) for one in ensembles])
+    _check_same("counted", [getattr(one.system, "counted", None) for one in ensembles])
     _check_same("position", [one.system.stick_position[1::2] for one in ensembles])
     accumulator = EnsembleAccumulator(sum(one.samples for one in ensembles), ensembles[0].keep)
     for one in ensembles:
@@ -79,7 +80,12 @@ def _shared_functions(ensembles: Sequence[Ensemble]) -> dict[str, Callable[..., 
     return {name: function for name, function in first.items() if all(one.get(name) is function for one in others)}
 
 
-_WORDS = {"t1": "duration t1", "outputs": "names and units of outputs", "position": "unit and period of the position"}
+_WORDS = {
+    "t1": "duration t1",
+    "outputs": "names and units of outputs",
+    "position": "unit and period of the position",
+    "counted": "contact whose sticks are counted",
+}
 
 
 def _check_same(what: str, values: Sequence[object]) -> None:

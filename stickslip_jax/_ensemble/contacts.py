@@ -156,7 +156,9 @@ def simulate_contacts(
     require_threads_of_jax()
     numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
-    setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
+    setup = EnsembleSetup.checked(
+        model, t1, samples, first_sample, key, correlation, method, keep, numbering, of_every_contact=True
+    )
     if setup.tracks == (None,) or not isinstance(system, WithContacts):
         raise _checks.refused("system", "have a list of contacts, of which all are counted", system)
     number, first = setup.inputs.samples - int(first_sample), int(first_sample)

@@ -40,6 +40,12 @@ def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
         raise ValueError(
             "Argument result must hold numbers, but JAX is tracing them; make the ensemble outside jit, vmap and grad."
         )
+    if result.sticks.contact is not None:
+        raise ValueError(
+            "Argument result must hold the sticks of one contact, but a batch with those of "
+            f"{result.totals.sticks.shape[-1]} contacts was given; take result.of_contact(number) or "
+            "result.of_all_contacts()."
+        )
     samples = len(result.status)
     horizons = np.unique(np.asarray(result.t1, float))
     if len(horizons) != 1:

@@ -58,8 +58,13 @@ class EnsembleSetup:
         method: Exact | Regularized,
         keep: Keep,
         numbering: Numbering,
+        *,
+        of_every_contact: bool = False,
     ) -> "EnsembleSetup":
-        """The arguments of `simulate_ensemble`. Raises its ValueErrors."""
+        """The arguments of `simulate_ensemble`. Raises its ValueErrors.
+
+        `of_every_contact`: whether sticks are counted of every contact of a list.
+        """
         if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((model, t1, key, method))):
             raise ValueError(
                 "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
@@ -96,7 +101,10 @@ class EnsembleSetup:
         if keep != "totals" and isinstance(engine, Engine):
             engine = engine.asked(ALL)
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
-        return cls(engine, leaf_numbers, inputs, method, key_data, random, dtype, float(t1), numbering, period)
+        setup = cls(engine, leaf_numbers, inputs, method, key_data, random, dtype, float(t1), numbering, period)
+        if not of_every_contact:
+            setup._require_one_track()
+        return setup
 
     @property
     def tracks(self) -> tuple[int | None, ...]:
@@ -104,7 +112,7 @@ class EnsembleSetup:
         tracks = self.engine.tracks if isinstance(self.engine, Engine) else None
         return (None,) if tracks is None else tuple(range(tracks))
 
-    def require_one_track(self) -> None:
+    def _require_one_track(self) -> None:
         """Raise ValueError for a system with a list of contacts that does not say whose sticks are counted."""
         if self.tracks != (None,):
             raise ValueError(

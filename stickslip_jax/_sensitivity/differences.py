@@ -1,7 +1,8 @@
 """Finite differences with common random numbers: of every trajectory, or between ensembles.
 
 Regularised dynamics, which only ensembles simulate, has no boundaries: there a stick is a time below a threshold. The
-options of the method that follow from the system, such as the threshold, follow the parameter.
+options of the method that follow from the system, such as the threshold, follow the parameter. So do the matrices of
+structures with a list of contacts.
 """
 
 from collections.abc import Callable
@@ -14,7 +15,6 @@ from jaxtyping import Float, Int
 
 from .._dynamics.common.engine import Engine
 from .._dynamics.common.lanes import Job
-from .._dynamics.common.method import Regularized
 from .._dynamics.compiled import compiled_for
 from .._ensemble.call import simulate_batch
 from .._ensemble.outputs import OutputRunner
@@ -70,7 +70,7 @@ def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise
     `steps`: s, relative to the parameter's size. Both ends use the same random numbers. In place of the distances
     inside a window, the trajectories are counted whose number of sticks differs between the ends.
     """
-    if problem.is_output or isinstance(problem.method, Regularized):
+    if problem.needs_ensembles:
         return _differenced_ensembles(problem, steps)
     engine, paths = problem.engine(), problem.paths()
     values, per_task, pathwise = _by_totals(problem, pilot) if problem.is_counted else _by_sequences(problem, pilot)
@@ -84,7 +84,7 @@ def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise
 
 
 def _differenced_ensembles(problem: Problem, steps: np.ndarray) -> Source:
-    """As `differenced`, of whole ensembles: of regularised dynamics, and of outputs."""
+    """As `differenced`, of whole ensembles: of regularised dynamics, of systems with a list of contacts, of outputs."""
     model = problem.model
     assert model is not None
     pairs = [

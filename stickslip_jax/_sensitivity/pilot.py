@@ -86,7 +86,8 @@ def require_correctable(problem: Problem) -> None:
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
             "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
             "law is an object of your own with a method sample(key, t1), where the parameter belongs to a Beta "
-            "distribution or to the distribution of a switching rate, and for outputs and statistics of slips."
+            "distribution or to the distribution of a switching rate, for systems with a list of contacts, and for "
+            "outputs and statistics of slips."
         )
 
 

@@ -127,6 +127,11 @@ class Problem(NamedTuple):
         return self.statistics[0].is_of_totals
 
     @property
+    def needs_ensembles(self) -> bool:
+        """Whether values at other parameters are those of other ensembles, and not of an engine with other numbers."""
+        return self.is_output or isinstance(self.method, Regularized) or self.system.contact_count is not None
+
+    @property
     def is_output(self) -> bool:
         """Whether whole simulations are needed."""
         return isinstance(self.statistics[0], OfOutput)
@@ -145,7 +150,7 @@ class Problem(NamedTuple):
     def can_be_corrected(self) -> bool:
         """Whether the corrected method knows what differs from sample to sample."""
         random = self.random
-        if self.is_output or any(one.counts_slips for one in self.totals):
+        if self.system.contact_count is not None or self.is_output or any(one.counts_slips for one in self.totals):
             return False
         if random is not None and random.inputs.has_sampled_law:
             return False

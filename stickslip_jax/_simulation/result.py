@@ -1,6 +1,5 @@
 """One simulated trajectory: `Simulation`."""
 
-import dataclasses
 import os
 import warnings
 from functools import partial
@@ -19,6 +18,7 @@ from .._dynamics.common.path import Path
 from .._events.sticks import Slips, Sticks, Totals, of_contact, slips_between
 from .._events.tables import table_of, write_table
 from .._excitation.excitation import BaseMotion
+from .._fields import with_fields
 from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
@@ -100,7 +100,7 @@ class Simulation(WithMethods):
         contacts = self.totals.sticks.shape[-1]
         _checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
         parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
-        return dataclasses.replace(self, sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None)
+        return with_fields(self, sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None)
 
     def of_all_contacts(self) -> "Simulation":
         """The same trajectory with the times in which every closed contact sticks, such as the arrest of a chain.
@@ -115,7 +115,7 @@ class Simulation(WithMethods):
         if self._of_all_contacts is None:
             raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
         sticks, totals = self._of_all_contacts
-        return dataclasses.replace(self, sticks=sticks, totals=totals, _of_all_contacts=None)
+        return with_fields(self, sticks=sticks, totals=totals, _of_all_contacts=None)
 
     @property
     def stick_time(self) -> Float[Array, "*batch"]:

@@ -105,10 +105,10 @@ class LinearStructure(WithContacts):
         )
 
     def ready(self) -> "ReadyStructure":
-        new = object.__new__(ReadyStructure)
-        for name, value in [*vars(self).items(), ("known", self.matrices)]:
-            object.__setattr__(new, name, value)
-        return new
+        ready = object.__new__(ReadyStructure)
+        for name, value in {**vars(self), "known": self.matrices}.items():
+            object.__setattr__(ready, name, value)
+        return ready
 
     @property
     def compiles_natively(self) -> bool:

@@ -116,8 +116,8 @@ class System(Checked):
         model = self.switched_model(smooth, solver)
         if not isinstance(model, OneContactModel):
             raise ValueError(
-                f"Argument system must have one contact here, but a {type(self).__name__} with {model.contacts} "
-                "contacts was given: follow it with simulate and method=Exact()."
+                f"Argument system must have one contact for energies, friction forces and Regularized, but a "
+                f"{type(self).__name__} with {model.contacts} contacts was given: follow it with method=Exact()."
             )
         return model
 

@@ -1,14 +1,18 @@
 """Systems with a list of contacts: which of their sticks are counted."""
 
-from typing import Literal, Self, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 import equinox as eqx
 
 from .. import _checks
+from .._fields import with_fields
 from .system import System
 
 Counted: TypeAlias = int | Literal["all"] | None
 """A contact, by its number from 0; "all": the times in which all contacts that are closed stick; None: every one."""
+
+
+S = TypeVar("S", bound="WithContacts")
 
 
 class WithContacts(System):
@@ -16,7 +20,7 @@ class WithContacts(System):
 
     counted: Counted = eqx.field(static=True, default=None, kw_only=True)
 
-    def of_contact(self, number: int) -> Self:
+    def of_contact(self: S, number: int) -> S:
         """The same system, of which the sticks of one contact are counted, as if it had no others.
 
         What takes systems with one contact takes it: ensembles, studies, sensitivities, statistics, figures.
@@ -29,7 +33,7 @@ class WithContacts(System):
         """
         return self._counting(_checks.whole_number("number", number, minimum=0, maximum=self._require_contacts() - 1))
 
-    def of_all_contacts(self) -> Self:
+    def of_all_contacts(self: S) -> S:
         """The same system, of which the times are counted in which every closed contact sticks.
 
         The position of such a stick is that of the first coordinate. A time in which no contact is closed is no stick.
@@ -48,13 +52,8 @@ class WithContacts(System):
             )
         return self.contact_count
 
-    def _counting(self, counted: Counted) -> Self:
-        # Not by the constructor, which a user's class may have written anew.
-        new = object.__new__(type(self))
-        for name, value in vars(self).items():
-            object.__setattr__(new, name, value)
-        object.__setattr__(new, "counted", counted)
-        return new
+    def _counting(self: S, counted: Counted) -> S:
+        return with_fields(self, counted=counted)
 
     @property
     def track(self) -> int | None:

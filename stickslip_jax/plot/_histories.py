@@ -12,6 +12,7 @@ from .._excitation.voltage import SourceVoltage
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _parts, _style
+from ._contacts import contact_history
 from ._legends import legend_above
 from ._trajectory import Phase, check_simulation, ground_acceleration, joined, values_of
 from ._types import SeveralAxes, Window
@@ -43,7 +44,8 @@ def time_history(
             velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a
             system of your own each coordinate. What else drives it has axes of its own: the voltage of a motor, the
             acceleration of the ground, or a force; for a system of your own with several
-            velocities that of the base.
+            velocities that of the base. With several contacts: a panel for the coordinates of each unit, and one with a
+            row of sticks for each contact.
         window: First and last time to draw, s. By default all of ``[0, t1]``, or of a motion that turns so often (more
             than 80 times by a quarter of its range) that its line would be a black band, the beginning; the name of the
             axis says so then.
@@ -56,7 +58,9 @@ def time_history(
     Raises:
         ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
     """
-    check_simulation(result)
+    check_simulation(result, of_one_contact=False)
+    if result.sticks.contact is not None:
+        return contact_history(result, window, axes)
     phases, shown = phases_in(result, window)
     coordinates = result.system.coordinates
     whose = "\nrelative to ground" if isinstance(result.base, GroundMotion) else ""

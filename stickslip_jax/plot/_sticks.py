@@ -9,6 +9,7 @@ from .._ensemble.result import Ensemble
 from .._simulation.result import Simulation
 from .._statistics.first_sticks import FirstSticks
 from .._status import Ending, Status
+from ._trajectory import require_one_contact
 from ._types import Bins, SimulatedSticks
 
 
@@ -32,7 +33,7 @@ class CompleteSticks(NamedTuple):
         return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
 
 
-def require_ensemble(result: Ensemble) -> None:
+def require_ensemble(result: Ensemble | Simulation) -> None:
     """Raise ValueError unless `result` is an ensemble."""
     if not isinstance(result, Ensemble):
         raise ValueError(
@@ -57,6 +58,7 @@ def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteStick
     elif isinstance(result, FirstSticks):
         sticks, used, duration = result, result.mask, result.duration
     elif isinstance(result, Simulation):
+        require_one_contact(result)
         sticks = result.sticks
         if any(_checks.is_traced(leaf) for leaf in (sticks.mask, result.status)):
             raise ValueError(

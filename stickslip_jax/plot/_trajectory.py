@@ -37,8 +37,11 @@ class Phase(NamedTuple):
     sticks: bool
 
 
-def check_simulation(result: Simulation) -> None:
-    """Raise ValueError unless `result` is a single simulation that reached ``t1``, and not traced by JAX."""
+def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None:
+    """Raise ValueError unless `result` is a single simulation that reached ``t1``, and not traced by JAX.
+
+    `of_one_contact`: whether its sticks must be those of one contact.
+    """
     if not isinstance(result, Simulation):
         raise ValueError(
             f"Argument result must be a result of simulate, but {_checks.show(result)} was given; sample i of an "
@@ -58,6 +61,17 @@ def check_simulation(result: Simulation) -> None:
         raise ValueError(
             "Argument result must have reached t1, but one with this status was given: "
             f"{Status(int(result.status)).meaning}."
+        )
+    if of_one_contact:
+        require_one_contact(result)
+
+
+def require_one_contact(result: Simulation) -> None:
+    """Raise ValueError for a simulation with the sticks of several contacts."""
+    if result.sticks.contact is not None:
+        raise ValueError(
+            f"Argument result must have the sticks of one contact, but {_checks.show(result)} was given; take "
+            "result.of_contact(number) or result.of_all_contacts()."
         )
 
 

@@ -51,9 +51,10 @@ class StepPath(Path):
         def inside(step: Beginnings, h: FloatArray) -> tuple[FloatArray, FloatArray]:
             y = state_in_step(model, step, h)
             rates = model.rates(model.forcing(step.t, step.segments), h, y, step.sign)
-            return sign * y[number], sign * rates[number]
+            return sign * model.numbers(y)[number], sign * model.numbers(rates)[number]
 
-        return largest_in_steps(inside, begun, sign * begun.y[number], lengths, sign * final)
+        at_beginnings = jax.vmap(lambda y: model.numbers(y)[number])(begun.y)
+        return largest_in_steps(inside, begun, sign * at_beginnings, lengths, sign * final)
 
     @property
     def smooth(self) -> Signal | None:
