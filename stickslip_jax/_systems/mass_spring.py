@@ -19,8 +19,9 @@ from jax.tree_util import Partial
 from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
+from .._excitation.force_steps import ForceSteps
 from .._excitation.recorded import Recorded
-from .._excitation.segments import added
+from .._excitation.segments import SegmentLaw, added
 from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._fields import Quantity, is_distribution
 from .._numerics.known import NotKnown
@@ -28,9 +29,12 @@ from .._numerics.rotation import responses
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .built_in import is_built_in
+from .contact import Contact
 from .friction import FrictionLaw, times_of_slips
+from .normal_force import NormalForce, NormalForceQuantity, is_function, recorded_in
 from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
+from .structure import LinearStructure, StructureModel
 from .switched_model import Base, FloatPair, Segments, base_motion, with_change
 from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
@@ -51,7 +55,8 @@ class MassSpring(System):
     Args:
         mass: kg, positive.
         stiffness: N/m, positive; or zero for a mass without a spring, as Newmark's sliding block.
-        normal_force: N, positive.
+        normal_force: N, positive; or a function of time: a `Signal` such as `Harmonic`, a `Recorded` or a `ForceSteps`.
+            While that is zero or negative the mass slides without friction, and nothing sticks.
         friction: The friction law, such as `Coulomb(mu)`.
         damping: Of a viscous damper to the ground, N s/m, zero or positive. None is zero.
         force: External force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
@@ -62,7 +67,10 @@ class MassSpring(System):
 
     mass: Annotated[Number, Quantity("kg", above=0)]
     stiffness: Annotated[Number, Quantity("N/m", at_least=0)]
-    normal_force: Annotated[Number, Quantity("N", above=0)]
+    normal_force: Annotated[
+        NormalForce,
+        NormalForceQuantity("N", above=0, hint="a mass that lifts off has a function of time, such as a ForceSteps"),
+    ]
     friction: FrictionLaw
     # None rather than zero: an undamped system is then another pytree, known as undamped when numbers are traced.
     damping: Annotated[Number | None, Quantity("N s/m", at_least=0)] = eqx.field(
@@ -88,6 +96,34 @@ class MassSpring(System):
             self.friction.check_directions()
 
     @property
+    def _as_structure(self) -> LinearStructure | None:
+        """The same mass as a structure with one contact, which may open, where the normal force varies; else None."""
+        if not is_function(self.normal_force):
+            return None
+        # Without the checks: numbers may be traced.
+        contact = Contact(np.ones(1), self.normal_force, self.friction)
+        damping = None if self.damping is None else jnp.reshape(jnp.asarray(self.damping), (1,))
+        mass, stiffness = (jnp.reshape(jnp.asarray(value), (1,)) for value in (self.mass, self.stiffness))
+        force = None if self.force is None else (self.force,)
+        return LinearStructure(mass, stiffness, damping, (contact,), force, uncoupled=True).of_contact(0)
+
+    @property
+    def contact_count(self) -> int | None:
+        return 1 if is_function(self.normal_force) else None
+
+    @property
+    def track(self) -> int | None:
+        return 0 if is_function(self.normal_force) else None
+
+    def ready(self) -> System:
+        structure = self._as_structure
+        return self if structure is None else structure.ready()
+
+    @property
+    def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
+        return recorded_in((self.normal_force,))
+
+    @property
     def angular_frequency(self) -> Scalar:
         """Natural angular frequency ``omega = sqrt(stiffness / mass)``, rad/s."""
         return jnp.sqrt(self.stiffness / self.mass)
@@ -97,7 +133,15 @@ class MassSpring(System):
         """Largest displacement (m) at which the mass sticks on a base of constant velocity, without force and damping.
 
         It is ``a = mu_static * normal_force / stiffness``, infinite without a spring.
+
+        Raises:
+            ValueError: Where the normal force varies.
         """
+        if is_function(self.normal_force):
+            raise ValueError(
+                "stick_half_width is that of a constant normal force, but normal_force is "
+                f"{_checks.show(self.normal_force)}."
+            )
         return _over(self.friction.static * self.normal_force, self.stiffness)
 
     @property
@@ -132,14 +176,21 @@ class MassSpring(System):
     def has_interval_form(self) -> bool:
         friction = self.friction
         is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
-        return is_simple and self.damping is None and self.force is None
+        is_constant = not is_function(self.normal_force)
+        return is_simple and is_constant and self.damping is None and self.force is None
 
     @property
     def has_closed_form(self) -> bool:
         """That of constant kinetic friction under a force that is constant, piecewise linear in time, or harmonic."""
-        return self.friction.constant and (not isinstance(self.force, Signal) or self.force.is_harmonic)
+        is_constant = self.friction.constant and not is_function(self.normal_force)
+        return is_constant and (not isinstance(self.force, Signal) or self.force.is_harmonic)
 
-    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "OscillatorModel":
+    def switched_model(
+        self, smooth: Signal | None, solver: ExplicitSolver | None
+    ) -> "OscillatorModel | StructureModel":
+        structure = self._as_structure
+        if structure is not None:
+            return structure.switched_model(smooth, solver)
         if solver is None and self.has_closed_form:
             return OscillatorModel(self, smooth)
         # A solver that the user gives takes the given steps, unless the friction law is the user's too.
@@ -147,6 +198,9 @@ class MassSpring(System):
         return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+        structure = self._as_structure
+        if structure is not None:
+            return structure.time_scales(excitation, solver)
         steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED if solver is None else SOLVED
         natural = 2 * math.pi * _over(self.mass, self.stiffness) ** 0.5
         force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
@@ -162,12 +216,16 @@ class MassSpring(System):
         }
 
     @property
-    def contact_scales(self) -> tuple[Scalar, Scalar]:
+    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
+        if is_function(self.normal_force):
+            return None, None
         held = self.friction.static * self.normal_force
         return held / self.mass * self._clock, held / self.mass
 
     def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
         speed, _ = self.contact_scales
+        if speed is None:
+            return super().state_scales(excitation)
         return speed * self._clock, speed
 
     @property
@@ -190,6 +248,8 @@ class MassSpring(System):
     def slip_center(self) -> Scalar | None:
         if not self.friction.constant or self.force is not None or _is_zero(self.stiffness):
             return None
+        if is_function(self.normal_force):
+            return None
         return self.friction.slip_coefficient(jnp.zeros(())) * self.normal_force / self.stiffness
 
     @property
@@ -210,7 +270,14 @@ class MassSpring(System):
         if self.damping is not None:
             load = load - self.damping * velocity
         stiffness = jnp.where(jnp.asarray(self.stiffness) > 0, self.stiffness, jnp.nan)
-        center, half_width = load / stiffness, self.friction.static * self.normal_force / stiffness
+        normal = self.normal_force
+        if isinstance(normal, (Recorded, ForceSteps)):
+            normal = normal.value(times)
+        elif isinstance(normal, Signal):
+            normal = jax.vmap(normal.value)(times)
+        # An open contact holds nothing: the band is empty there.
+        closed = jnp.where(jnp.asarray(normal) > 0, normal, jnp.nan)
+        center, half_width = load / stiffness, self.friction.static * closed / stiffness
         return center - half_width, center + half_width
 
 

@@ -34,20 +34,20 @@ def recorded_in(normal_forces: tuple[NormalForce, ...]) -> tuple[Recorded | Forc
     return tuple(one for one in normal_forces if isinstance(one, (Recorded, ForceSteps)))
 
 
-def values_at(normal_forces: tuple[NormalForce, ...], t: FloatScalar, recorded: FloatArray) -> FloatArray:
-    """The normal forces (contacts,) at the time `t` (s), N.
+def values_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: FloatArray) -> FloatArray:
+    """Forces (forces,) at the time `t` (s), N, of which None is zero.
 
     `recorded`: the values there of those that are `recorded_in` them.
     """
     values, number = [], 0
-    for one in normal_forces:
+    for one in forces:
         if isinstance(one, Signal):
             values.append(one.value(t))
         elif isinstance(one, (Recorded, ForceSteps)):
             values.append(recorded[number])
             number += 1
         else:
-            values.append(jnp.asarray(one, t.dtype))
+            values.append(jnp.asarray(0.0 if one is None else one, t.dtype))
     return jnp.stack([jnp.asarray(value, t.dtype) for value in values])
 
 

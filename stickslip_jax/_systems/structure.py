@@ -9,7 +9,8 @@ import numpy as np
 
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
-from .._excitation.segments import SegmentLaw, added
+from .._excitation.recorded import Recorded
+from .._excitation.segments import Segment, SegmentLaw, added
 from .._excitation.smooth import Signal
 from .._types import DType, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .contact import Contact, entries_of, numbers_of
@@ -35,7 +36,8 @@ class LinearStructure(WithContacts):
         stiffness: N/m (or N m/rad), (d, d) symmetric, or (d,); zeros for masses without springs.
         damping: N s/m (or N m s/rad), likewise; None is zero.
         contacts: Up to 64, each a `Contact`.
-        force: External forces, N (or N m): for each mass None, a number or a `Signal`; None for no forces.
+        force: External forces, N (or N m): for each mass None, a number, a `Signal` or a `Recorded`; None for no
+            forces.
         uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
             Found from the numbers; to be given only where JAX traces the masses or directions.
 
@@ -48,7 +50,7 @@ class LinearStructure(WithContacts):
     stiffness: Any = eqx.field(converter=numbers_of)
     damping: Any = eqx.field(default=None, converter=numbers_of)
     contacts: tuple[Contact, ...] = eqx.field(default=(), converter=entries_of)
-    force: tuple[Signal | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
+    force: tuple[Signal | Recorded | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
     uncoupled: bool | None = eqx.field(static=True, default=None)
 
     def __post_init__(self):
@@ -70,6 +72,10 @@ class LinearStructure(WithContacts):
     @property
     def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
         return recorded_in(self.normal_forces)
+
+    @property
+    def recorded_loads(self) -> tuple[Recorded, ...]:
+        return tuple(force for force in self.force or () if isinstance(force, Recorded))
 
     @property
     def size(self) -> int:
@@ -190,8 +196,8 @@ def _largest_eigenvalue(mass: Any, matrix: Any) -> FloatScalar:
 
 
 class StructureForcing(NamedTuple):
-    """The piecewise-linear parts of base velocity (m/s), ground acceleration (m/s^2) and normal forces (N, one for each
-    that is a record or steps) from time `t` on.
+    """The piecewise-linear parts of base velocity (m/s) and ground acceleration (m/s^2) from time `t` on, and of normal
+    forces and loads: N, one for each that is a record or steps.
     """
 
     t: FloatScalar
@@ -201,6 +207,8 @@ class StructureForcing(NamedTuple):
     ground_slope: FloatScalar
     normal: FloatArray
     normal_slope: FloatArray
+    load: FloatArray
+    load_slope: FloatArray
 
 
 class StructureModel(ContactsModel[StructureForcing]):
@@ -234,12 +242,7 @@ class StructureModel(ContactsModel[StructureForcing]):
         return forcing.t
 
     def forcing(self, t: FloatScalar, segments: Segments) -> StructureForcing:
-        values, slopes = [t[None][:0]], [t[None][:0]]  # there may be none
-        for segment in segments.normal:
-            value, slope = added(t, (segment,))
-            values.append(value[None])
-            slopes.append(slope[None])
-        recorded = jnp.concatenate(values), jnp.concatenate(slopes)
+        recorded = (*_each(t, segments.normal), *_each(t, segments.force))
         return StructureForcing(t, *added(t, segments.base), *added(t, segments.ground), *recorded)
 
     def instant(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> Instant:
@@ -296,12 +299,21 @@ class StructureModel(ContactsModel[StructureForcing]):
         if self.structure.force is None:
             return load
         t = forcing.t + tau
-        forces = [force.value(t) if isinstance(force, Signal) else force or 0.0 for force in self.structure.force]
-        applied = jnp.stack([jnp.asarray(force, t.dtype) for force in forces])
+        applied = values_at(self.structure.force, t, forcing.load + tau * forcing.load_slope)
         return load + times(self.matrices.inverse_mass.astype(t.dtype), applied)
 
     def _in_precision_of(self, y: State) -> Matrices:
         return jax.tree.map(lambda values: values.astype(y[0].dtype), self.matrices)
+
+
+def _each(t: FloatScalar, segments: tuple[Segment, ...]) -> tuple[FloatArray, FloatArray]:
+    """The values and slopes of segments at the time `t`, (segments,) each; there may be none."""
+    values, slopes = [t[None][:0]], [t[None][:0]]
+    for segment in segments:
+        value, slope = added(t, (segment,))
+        values.append(value[None])
+        slopes.append(slope[None])
+    return jnp.concatenate(values), jnp.concatenate(slopes)
 
 
 def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .contact import Contact
 
@@ -26,11 +27,11 @@ def check_structure(mass: Any, stiffness: Any, damping: Any, contacts: Any, forc
     if not isinstance(force, tuple) or len(force) != size:
         raise _checks.refused("force", f"be a tuple of {size} forces, one for each mass (None for no force)", force)
     for number, part in enumerate(force):
-        if part is not None and not isinstance(part, Signal):
+        if part is not None and not isinstance(part, (Signal, Recorded)):
             try:
                 _checks.numeric(f"force[{number}]", part)
             except ValueError:
-                raise _checks.refused(f"force[{number}]", "be a number, a Signal or None", part) from None
+                raise _checks.refused(f"force[{number}]", "be a number, a Signal, a Recorded or None", part) from None
 
 
 def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:

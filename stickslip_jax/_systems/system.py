@@ -116,8 +116,9 @@ class System(Checked):
         model = self.switched_model(smooth, solver)
         if not isinstance(model, OneContactModel):
             raise ValueError(
-                f"Argument system must have one contact for energies, friction forces and Regularized, but a "
-                f"{type(self).__name__} with {model.contacts} contacts was given: follow it with method=Exact()."
+                "Argument system must have one contact, with a constant normal force, for energies, friction forces "
+                f"and Regularized, but a {type(self).__name__} with a list of contacts or a normal force that varies "
+                "was given: follow it with method=Exact()."
             )
         return model
 

@@ -38,7 +38,7 @@ def pair(**changed):
         ({"contacts": (contact(1.0, 0.0), contact(2.0, 0.0))}, "Argument contacts must be independent of each other"),
         ({"contacts": (contact(1.0, 0.0),) * 65}, "Argument contacts must hold at most 64, but 65 were given"),
         ({"force": (1.0,)}, "Argument force must be a tuple of 2 forces"),
-        ({"force": (1.0, "2")}, r"Argument force\[1\] must be a number, a Signal or None"),
+        ({"force": (1.0, "2")}, r"Argument force\[1\] must be a number, a Signal, a Recorded or None"),
     ],
 )
 def test_what_a_structure_refuses(changed, message):
@@ -142,11 +142,11 @@ ONE = {"base": ss.Constant(0.2), "t1": 1.0}
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: ss.simulate(s, **ONE, method=SMOOTHED), "with 2 contacts"),
-        (lambda s: ss.simulate_ensemble(s, LAW, t1=1.0, samples=2, key=jax.random.key(0)), "jax.vmap"),
+        (lambda s: ss.simulate(s, **ONE, method=SMOOTHED), "must have one contact"),
+        (lambda s: ss.simulate_ensemble(s, LAW, t1=1.0, samples=2, key=jax.random.key(0)), "whose sticks are counted"),
         (lambda s: ss.simulate(s, **ONE).slips, "of_contact"),
-        (lambda s: ss.simulate(s, **ONE).friction_force(0.5), "LinearStructure with 2 contacts"),
-        (lambda s: ss.simulate(s, **ONE).energies(0.5), "LinearStructure with 2 contacts"),
+        (lambda s: ss.simulate(s, **ONE).friction_force(0.5), "must have one contact"),
+        (lambda s: ss.simulate(s, **ONE).energies(0.5), "must have one contact"),
         (lambda s: ss.simulate(s, **ONE).of_contact(2), "Argument number must be"),
         (lambda s: ss.simulate(s, **ONE, y0=(1.0, 2.0)), "Argument y0 must"),
     ],

@@ -1,0 +1,98 @@
+"""A `MassSpring` whose normal force is a function of time: closed forms, one that is constant, a structure."""
+
+import jax
+import numpy as np
+import pytest
+
+import stickslip_jax as ss
+
+FRICTION = ss.Coulomb(0.4, 0.5)
+SMOOTHED = ss.Regularized(1e-3, step=0.01, threshold=1e-3, minimum_duration=0.01)
+BASE = ss.SquareWave(0.5, 6.0)
+
+
+def test_a_block_under_a_growing_and_falling_load():
+    """Without a spring, on a base at rest: ``m v' = F - mu N(t)`` with N linear in time; integrals by hand.
+
+    N falls from 4 N to 0 in 10 s. From v0 = 1 m/s, with F = 0.5 N, mu = 0.4, mu_static = 0.5, m = 2 kg:
+    ``2 v = 2 + 0.5 t - 0.4 (4 t - 0.2 t^2)`` is zero at the smaller root of ``0.08 t^2 - 1.1 t + 2``; static friction
+    holds F until ``0.5 (4 - 0.4 t) = 0.5``, at 7.5 s; then ``2 v' = 0.5 - 0.4 (4 - 0.4 t)``.
+    """
+    load = ss.Recorded([0.0, 10.0], [4.0, 0.0])
+    pull = ss.SumOfHarmonics([0.0], [1.0], offset=0.5)
+    block = ss.MassSpring(2.0, 0.0, load, FRICTION, force=pull)
+    one = ss.simulate(block, ss.Constant(0.0), t1=10.0, y0=(0.0, 1.0))
+    assert int(one.status) == ss.Status.FINISHED
+    assert int(one.sticks.count) == 1
+    stops = (1.1 - np.sqrt(1.1**2 - 4 * 0.08 * 2)) / 0.16
+    assert float(one.sticks.start[0]) == pytest.approx(stops, abs=1e-12)
+    assert float(one.sticks.end[0]) == pytest.approx(7.5, abs=1e-12)
+    path = stops + 0.25 * stops**2 / 2 - 0.2 * (4 * stops**2 / 2 - 0.2 * stops**3 / 3)
+    assert float(one.sticks.position[0]) == pytest.approx(path, abs=1e-12)
+
+    def gained(t):
+        return 0.5 * t - 0.4 * (4 * t - 0.2 * t**2)
+
+    assert float(one.final_state[1]) == pytest.approx((gained(10.0) - gained(7.5)) / 2, abs=1e-12)
+
+
+def test_a_lifted_mass_swings_freely():
+    """No normal force from 2 s on: from there the motion is that of the spring alone."""
+    system = ss.MassSpring(1.0, 4.0, ss.ForceSteps([0.0, 2.0], [1.0, -3.0]), FRICTION)
+    one = ss.simulate(system, BASE, t1=10.0, y0=(0.5, 0.0))
+    (x, v), (end, rate) = (tuple(map(float, one.evaluate(t))) for t in (2.0, 10.0))
+    assert end == pytest.approx(x * np.cos(16.0) + v / 2 * np.sin(16.0), abs=1e-10)
+    assert rate == pytest.approx(-2 * x * np.sin(16.0) + v * np.cos(16.0), abs=1e-10)
+    assert np.all(np.asarray(one.sticks.end)[np.asarray(one.sticks.mask)] <= 2.0)
+
+
+@pytest.mark.parametrize("damping", [None, pytest.param(0.1, marks=pytest.mark.slow)])
+def test_one_that_does_not_vary_is_the_number(damping):
+    steady = ss.ForceSteps([0.0, 5.0], [1.3, 1.3])
+    number, function = (
+        ss.simulate(ss.MassSpring(1.0, 2.0, normal, FRICTION, damping), BASE, t1=30.0, y0=(0.5, 0.0))
+        for normal in (1.3, steady)
+    )
+    count = int(number.sticks.count)
+    assert count == int(function.sticks.count) >= 2
+    for name in ("start", "end", "position", "slip_displacement"):
+        expected, found = (getattr(one.sticks, name)[:count] for one in (number, function))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(function.sticks.ending[:count], number.sticks.ending[:count])
+
+
+@pytest.mark.slow
+def test_derivatives_ensembles_and_sensitivities():
+    def system(offset):
+        return ss.MassSpring(1.0, 2.0, ss.SumOfHarmonics([0.8], [1.1], offset=offset), FRICTION)
+
+    def end(offset):
+        return ss.simulate(system(offset), BASE, t1=20.0, method=ss.Exact(max_steps=4000)).final_state[0]
+
+    slope = (end(0.9 + 1e-6) - end(0.9 - 1e-6)) / 2e-6
+    assert float(jax.grad(end)(0.9)) == pytest.approx(float(slope), rel=1e-6)
+    law, key = ss.PoissonSwitching(0.5, 1.0), jax.random.key(0)
+    many = ss.simulate_ensemble(system(0.9), law, t1=20.0, samples=40, key=key, keep="sticks")
+    for sample in range(6):
+        mass, base, y0 = many.realization(sample)
+        one = ss.simulate(mass, base, t1=20.0, y0=y0)
+        count = int(one.sticks.count)
+        assert count == int(many.flat_sticks.count[sample])
+        np.testing.assert_allclose(many.sticks.start[sample, :count], one.sticks.start[:count], rtol=0, atol=1e-9)
+    run = {"t1": 20.0, "samples": 40, "key": key}
+    by_offset = ss.sensitivity("stick_fraction", system(0.9), law, wrt="normal_force.offset", step=0.1, **run)
+    ends = [ss.stick_fraction(ss.simulate_ensemble(system(offset), law, **run)).value for offset in (0.81, 0.99)]
+    assert by_offset.derivative == pytest.approx((ends[1] - ends[0]) / 0.18, rel=1e-9)
+
+
+def test_bad_arguments():
+    with pytest.raises(ValueError, match=r"normal_force must be positive .* has a function of time"):
+        ss.MassSpring(1.0, 2.0, -1.0, FRICTION)
+    short = ss.MassSpring(1.0, 2.0, ss.Recorded([0.0, 1.0], [1.0, 2.0]), FRICTION)
+    with pytest.raises(ValueError, match="normal_force must last until t1 = 3 s"):
+        ss.simulate(short, BASE, t1=3.0)
+    varying = ss.MassSpring(1.0, 2.0, ss.Harmonic(1.0, 2.0), FRICTION)
+    with pytest.raises(ValueError, match="with a constant normal force"):
+        ss.simulate(varying, BASE, t1=3.0, method=SMOOTHED)
+    with pytest.raises(ValueError, match="stick_half_width"):
+        _ = varying.stick_half_width
