@@ -15,6 +15,8 @@ Those are dimensionless (`z`, `u`, `omega t`; `rate` is `lambda / omega`) and ke
 - `numba_motor_cart`: the motor and cart (Lima and Sampaio 2022, SI units), a scalar Runge-Kutta loop of fixed step.
   `simulate(*, mu, t1, samples, seed=0, step=1e-4, threads=1) -> Sticks`
   `given(*, mu, t1, theta, alpha0, step=1e-4, threads=1) -> Sticks`
+- `numba_two_blocks`: two coupled blocks on a belt, closed forms of each stick pattern.
+  `given(x1, x2, *, t1, threads=1) -> Sticks`
 
 Result types: `_common`. The submodules are imported one by one, so that none needs the libraries of another.
 """

@@ -9,7 +9,14 @@ import pytest
 from support.interval import simulate_compiled
 
 import stickslip_jax as ss
-from benchmarks.baselines import c_yardstick, diffrax_events, numba_regularized, numba_scalar, scipy_events
+from benchmarks.baselines import (
+    c_yardstick,
+    diffrax_events,
+    numba_regularized,
+    numba_scalar,
+    numba_two_blocks,
+    scipy_events,
+)
 from benchmarks.baselines.event_driver import switching_velocities
 
 SLOTS, LANES = 400, 6
@@ -93,3 +100,22 @@ def test_the_yardsticks_own_mathematics():
     np.testing.assert_allclose(sine, np.sin(x), atol=1e-13)
     np.testing.assert_allclose(cosine, np.cos(x), atol=1e-13)
     np.testing.assert_allclose(np.exp(1j * angle), np.exp(1j * x), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_two_blocks_on_a_belt():
+    """2,000 starts, 60 s; a difference must be one that the engine says the last digits decided."""
+    friction = ss.Coulomb(0.8, 1.0), ss.Coulomb(1.0, 1.3)
+    contacts = tuple(ss.Contact.of_mass(i, 2, 1.0, friction[i]) for i in range(2))
+    system = ss.LinearStructure((1.0, 1.0), ((2.2, -1.2), (-1.2, 2.2)), contacts=contacts)
+    x1, x2 = np.random.default_rng(1).uniform(-1, 1, (2, 2000))
+    many = ss.simulate_contacts(system, ss.Constant(0.2), t1=60.0, samples=2000, y0=(x1, x2, 0.0, 0.0), keep="totals")
+    expected = numba_two_blocks.given(x1, x2, t1=60.0)
+    flagged = np.asarray(many.of_contact(0).totals.near_grazing_count) > 0
+    assert np.mean(flagged) < 0.01
+    for contact in range(2):
+        totals = many.of_contact(contact).totals
+        same = np.abs(totals.stick_time - expected.time[:, contact]) < 1e-6
+        assert np.all(same | flagged)
+        assert np.array_equal(totals.sticks[same], expected.count[same, contact])
+        assert np.median(np.abs(totals.stick_time - expected.time[:, contact])) < 1e-11
