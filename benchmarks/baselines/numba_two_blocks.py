@@ -33,7 +33,7 @@ FLAGS = {"cache": False, "fastmath": {"contract"}, "nogil": True}
 class Sticks(NamedTuple):
     """Of each sample and block: number of sticks and total stick time, (samples, 2)."""
 
-    count: np.ndarray
+    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - of sticks
     time: np.ndarray
 
 
@@ -146,7 +146,7 @@ def _one_slips(x, v, sign, kinetic, held, static, left):  # noqa: PLR0912, PLR09
         base = OWN * (held + BELT * now) - OTHER * (centre + drift * now)
         n0, n1 = base + OTHER * b / ALONE, base + grows * h + OTHER * nb / ALONE
         r0, r1 = grows - OTHER * a, grows - OTHER * na
-        first, which = math.inf, 0
+        first, which, side = math.inf, 0, 0.0
         for kind in range(3):
             if kind == 0:
                 g, dg, ng, ndg = (

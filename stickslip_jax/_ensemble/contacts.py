@@ -19,7 +19,7 @@ from .._uncertainty.copula import GaussianCopula
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import Model
 from .call import found_by
-from .data import Keep
+from .data import Fields, Keep
 from .origins import Realization
 from .outputs import TAKEN, fields_of_outputs
 from .parts import EnsembleAccumulator
@@ -165,9 +165,9 @@ def simulate_contacts(
     accumulators = [EnsembleAccumulator(number, keep) for _ in setup.tracks]
     found = found_by(setup, first, accumulators, threads, chunk, progress, wanted)
     contacts = len(setup.tracks) - 1
-    shared = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
+    shared: Fields = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
     ensembles = [
-        Ensemble(**(shared | {"system": counted} | fields))
+        Ensemble(**{**shared, "system": counted, **fields})
         for counted, fields in zip(_counted(system, contacts), found, strict=True)
     ]
     return ContactEnsembles(system, contacts, tuple(ensembles))

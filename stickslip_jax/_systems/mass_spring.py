@@ -31,7 +31,7 @@ from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, Fl
 from .built_in import is_built_in
 from .contact import Contact
 from .friction import FrictionLaw, times_of_slips
-from .normal_force import NormalForce, NormalForceQuantity, is_function, recorded_in
+from .normal_force import NormalForceQuantity, is_function, recorded_in
 from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
 from .structure import LinearStructure, StructureModel
@@ -67,8 +67,9 @@ class MassSpring(System):
 
     mass: Annotated[Number, Quantity("kg", above=0)]
     stiffness: Annotated[Number, Quantity("N/m", at_least=0)]
+    # A `NormalForce`: all but the structure that stands for one that varies compute with a number.
     normal_force: Annotated[
-        NormalForce,
+        Any,
         NormalForceQuantity("N", above=0, hint="a mass that lifts off has a function of time, such as a ForceSteps"),
     ]
     friction: FrictionLaw

@@ -32,8 +32,8 @@ class SampleTotals(NamedTuple):
         """Those of one track; all of them where there is one contact."""
         if track is None:
             return self
-        of_each = (self.sticks, self.slips, self.stick_time)
-        return SampleTotals(*(column[:, track] for column in of_each), self.status, self.near_grazing_count)
+        sticks, slips, stick_time = (column[:, track] for column in (self.sticks, self.slips, self.stick_time))
+        return SampleTotals(sticks, slips, stick_time, self.status, self.near_grazing_count)
 
 
 class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
