@@ -58,8 +58,20 @@ def _gain(mass: Any, contacts: tuple[Contact, ...]) -> np.ndarray:
     return directions @ by_force
 
 
+def numbers_in(name: str, value: Any) -> Any:
+    """`value` as an array of numbers; a traced one as it is. Raises ValueError for anything else."""
+    if _checks.is_traced(value):
+        return value
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise _checks.refused(
+            name, "hold real numbers, no distributions; make an array of traced ones by jnp.array", value
+        ) from None
+
+
 def _check_matrix(name: str, value: Any, size: int | None) -> int:
-    shape = np.shape(value)
+    shape = np.shape(numbers_in(name, value))
     square = len(shape) == 1 or (len(shape) == 2 and shape[0] == shape[1])
     if not square or shape[0] == 0 or (size is not None and shape[0] != size):
         many = "d" if size is None else str(size)

@@ -31,6 +31,7 @@ def pair(**changed):
         ({"stiffness": [1.0, 2.0, 3.0]}, r"Argument stiffness must be a symmetric matrix \(2, 2\)"),
         ({"stiffness": [1.0, np.nan]}, "Argument stiffness must hold finite numbers"),
         ({"damping": np.ones((2, 3))}, r"Argument damping must be a symmetric matrix \(2, 2\)"),
+        ({"mass": [ss.Uniform(1.0, 2.0), 1.0]}, "Argument mass must hold real numbers, no distributions"),
         ({"contacts": ()}, "Argument contacts must be a tuple of one Contact or more"),
         ({"contacts": contact(1.0, 0.0)}, "Argument contacts must be a tuple of one Contact or more"),
         ({"contacts": (contact(1.0, 0.0, 0.0),)}, "Argument direction of contact 0 must hold 2 numbers"),
