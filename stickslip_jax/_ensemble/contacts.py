@@ -143,15 +143,17 @@ def simulate_contacts(
     Raises:
         ValueError: For a system with one contact, and as `simulate_ensemble`.
 
-    >>> stack = ss.LinearStructure(
-    ...     mass=(1.0, 1.0), stiffness=((2.0, -1.0), (-1.0, 1.0)), damping=(0.1, 0.1),
-    ...     contacts=[ss.Contact.of_mass(i, 2, 1.0, ss.Coulomb(0.3)) for i in range(2)],
+    >>> row = ss.block_row(
+    ...     2, mass=1.0, between=1.0, to_ground=0.5, normal_force=1.0, friction=ss.Coulomb(0.3)
     ... )
+    >>> law = ss.PoissonSwitching(speed=0.5, rate=0.5)
     >>> many = ss.simulate_contacts(
-    ...     stack, ss.PoissonSwitching(speed=0.2, rate=0.5), t1=20.0, samples=200, key=jax.random.key(0)
+    ...     row, law, t1=20.0, samples=200, key=jax.random.key(0), y0=(0.5, -0.5, 0.0, 0.0)
     ... )
     >>> print(ss.stick_fraction(many.of_contact(1)))
-    stick fraction: 0.
+    stick fraction: 0.1151 +- 0.0048
+    >>> print(ss.stick_fraction(many.of_all_contacts()))
+    stick fraction: 0.0555 +- 0.0037
     """
     require_threads_of_jax()
     numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
