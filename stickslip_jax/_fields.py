@@ -158,12 +158,12 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool, bool], ..
 M = TypeVar("M", bound=eqx.Module)
 
 
-def with_fields(module: M, **fields: object) -> M:
-    """A copy of `module` with other values of these fields, made without its constructor.
+def with_fields(module: eqx.Module, kind: type[M], **fields: object) -> M:
+    """A copy of `module` as a `kind`, with other values of these fields, made without its constructor.
 
     For fields that it need not check: a user's class may have another constructor, and a batch has other shapes.
     """
-    new = object.__new__(type(module))
+    new = object.__new__(kind)
     for name, value in {**vars(module), **fields}.items():
         object.__setattr__(new, name, value)
     return new

@@ -54,7 +54,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     for what in ("t1", "keep", "numbering", "dtype"):
         _check_same(what, [getattr(one, what) for one in ensembles])
     _check_same("outputs", [dict(sorted(one.output_units.items())) for one in ensembles])
-    _check_same("counted", [getattr(one.system, "counted", None) for one in ensembles])
+    _check_same("counted", [getattr(one.system, "counted_contact", None) for one in ensembles])
     _check_same("position", [one.system.stick_position[1::2] for one in ensembles])
     accumulator = EnsembleAccumulator(sum(one.samples for one in ensembles), ensembles[0].keep)
     for one in ensembles:

@@ -100,7 +100,9 @@ class Simulation(WithMethods):
         contacts = self.totals.sticks.shape[-1]
         _checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
         parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
-        return with_fields(self, sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None)
+        return with_fields(
+            self, type(self), sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None
+        )
 
     def of_all_contacts(self) -> "Simulation":
         """The same trajectory with the times in which every closed contact sticks, such as the arrest of a chain.
@@ -115,7 +117,7 @@ class Simulation(WithMethods):
         if self._of_all_contacts is None:
             raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
         sticks, totals = self._of_all_contacts
-        return with_fields(self, sticks=sticks, totals=totals, _of_all_contacts=None)
+        return with_fields(self, type(self), sticks=sticks, totals=totals, _of_all_contacts=None)
 
     @property
     def stick_time(self) -> Float[Array, "*batch"]:

@@ -101,7 +101,6 @@ class MassSpring(System):
         """The same mass as a structure with one contact, which may open, where the normal force varies; else None."""
         if not is_function(self.normal_force):
             return None
-        # Without the checks: numbers may be traced.
         contact = Contact(np.ones(1), self.normal_force, self.friction)
         damping = None if self.damping is None else jnp.reshape(jnp.asarray(self.damping), (1,))
         mass, stiffness = (jnp.reshape(jnp.asarray(value), (1,)) for value in (self.mass, self.stiffness))
@@ -113,12 +112,12 @@ class MassSpring(System):
         return 1 if is_function(self.normal_force) else None
 
     @property
-    def track(self) -> int | None:
+    def counted_track(self) -> int | None:
         return 0 if is_function(self.normal_force) else None
 
     def ready(self) -> System:
         structure = self._as_structure
-        return self if structure is None else structure.ready()
+        return self if structure is None or type(self) is not MassSpring else structure.ready()
 
     @property
     def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:

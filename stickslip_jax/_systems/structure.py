@@ -12,6 +12,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.recorded import Recorded
 from .._excitation.segments import Segment, SegmentLaw, added
 from .._excitation.smooth import Signal
+from .._fields import with_fields
 from .._types import DType, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import WRITTEN_OUT, Limits, times
@@ -110,11 +111,10 @@ class LinearStructure(WithContacts):
             fastest=self.fastest,
         )
 
-    def ready(self) -> "ReadyStructure":
-        ready = object.__new__(ReadyStructure)
-        for name, value in {**vars(self), "known": self.matrices}.items():
-            object.__setattr__(ready, name, value)
-        return ready
+    def ready(self) -> "LinearStructure":
+        if type(self) is not LinearStructure:  # a user's subclass may have methods of its own
+            return self
+        return with_fields(self, ReadyStructure, known=self.matrices)
 
     @property
     def compiles_natively(self) -> bool:

@@ -132,14 +132,14 @@ class System(Checked):
         return None
 
     @property
-    def track(self) -> int | None:
+    def counted_track(self) -> int | None:
         """Of a list of contacts, the one whose sticks alone are counted, -1 for all at once; None: of every one."""
         return None
 
     @property
-    def tracks(self) -> int | None:
+    def track_count(self) -> int | None:
         """Of how many things sticks are counted: every contact and all at once; None where it is one."""
-        return None if self.contact_count is None or self.track is not None else self.contact_count + 1
+        return None if self.contact_count is None or self.counted_track is not None else self.contact_count + 1
 
     @property
     def has_fixed_time_scales(self) -> bool:

@@ -18,7 +18,7 @@ S = TypeVar("S", bound="WithContacts")
 class WithContacts(System):
     """A system that may have a list of contacts, of any number."""
 
-    counted: Counted = eqx.field(static=True, default=None, kw_only=True)
+    counted_contact: Counted = eqx.field(static=True, default=None, kw_only=True)
 
     def of_contact(self: S, number: int) -> S:
         """The same system, of which the sticks of one contact are counted, as if it had no others.
@@ -53,8 +53,8 @@ class WithContacts(System):
         return self.contact_count
 
     def _counting(self: S, counted: Counted) -> S:
-        return with_fields(self, counted=counted)
+        return with_fields(self, type(self), counted_contact=counted)
 
     @property
-    def track(self) -> int | None:
-        return -1 if self.counted == "all" else self.counted
+    def counted_track(self) -> int | None:
+        return -1 if self.counted_contact == "all" else self.counted_contact

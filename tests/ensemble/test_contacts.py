@@ -1,5 +1,6 @@
 """Ensembles of systems with several contacts: the sticks of each contact, and of all at once."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -159,7 +160,7 @@ def test_a_contact_is_a_system_like_others(many, tmp_path):
     """Files, more samples, joining, batches of simulations."""
     part = many.of_contact(1)
     back = ss.load(part.save(tmp_path / "part.nc"))
-    assert back.system.counted == 1
+    assert back.system.counted_contact == 1
     np.testing.assert_array_equal(back.flat_sticks.numbers, part.flat_sticks.numbers)
     with pytest.raises(ValueError, match="same contact whose sticks are counted"):
         ss.concatenate([part, many.of_contact(0)])
@@ -235,3 +236,34 @@ def test_peaks_are_those_of_the_coordinate():
     _, position, velocity, _ = map(np.asarray, one.evaluate(times))
     assert float(one.maximum("position 2")) == pytest.approx(position.max(), abs=1e-6)
     assert float(one.minimum("velocity 1")) == pytest.approx(velocity.min(), abs=1e-6)
+
+
+class Stiffer(ss.LinearStructure):
+    """A subclass that moves otherwise than its fields say."""
+
+    def switched_model(self, smooth, solver):
+        model = super().switched_model(smooth, solver)
+        return eqx.tree_at(lambda one: one.matrices.stiffness, model, replace_fn=lambda matrix: 2 * matrix)
+
+
+@pytest.mark.slow
+def test_a_subclass_keeps_its_own_methods():
+    """In ensembles too, where the matrices of the package's own structures are found before the loop."""
+    system = Stiffer(BLOCKS.mass, BLOCKS.stiffness, contacts=BLOCKS.contacts)
+    assert_as_simulated(ss.simulate_contacts(system, LAW, keep="sticks", **RUN), 4)
+
+
+class Tracked(Users):
+    """A user's field may be called as the package calls something of its own."""
+
+    track: int = 0
+    tracks: int = 7
+    counted: int = 5
+
+
+def test_fields_of_a_user_hide_nothing():
+    plain, named = (
+        ss.simulate(system.of_contact(1), LAW.sample(KEY, 10.0), t1=10.0) for system in (Users(0.3), Tracked(0.3))
+    )
+    assert int(named.sticks.count) == int(plain.sticks.count) >= 1
+    np.testing.assert_array_equal(named.sticks.start, plain.sticks.start)

@@ -54,7 +54,7 @@ def test_every_field_of_numbers_is_described(kind):
     others |= {"durations", "values", "slopes", "may_jump"} if kind is ss.VelocitySegments else set()
     others |= {"smoothing"} if kind is ss.Recorded else set()  # in words
     others |= {"direction"} if kind is ss.Contact else set()
-    others |= {"counted"}  # chosen by `of_contact`
+    others |= {"counted_contact"}  # chosen by `of_contact`
     # Matrices, which have checks of their own.
     others |= {"mass", "stiffness", "damping", "contacts", "uncoupled"} if kind is ss.LinearStructure else set()
     assert {field.name for field in dataclasses.fields(kind)} - set(described(kind)) <= others

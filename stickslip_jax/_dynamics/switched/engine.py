@@ -45,7 +45,7 @@ class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, Sa
 
     @property
     def tracks(self) -> int | None:
-        return self.system.tracks
+        return self.system.track_count
 
     @property
     def compiles_natively(self) -> bool:

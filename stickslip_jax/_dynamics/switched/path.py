@@ -103,7 +103,7 @@ def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> 
     path = StepPath(system, excitation, solver, done.beginnings)
     state = system.switched_model(excitation.signal, solver).numbers(lane.y)
     (records, totals), of_all = of_track((done.records, lane.totals), system), None
-    if system.tracks is not None:  # of what can stick, the last is all contacts at once
+    if system.track_count is not None:  # of what can stick, the last is all contacts at once
         of_all = (sticks_in_order(jax.tree.map(lambda of_each: of_each[:, -1], records)), _only(totals, -1))
         records, totals = jax.tree.map(lambda of_each: of_each[:, :-1], records), _only(totals, slice(-1))
     return Run(sticks_in_order(records), totals, done.status, lane.t, state, lane.near_grazing_count, path, of_all)

@@ -102,7 +102,9 @@ def run_trajectory(
 
 def of_track(tree: T, system: System) -> T:
     """The arrays (..., tracks) in `tree`, or of these what the `system` counts alone, if it does."""
-    return tree if system.track is None else jax.tree.map(lambda of_each: of_each[..., system.track], tree)
+    return (
+        tree if system.counted_track is None else jax.tree.map(lambda of_each: of_each[..., system.counted_track], tree)
+    )
 
 
 def state_at(system: System, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
