@@ -100,6 +100,19 @@ class _Tones(Signal):
     def curvature(self, t: FloatArray) -> FloatArray:
         return _motion(self.tones, t)[2]
 
+    def power_series(self, t: FloatArray, terms: int) -> tuple[FloatArray, ...]:
+        """The coefficients of its power series in the time since `t`."""
+
+        def one(amplitude, w, phase):
+            sine, cosine = sincos(angle(w, t, phase))
+            coefficients = [amplitude * cosine, -amplitude * w * sine]
+            for k in range(2, terms):
+                coefficients.append(coefficients[k - 2] * (-w * w / (k * (k - 1))))
+            return tuple(coefficients[:terms])
+
+        first, *others = added_up(one, self.tones)
+        return self.mean + first, *others
+
     def integral(self, t: FloatArray, h: FloatArray) -> FloatArray:
         def one(amplitude, w, phase):
             # sin(b) - sin(a) as a product: no cancellation for short steps.

@@ -12,8 +12,11 @@ the stick that needs the largest share of its limit breaks first and falls to ki
 asked again. What has broken and is driven back by the others is held again by at most its kinetic friction.
 """
 
+from functools import partial, reduce
+from operator import add
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -32,7 +35,14 @@ def is_diagonal(gain: FloatArray) -> bool:
 
 def acceleration(gain: FloatArray, drift: FloatArray, force: FloatArray) -> FloatArray:
     """The rates of the relative velocities under these friction forces."""
-    return drift - (gain * force if is_diagonal(gain) else times(gain, force))
+    return drift - of_each(gain, force)
+
+
+def of_each(matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """The product of a `matrix` of contacts, or of its diagonal, with `values` (contacts, ...)."""
+    if not is_diagonal(matrix):
+        return times(matrix, values)
+    return matrix * values if values.ndim == 1 else matrix[:, None] * values
 
 
 def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: BoolArray) -> FloatArray:
@@ -50,10 +60,25 @@ def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: Bool
     return _linear_solve(matrix, target)
 
 
-def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Their product."""
+def holding(gain: FloatArray, sticks: BoolArray) -> FloatArray:
+    """The forces that `sticks` need for each unit of `drift`: the inverse of their `gain`, zero elsewhere."""
+    if is_diagonal(gain):
+        has_effect = sticks & (gain > 0)
+        return jnp.where(has_effect, 1 / jnp.where(has_effect, gain, 1), 0)
+    both = sticks[:, None] & sticks[None, :]
+    one = jnp.eye(len(sticks), dtype=gain.dtype)
+    inverse = jax.vmap(partial(_linear_solve, jnp.where(both, gain, one)), in_axes=1, out_axes=1)(one)
+    return jnp.where(both, inverse, 0)
+
+
+def times(matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """The product with `values` (columns, ...)."""
+    if len(values) > WRITTEN_OUT:
+        return matrix @ values
     # XLA fuses sums of few terms with what surrounds them.
-    return jnp.sum(matrix * vector[None, :], axis=1) if len(vector) <= WRITTEN_OUT else matrix @ vector
+    if values.ndim == 1:
+        return reduce(add, (matrix[:, j] * values[j] for j in range(len(values))))
+    return reduce(add, (matrix[:, j, None] * values[None, j] for j in range(len(values))))
 
 
 def _linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:

@@ -36,6 +36,22 @@ class Instant(NamedTuple):
     gain: FloatArray
 
 
+class InMode(NamedTuple):
+    """What the guards of a mode are made of.
+
+    Attributes:
+        velocity: Relative velocities, (contacts,).
+        force: Friction forces against them, (contacts,).
+        limit: What sticks can hold in the direction of these, (contacts,).
+        normal: The normal forces that vary, in the order of `ContactsModel.varying`; None where none does.
+    """
+
+    velocity: FloatArray
+    force: FloatArray
+    limit: FloatArray
+    normal: FloatArray | None
+
+
 class ContactsModel(SwitchedModel[F]):
     """A system with several contacts: its rates without friction, and what friction in each contact adds.
 
@@ -113,7 +129,9 @@ class ContactsModel(SwitchedModel[F]):
 
     def _limits(self, forcing: F, tau: FloatScalar, y: State, velocity: FloatArray, sign: FloatArray) -> Limits:
         """The `limits`, zero in open contacts."""
-        limits = self.limits(forcing, tau, y, velocity)
+        return self._closed(self.limits(forcing, tau, y, velocity), sign)
+
+    def _closed(self, limits: Limits, sign: FloatArray) -> Limits:
         if not self.varying:
             return limits
         is_open = self._is_open(sign)
@@ -141,27 +159,34 @@ class ContactsModel(SwitchedModel[F]):
         return self.instant(forcing, tau, y).velocity
 
     def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
-        rates = self.rates(forcing, tau, y, sign)
+        now, change = self.in_mode(forcing, tau, y, sign)
+        own = self._own(sign)
+
+        def of(now: InMode) -> FloatArray:
+            if now.normal is not None:
+                slips = jnp.where(self._is_open(sign), 1, own * now.velocity)
+                contacts = jnp.where(own == 0, _bounded_guard(now.limit, now.force), slips)
+                return jnp.concatenate([contacts, sign[len(own) :] * now.normal])
+            can = now.limit > 0
+            share = jnp.where(can, now.force / jnp.where(can, now.limit, 1), 0)
+            return jnp.where(own == 0, jnp.where(can, 1 - share * share, -1), own * now.velocity)
+
+        guard, rate = jax.jvp(of, (now,), (change,))
+        # A normal force that is and stays zero: the contact stays open.
+        is_normal = self._with_normal(jnp.zeros_like(own, bool), True)
+        return jnp.where(is_normal & (guard == 0) & (rate == 0), 1, guard), rate
+
+    def in_mode(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
+        """What the guards of the mode `sign` are made of, and its time derivative."""
 
         def at(tau, y):
             now, own = self.instant(forcing, tau, y), self._own(sign)
             limits = self._limits(forcing, tau, y, now.velocity, sign)
             force = solved(now.gain, now.drift, limits.slip(own), own == 0)
-            if self.varying:
-                slips = jnp.where(self._is_open(sign), 1, own * now.velocity)
-                normal = sign[len(own) :] * self.varying_normal_forces(forcing, tau, y)
-                return jnp.concatenate(
-                    [jnp.where(own == 0, _bounded_guard(limits.static(force), force), slips), normal]
-                )
-            share = limits.share(force)
-            possible = jnp.abs(share) < jnp.inf
-            share = jnp.where(possible, share, 0)
-            return jnp.where(own == 0, jnp.where(possible, 1 - share * share, -1), own * now.velocity)
+            normal = self.varying_normal_forces(forcing, tau, y) if self.varying else None
+            return InMode(now.velocity, force, limits.static(force), normal)
 
-        guard, rate = jax.jvp(at, (tau, y), (jnp.ones_like(tau), rates))
-        # A normal force that is and stays zero: the contact stays open.
-        is_normal = self._with_normal(jnp.zeros_like(self._own(sign), bool), True)
-        return jnp.where(is_normal & (guard == 0) & (rate == 0), 1, guard), rate
+        return jax.jvp(at, (tau, y), (jnp.ones_like(tau), self.rates(forcing, tau, y, sign)))
 
     def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
         none, own = jnp.zeros((), y[0].dtype), self._own(sign)

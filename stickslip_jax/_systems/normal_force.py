@@ -13,7 +13,8 @@ from .._types import FloatArray, FloatScalar, Number, Scalar
 
 NormalForce: TypeAlias = Number | Signal | Recorded | ForceSteps
 """N: a number, or a function of time."""
-_FUNCTIONS = Signal, Recorded, ForceSteps
+_PIECES = Recorded, ForceSteps
+_FUNCTIONS = Signal, *_PIECES
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -31,7 +32,7 @@ def is_function(normal_force: NormalForce) -> bool:
 
 def recorded_in(normal_forces: tuple[NormalForce, ...]) -> tuple[Recorded | ForceSteps, ...]:
     """Those that are piecewise linear in time."""
-    return tuple(one for one in normal_forces if isinstance(one, (Recorded, ForceSteps)))
+    return tuple(one for one in normal_forces if isinstance(one, _PIECES))
 
 
 def values_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: FloatArray) -> FloatArray:
@@ -43,7 +44,7 @@ def values_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: 
     for one in forces:
         if isinstance(one, Signal):
             values.append(one.value(t))
-        elif isinstance(one, (Recorded, ForceSteps)):
+        elif isinstance(one, _PIECES):
             values.append(recorded[number])
             number += 1
         else:
@@ -51,9 +52,43 @@ def values_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: 
     return jnp.stack([jnp.asarray(value, t.dtype) for value in values])
 
 
+def rates_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, slopes: FloatArray) -> FloatArray:
+    """The time derivatives (forces,) of `forces` at the time `t`; `slopes`: of those that are `recorded_in` them."""
+    pieces = iter(range(len(forces)))
+    rates = [
+        one.rate(t) if isinstance(one, Signal) else slopes[next(pieces)] if isinstance(one, _PIECES) else 0.0
+        for one in forces
+    ]
+    return jnp.stack([jnp.asarray(rate, t.dtype) for rate in rates])
+
+
+def power_series_of(
+    forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: FloatArray, slopes: FloatArray, terms: int
+) -> list[FloatArray | None]:
+    """The coefficients (forces,) of the power series of `forces` in the time since `t`; None where all are zero.
+
+    Signals must be harmonic. `recorded`, `slopes`: of those that are `recorded_in` them, at `t`.
+    """
+    harmonic = {i: one.power_series(t, terms) for i, one in enumerate(forces) if isinstance(one, Signal)}
+    pieces = {i: number for number, i in enumerate(i for i, one in enumerate(forces) if isinstance(one, _PIECES))}
+
+    def coefficient(i: int, k: int) -> FloatScalar:
+        if i in harmonic:
+            return harmonic[i][k]
+        return slopes[pieces[i]] if k == 1 and i in pieces else jnp.zeros_like(t)
+
+    if not forces:
+        return [None] * terms
+    first: list[FloatArray | None] = [values_at(forces, t, recorded)]
+    for k in range(1, terms):
+        some = harmonic or (k == 1 and pieces)
+        first.append(jnp.stack([coefficient(i, k) for i in range(len(forces))]) if some else None)
+    return first
+
+
 def size_of(normal_force: NormalForce, value: FloatScalar) -> FloatScalar:
     """The size of the terms that add up to its `value`: the scale of its round-off where it passes zero."""
-    if isinstance(normal_force, (Recorded, ForceSteps)):
+    if isinstance(normal_force, _PIECES):
         return jnp.max(jnp.abs(jnp.asarray(normal_force.values, value.dtype)))
     if isinstance(normal_force, Signal) and normal_force.is_harmonic:
         tones: Any = normal_force
