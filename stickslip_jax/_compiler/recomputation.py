@@ -6,6 +6,7 @@ that is used more than once, and costs more than storing it, becomes the result 
 does not inline.
 """
 
+import math
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial, wraps
 from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
@@ -28,10 +29,11 @@ _Known: TypeAlias = tuple[list[_Leaf], list[_Leaf]]  # the results of an operati
 
 # The cost of an operation, in additions. Operations that are not listed are opaque.
 _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
-         "bitcast_convert_type", "real", "is_finite", "abs")  # fmt: skip
+         "bitcast_convert_type", "real", "is_finite", "abs", "slice")  # fmt: skip
 _CHEAP = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
           "lt", "max", "min", "mul", "ne", "or", "round", "select_n", "shift_left", "shift_right_arithmetic",
-          "shift_right_logical", "sign", "square", "sub", "xor")  # fmt: skip
+          "shift_right_logical", "sign", "square", "sub", "xor", "reduce_and", "reduce_max", "reduce_min", "reduce_or",
+         "reduce_sum")  # fmt: skip
 _COSTLY = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
            "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_CHEAP, 1), (_COSTLY, 10)) for name in names}
@@ -173,7 +175,7 @@ def _kept(jaxpr: core.Jaxpr) -> set[core.Var]:
     kept = {atom for atom in jaxpr.outvars if not isinstance(atom, core.Literal)}
     for equation in jaxpr.eqns:
         for atom in _variables(equation):
-            uses[atom] = uses.get(atom, 0) + 1
+            uses[atom] = uses.get(atom, 0) + _repeats(equation, atom)
             if equation.primitive.name not in _COSTS:
                 kept.add(atom)
     costs: dict[core.Var, float] = {}
@@ -186,6 +188,12 @@ def _kept(jaxpr: core.Jaxpr) -> set[core.Var]:
                 kept.add(variable)
             costs[variable] = 0 if variable in kept else cost
     return kept
+
+
+def _repeats(equation: core.JaxprEqn, atom: core.Var) -> int:
+    """How often an element of the operand is computed where the result is, unless it is stored."""
+    size, results = math.prod(atom.aval.shape), math.prod(equation.outvars[0].aval.shape)
+    return max(results // size, 1) if equation.primitive.name == "broadcast_in_dim" and size > 1 else 1
 
 
 def _cone(equation: core.JaxprEqn, made_by: dict[core.Var, core.JaxprEqn], kept: set[core.Var]) -> list[core.JaxprEqn]:

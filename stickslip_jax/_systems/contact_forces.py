@@ -14,7 +14,7 @@ asked again. What has broken and is driven back by the others is held again by a
 
 from functools import partial, reduce
 from operator import add
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -28,31 +28,36 @@ WRITTEN_OUT = 8
 _PASSES = 3  # for each contact: how often one may break, or be held again
 
 
-def is_diagonal(gain: FloatArray) -> bool:
-    """Whether the contacts have no effect on each other."""
-    return gain.ndim == 1
+class Uncoupled(NamedTuple):
+    """The gain of contacts that have no effect on each other: its `diagonal`, and the `inverse` of that, 0 where a
+    contact couples nothing, (contacts,).
+    """
+
+    diagonal: FloatArray
+    inverse: FloatArray
+
+    @classmethod
+    def of(cls, diagonal: FloatArray) -> "Uncoupled":
+        """From the diagonal."""
+        couples = diagonal > 0
+        return cls(diagonal, jnp.where(couples, 1 / jnp.where(couples, diagonal, 1), 0))
 
 
-def acceleration(gain: FloatArray, drift: FloatArray, force: FloatArray) -> FloatArray:
+Gain: TypeAlias = FloatArray | Uncoupled
+
+
+def acceleration(gain: Gain, drift: FloatArray, force: FloatArray) -> FloatArray:
     """The rates of the relative velocities under these friction forces."""
-    return drift - of_each(gain, force)
+    return drift - (gain.diagonal * force if isinstance(gain, Uncoupled) else times(gain, force))
 
 
-def of_each(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """The product of a `matrix` of contacts, or of its diagonal, with `values` (contacts, ...)."""
-    if not is_diagonal(matrix):
-        return times(matrix, values)
-    return matrix * values if values.ndim == 1 else matrix[:, None] * values
-
-
-def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: BoolArray) -> FloatArray:
+def solved(gain: Gain, wanted: FloatArray, given: FloatArray, chosen: BoolArray) -> FloatArray:
     """The forces with ``gain force = wanted`` in the `chosen` contacts; `given` ones in the others.
 
     A gain of zero, of a contact that couples nothing, gives no force.
     """
-    if is_diagonal(gain):
-        has_effect = chosen & (gain > 0)
-        return jnp.where(has_effect, wanted / jnp.where(has_effect, gain, 1), jnp.where(chosen, 0, given))
+    if isinstance(gain, Uncoupled):
+        return jnp.where(chosen, wanted * gain.inverse, given)
     both = chosen[:, None] & chosen[None, :]
     matrix = jnp.where(both, gain, jnp.eye(len(chosen), dtype=gain.dtype))
     others = jnp.where(chosen, 0, given)
@@ -60,11 +65,13 @@ def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: Bool
     return _linear_solve(matrix, target)
 
 
-def holding(gain: FloatArray, sticks: BoolArray) -> FloatArray:
-    """The forces that `sticks` need for each unit of `drift`: the inverse of their `gain`, zero elsewhere."""
-    if is_diagonal(gain):
-        has_effect = sticks & (gain > 0)
-        return jnp.where(has_effect, 1 / jnp.where(has_effect, gain, 1), 0)
+def holding(gain: Gain, sticks: BoolArray) -> FloatArray:
+    """The matrix of the forces that `sticks` need for each unit of `drift`: the inverse of their gain, zero elsewhere.
+
+    Where contacts have no effect on each other, its diagonal.
+    """
+    if isinstance(gain, Uncoupled):
+        return jnp.where(sticks, gain.inverse, 0)
     both = sticks[:, None] & sticks[None, :]
     one = jnp.eye(len(sticks), dtype=gain.dtype)
     inverse = jax.vmap(partial(_linear_solve, jnp.where(both, gain, one)), in_axes=1, out_axes=1)(one)
@@ -138,7 +145,7 @@ class Settled(NamedTuple):
     share: FloatArray
 
 
-def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray) -> Settled:
+def settled(gain: Gain, drift: FloatArray, limits: Limits, question: Question, slack: FloatArray) -> Settled:
     """Which contacts that are asked friction holds.
 
     `slack`: by how much the share of a stick that goes on may exceed 1: round-off at the limit.
@@ -155,7 +162,7 @@ def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Quest
     driven = jnp.where(force > 0, 1, -1).astype(drift.dtype)
     start = jnp.where(question.released, driven, start)
     allowed = 1 + jnp.where(question.goes_on, slack, 0)
-    if is_diagonal(gain):
+    if isinstance(gain, Uncoupled):
         breaks = asked & ~question.released & (jnp.abs(share) > allowed)
         return Settled(jnp.where(breaks, driven, start), share)
 

@@ -16,7 +16,7 @@ from .._excitation.smooth import Signal
 from .._fields import with_fields
 from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .contact import Contact, entries_of, numbers_of
-from .contact_forces import WRITTEN_OUT
+from .contact_forces import WRITTEN_OUT, Uncoupled
 from .normal_force import NormalForce, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
@@ -115,7 +115,7 @@ class LinearStructure(WithContacts):
             directions=directions,
             by_force=by_force,
             # Contacts that share no mass, directly or through the mass matrix, have no effect on each other.
-            gain=jnp.sum(directions.T * by_force, axis=0) if self.uncoupled else directions @ by_force,
+            gain=Uncoupled.of(jnp.sum(directions.T * by_force, axis=0)) if self.uncoupled else directions @ by_force,
             on_base=jnp.stack([jnp.asarray(contact.on_base, float) for contact in self.contacts]),
             fastest=self.fastest,
         )

@@ -5,9 +5,10 @@ from operator import add
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from .._types import FloatArray, FloatScalar, State
-from .contact_forces import WRITTEN_OUT, holding, of_each, solved, times
+from .contact_forces import WRITTEN_OUT, acceleration, holding, solved, times
 from .contacts_model import InMode
 from .normal_force import power_series_of, rates_at
 from .structure_model import Matrices, StructureForcing, StructureModel
@@ -44,8 +45,9 @@ class ArcsModel(StructureModel):
             rate = -(held(pull) if in_terms else pull)
             if sources[k] is not None:
                 rate = rate + power * sources[k]
-            x.append(h / (k + 1) * v[k])
-            v.append(h / (k + 1) * rate)
+            share = (1 / (k + 1)) * h
+            x.append(share * v[k])
+            v.append(share * rate)
             power = power * h
         reached = tuple(reduce(add, reversed(series)) for series in (x, v))
         return self._held(forcing, h, reached, sticks), None
@@ -69,11 +71,11 @@ class ArcsModel(StructureModel):
             if load[k] is not None:
                 parts.append(times(of.inverse_mass, load[k]))
             found = [held(reduce(add, parts))] if parts else []
-            acceleration = forcing.base_slope if k == 0 else none
+            following = forcing.base_slope if k == 0 else none
             if base[k + 1] is not None:
-                acceleration = acceleration + (k + 1) * base[k + 1]
-            if k == 0 or base[k + 1] is not None:
-                found.append(held.by(of.on_base * acceleration))
+                following = following + (k + 1) * base[k + 1]
+            if k == 0 or base[k + 1] is not None:  # the sticks follow the base
+                found.append(held.by(of.on_base * following))
             sources.append(reduce(add, found) if found else None)
         return sources
 
@@ -85,15 +87,15 @@ class ArcsModel(StructureModel):
             self._closed(self.limits_under(forces, now.velocity), sign) for forces in (normal, normal_rate)
         )
         force = solved(now.gain, now.drift, limits.slip(own), sticks)
-        acceleration = now.rates[1] - times(of.by_force, force)
+        moving = now.rates[1] - times(of.by_force, force)
         pull = self._load_rate(forcing, tau) - times(of.stiffness, y[1])
         if of.damping is not None:
-            pull = pull - times(of.damping, acceleration)
+            pull = pull - times(of.damping, moving)
         drift = times(of.directions, pull)
         if self.smooth is not None:
             drift = drift - of.on_base * self.smooth.curvature(forcing.t + tau)
         rate = solved(now.gain, drift, changing.slip(own), sticks)
-        velocity = now.drift - of_each(now.gain, force)
+        velocity = acceleration(now.gain, now.drift, force)
         limit, limit_rate = (forces.static(force) for forces in (limits, changing))
         return (
             InMode(now.velocity, force, limit, self._varying(normal)),
@@ -101,7 +103,7 @@ class ArcsModel(StructureModel):
         )
 
     def _varying(self, normal: FloatArray) -> FloatArray | None:
-        return normal[list(self.varying)] if self.varying else None
+        return normal[np.array(self.varying)] if self.varying else None
 
     def _normal_rates(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
         return rates_at(self.structure.normal_forces, forcing.t + tau, forcing.normal_slope)
@@ -127,4 +129,6 @@ class _Held(NamedTuple):
 
     def by(self, relative: FloatArray) -> FloatArray:
         """What the friction of sticks does, where they would have these `relative` accelerations (contacts, ...)."""
-        return times(self.of.by_force, of_each(self.hold, relative))
+        if self.hold.ndim > 1:
+            return times(self.of.by_force, times(self.hold, relative))
+        return times(self.of.by_force, self.hold * relative if relative.ndim == 1 else self.hold[:, None] * relative)

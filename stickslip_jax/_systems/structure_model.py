@@ -9,7 +9,7 @@ import numpy as np
 from .._excitation.segments import Segment, added
 from .._excitation.smooth import Signal
 from .._types import DType, FloatArray, FloatScalar, Number, State
-from .contact_forces import Limits, times
+from .contact_forces import Gain, Limits, times
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
 from .normal_force import is_function, size_of, values_at
@@ -28,7 +28,7 @@ class Matrices(NamedTuple):
     damping: FloatArray | None
     directions: FloatArray
     by_force: FloatArray
-    gain: FloatArray
+    gain: Gain
     on_base: FloatArray
     fastest: FloatScalar
 
