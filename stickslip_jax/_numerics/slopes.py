@@ -75,7 +75,9 @@ def _slopes_of(function: Callable[..., list[Any]], moves: tuple[bool, ...]) -> C
     return call
 
 
-def _moved(function: Callable[..., Any], primals: Any, tangents: Any) -> tuple[list[Any], list[Any], Callable[..., Any]]:
+def _moved(
+    function: Callable[..., Any], primals: Any, tangents: Any
+) -> tuple[list[Any], list[Any], Callable[..., Any]]:
     """The arguments that have a tangent, these tangents, and `function` of those arguments alone."""
     moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
     points, of = _of_those(function, primals, moves)
