@@ -17,6 +17,8 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
+from .known_operations import compilable
+
 NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 _call = Primitive("native_call")
@@ -26,12 +28,19 @@ _Axis: TypeAlias = int | None
 _KEPT = 512  # functions and their derivatives, so that those called outside ``jax.jit`` are not compiled again
 
 
-def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf]) -> list[_Leaf]:
-    """The results of `closed`. Works under jit, vmap and jvp, not in reverse mode, as the loops inside."""
-    return _call.bind(*args, closed=closed)
+def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf], known_only: bool = False) -> list[_Leaf]:
+    """The results of `closed`. Works under jit, vmap and jvp, not in reverse mode, as the loops inside.
+
+    `known_only`: compiled as usual where it, or a derivative of it, holds an operation that is not known to be
+    `compilable`.
+    """
+    return _call.bind(*args, closed=closed, known_only=known_only)
 
 
-def _as_native(*args: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
+def _as_native(*args: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
+    if known_only and not compilable(closed.jaxpr):
+        return jaxpr_as_fun(closed)(*args)
+
     def reading_all(*args):
         firsts = [jnp.ravel(jnp.asarray(array))[0].astype(float) for array in args if jnp.size(array)]
         return jaxpr_as_fun(closed)(*args), sum(firsts)
@@ -44,17 +53,17 @@ def _as_native(*args: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
 
 
 @lru_cache(_KEPT)
-def _compiled(closed: ClosedJaxpr) -> Callable[..., list[_Leaf]]:
-    return jax.jit(lambda *args: native_call(closed, args))
+def _compiled(closed: ClosedJaxpr, known_only: bool) -> Callable[..., list[_Leaf]]:
+    return jax.jit(lambda *args: native_call(closed, args, known_only))
 
 
 @_call.def_impl
-def _run(*args: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
-    return _compiled(closed)(*args)
+def _run(*args: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
+    return _compiled(closed, known_only)(*args)
 
 
 @_call.def_abstract_eval
-def _shapes(*_: _Leaf, closed: ClosedJaxpr) -> list[_Leaf]:
+def _shapes(*_: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
     return list(closed.out_avals)
 
 
@@ -78,11 +87,12 @@ def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[Closed
 
 
 def _jvp(
-    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr
+    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr, known_only: bool
 ) -> tuple[list[_Leaf], list[_Leaf]]:
     moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
     both, real = _with_tangents(closed, moved)
-    results = native_call(both, [*primals, *(tangent for tangent, m in zip(tangents, moved, strict=True) if m)])
+    moving = [tangent for tangent, m in zip(tangents, moved, strict=True) if m]
+    results = native_call(both, [*primals, *moving], known_only)
     out, slopes = results[: len(real)], iter(results[len(real) :])
     return out, [
         next(slopes) if is_real else ad.Zero(aval.to_tangent_aval())
@@ -113,11 +123,11 @@ def _batched(closed: ClosedJaxpr, axes: tuple[_Axis, ...], size: int) -> tuple[C
 
 
 def _batch(
-    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr
+    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr, known_only: bool
 ) -> tuple[list[_Leaf], tuple[_Axis, ...]]:
     size = next(arg.shape[axis] for arg, axis in zip(args, axes, strict=True) if axis is not None)
     batched, out_axes = _batched(closed, tuple(axes), size)
-    return native_call(batched, args), out_axes
+    return native_call(batched, args, known_only), out_axes
 
 
 ad.primitive_jvps[_call] = _jvp

@@ -35,12 +35,12 @@ COMPILED_QUICKLY: dict[str, Any] = {} if PLAIN else {"xla_llvm_disable_expensive
 
 
 def native_loop(
-    function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = ()
+    function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), *, known_only: bool = False
 ) -> Callable[_Arguments, _Result]:
     """`function`, a loop over small arrays, compiled into one native function of the CPU.
 
     One thread runs it. Works under jit, vmap and jvp, not in reverse mode; `static_argnames` as in ``jax.jit``, to be
-    given by name.
+    given by name. `known_only`: for functions that hold a user's, see `native_call`.
     """
     compiled = jax.jit(function, static_argnames=static_argnames)
 
@@ -50,7 +50,9 @@ def native_loop(
             return function(*args, **options)
         traced = compiled.trace(*args, **options)
         arrays = jax.tree.leaves((args, {name: option for name, option in options.items() if name not in fixed}))
-        return jax.tree.unflatten(jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays))
+        if len(arrays) != len(traced.jaxpr.in_avals):  # it encloses what JAX traces
+            return function(*args, **options)
+        return jax.tree.unflatten(jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays, known_only))
 
     fixed = frozenset(static_argnames)
     return call

@@ -55,6 +55,7 @@ class GroundAcceleration(GroundMotion):
         converter=partial(_checks.real_array, "accelerations")
     )
     is_random = False
+    is_record = True
     duration = Recorded.duration
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}

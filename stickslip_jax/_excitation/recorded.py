@@ -43,6 +43,7 @@ class Recorded(SegmentLaw):
     )
     smoothing: str | None = eqx.field(static=True, default=None)
     is_random = False
+    is_record = True
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"value": ("draw", "next_segment")}
     jumps = False

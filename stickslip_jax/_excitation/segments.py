@@ -102,6 +102,7 @@ class SegmentLaw(Checked, Motion):
 
     part_of_excitation = "base"
     jumps: ClassVar[bool]
+    is_record: ClassVar[bool] = False  # a list of segments that ends with the motion
 
     @abc.abstractmethod
     def segments(self, t1: Scalar) -> int:
@@ -213,6 +214,7 @@ class GivenSegments(SegmentLaw):
     slopes: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "slopes"))
     may_jump: bool = eqx.field(static=True, default=True, converter=_as_truth)
     is_random = False
+    is_record = True
     only_with: ClassVar = {"value": ("draw", "next_segment")}
 
     @property

@@ -6,7 +6,7 @@ coefficient, say). Their slopes, computed along with the loop in forward mode, c
 multiplies by them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
+
+from .._compiler import native_loop
 
 
 def with_slopes(function: Callable[..., Any], *args: Any, most: int) -> Any:
@@ -41,25 +43,57 @@ def with_slopes(function: Callable[..., Any], *args: Any, most: int) -> Any:
 
 
 def _with_rule(function: Callable[..., list[Any]], most: int) -> Callable[..., list[Any]]:
-    call = jax.custom_jvp(function)
+    """`function` with the rule for its derivatives; both are native loops, but for the way back over the steps."""
+    call = jax.custom_jvp(native_loop(function, known_only=True))
 
     def rule(primals, tangents):
-        moved = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
-        changes = [tangent for tangent, m in zip(tangents, moved, strict=True) if m]
-
-        def of(*some):
-            given = iter(some)
-            return function(*(next(given) if m else value for value, m in zip(primals, moved, strict=True)))
-
-        points = [value for value, m in zip(primals, moved, strict=True) if m]
+        points, changes, of = _moved(function, primals, tangents)
         if len(points) > most or any(np.ndim(point) for point in points):
             return jax.jvp(of, points, changes)
-
-        results, slopes = _slopes(of, points)
+        moves = tuple(not isinstance(tangent, SymbolicZero) for tangent in tangents)
+        results, slopes = _slopes_of(function, moves)(*primals)
         return results, [_times(changes, result, slope) for result, slope in zip(results, slopes, strict=True)]
 
     call.defjvp(rule, symbolic_zeros=True)
     return call
+
+
+def _slopes_of(function: Callable[..., list[Any]], moves: tuple[bool, ...]) -> Callable[..., Any]:
+    """The results of `function`, and their slopes by the arguments that move; the derivatives of both are JAX's."""
+
+    def slopes(*primals):
+        points, of = _of_those(function, primals, moves)
+        return _slopes(of, points)
+
+    call = jax.custom_jvp(native_loop(slopes, known_only=True))
+
+    def rule(primals, tangents):
+        points, changes, of = _moved(slopes, primals, tangents)
+        return jax.jvp(of, points, changes)
+
+    call.defjvp(rule, symbolic_zeros=True)
+    return call
+
+
+def _moved(
+    function: Callable[..., Any], primals: Any, tangents: Any
+) -> tuple[list[Any], list[Any], Callable[..., Any]]:
+    """The arguments that have a tangent, these tangents, and `function` of those arguments alone."""
+    moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
+    points, of = _of_those(function, primals, moves)
+    return points, [tangent for tangent, m in zip(tangents, moves, strict=True) if m], of
+
+
+def _of_those(
+    function: Callable[..., Any], primals: Any, moves: Sequence[bool]
+) -> tuple[list[Any], Callable[..., Any]]:
+    """The arguments that move, and `function` of those alone."""
+
+    def of(*some):
+        given = iter(some)
+        return function(*(next(given) if m else value for value, m in zip(primals, moves, strict=True)))
+
+    return [value for value, m in zip(primals, moves, strict=True) if m], of
 
 
 def _slopes(function: Callable[..., list[Any]], points: list[Any]) -> tuple[list[Any], list[Any]]:

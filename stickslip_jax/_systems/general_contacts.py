@@ -6,14 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .._excitation.segments import added
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes
 from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
 from .contact_forces import Limits
 from .contacts_model import ContactsModel, Instant
-from .switched_model import Base, GeneralForcing, Segments, base_motion
+from .switched_model import Segments
+from .users_forcing import GeneralForcing, UsersBase
 
 
 class GeneralContactsModel(ContactsModel[GeneralForcing]):
@@ -34,7 +34,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return True
 
     def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
-        return GeneralForcing(t, *added(t, segments.base))
+        return GeneralForcing.of(t, segments)
 
     def time(self, forcing: GeneralForcing) -> FloatScalar:
         return forcing.t
@@ -44,18 +44,19 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     def instant(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> Instant:
         t, base = self._base_at(forcing, tau)
-        idle, by_friction = self._affine(t, y, base)
+        idle, by_friction = self._affine(forcing, t, y, base)
         # The relative velocities depend on the base's velocity only, whose rate is its acceleration.
-        moving = (jnp.ones_like(t), idle, Base(base.acceleration, jnp.zeros_like(t)))
-        velocity, drift = jax.jvp(self._velocities, (t, y, base), moving)
+        none = jnp.zeros_like(t)
+        moving = (jnp.ones_like(t), idle, UsersBase(base.acceleration, none, none))
+        velocity, drift = jax.jvp(partial(self._velocities, forcing), (t, y, base), moving)
 
         def along(effect: State) -> FloatArray:
-            return jax.jvp(lambda y: self._velocities(t, y, base), (y,), (effect,))[1]
+            return jax.jvp(lambda y: self._velocities(forcing, t, y, base), (y,), (effect,))[1]
 
         return Instant(idle, velocity, drift, -jax.vmap(along, out_axes=1)(by_friction))
 
     def effect(self, forcing: GeneralForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
-        _, by_friction = self._affine(*self._at(forcing, tau, y))
+        _, by_friction = self._affine(forcing, *self._at(forcing, tau, y))
         return tuple(jnp.sum(force * each) for each in by_friction)
 
     def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
@@ -66,9 +67,9 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         mirror image of the state.
         """
         t, base = self._base_at(forcing, tau)
-        velocity, own = self._velocities(t, y, base), self._own(sign)
+        velocity, own = self._velocities(forcing, t, y, base), self._own(sign)
         beyond = (own * velocity < 0) & ~self._is_open(sign)
-        gradients = jax.jacrev(lambda y: self._velocities(t, y, base))(y)
+        gradients = jax.jacrev(lambda y: self._velocities(forcing, t, y, base))(y)
         rows = jnp.stack(gradients, axis=-1)  # (contacts, states)
         both = beyond[:, None] & beyond[None, :]
         matrix = jnp.where(both, rows @ rows.T, jnp.eye(len(own), dtype=t.dtype))
@@ -92,25 +93,25 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     def normal_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
         t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
-        normal, slopes = self._normal(t, y, base), jax.jacrev(lambda y: self._normal(t, y, base))(y)
+        normal, slopes = self._normal(forcing, t, y, base), jax.jacrev(lambda y: self._normal(forcing, t, y, base))(y)
         return jnp.abs(normal) + sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
 
     def velocity_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
         t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
-        slopes = jax.jacrev(lambda y: self._velocities(t, y, base))(y)
-        by_base = jax.jacfwd(lambda v: self._velocities(t, y, Base(v, base.acceleration)))(base.velocity)
+        slopes = jax.jacrev(lambda y: self._velocities(forcing, t, y, base))(y)
+        by_base = jax.jacfwd(lambda v: self._velocities(forcing, t, y, base._replace(velocity=v)))(base.velocity)
         by_state = sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
-        return jnp.abs(self._velocities(t, y, base)) + jnp.abs(by_base * base.velocity) + by_state
+        return jnp.abs(self._velocities(forcing, t, y, base)) + jnp.abs(by_base * base.velocity) + by_state
 
     def gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
         model, forcing, y, h = without_derivatives((self, forcing, y, h))
         t, base = model._base_at(forcing, jnp.zeros_like(h))
         none = jnp.zeros_like(friction)
-        slopes = jax.jacfwd(partial(model._rates, t), argnums=(0,))(y, base, none)
-        _, by_friction = model._affine(t, y, base)
+        slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0,))(y, base, none)
+        _, by_friction = model._affine(forcing, t, y, base)
         by_contacts = [jnp.sum(jnp.abs(each) * friction) for each in by_friction]
         (by_state,) = zip(*slopes, strict=True)
-        return gross_changes(h, y, model._rates(t, y, base, none), by_state, tuple(by_contacts))
+        return gross_changes(h, y, model._rates(forcing, t, y, base, none), by_state, tuple(by_contacts))
 
     def at_base_velocity(self, forcing: GeneralForcing, y: State, resting: BoolArray) -> State:
         """As of every model; NaN where the contacts have no unique motion, because friction would drive itself."""
@@ -119,35 +120,37 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         is_unique = jnp.linalg.eigvalsh((gain + gain.T) / 2)[0] > 0
         return jnp.where(is_unique, y[0], jnp.nan), *y[1:]
 
-    def _at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> tuple[FloatScalar, State, Base]:
+    def _at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> tuple[FloatScalar, State, UsersBase]:
         t, base = self._base_at(forcing, tau)
         return t, y, base
 
-    def _base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, Base]:
-        return forcing.t + tau, base_motion(self.smooth, *forcing, tau)
+    def _base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase]:
+        return forcing.t + tau, forcing.base_at(self.smooth, tau)
 
-    def _rates(self, t: FloatScalar, y: State, base: Base, friction: FloatArray) -> State:
-        return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
+    def _rates(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase, friction: FloatArray) -> State:
+        return tuple(jnp.asarray(rate, t.dtype) for rate in forcing.seen_at(self.system, t).rates(t, y, base, friction))
 
-    def _affine(self, t: FloatScalar, y: State, base: Base) -> tuple[State, tuple[FloatArray, ...]]:
+    def _affine(
+        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
+    ) -> tuple[State, tuple[FloatArray, ...]]:
         """The rates without friction, and what one unit of friction in each contact adds, each (contacts,)."""
         none = jnp.zeros(self.contacts, t.dtype)
 
         def along(direction):
-            return jax.jvp(lambda friction: self._rates(t, y, base, friction), (none,), (direction,))
+            return jax.jvp(lambda friction: self._rates(forcing, t, y, base, friction), (none,), (direction,))
 
         return jax.vmap(along, out_axes=(None, 0))(jnp.eye(self.contacts, dtype=t.dtype))
 
-    def _velocities(self, t: FloatScalar, y: State, base: Base) -> FloatArray:
-        return _stacked(self.system.relative_velocity(t, y, base), t)
+    def _velocities(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatArray:
+        return _stacked(forcing.seen_at(self.system, t).relative_velocity(t, y, base), t)
 
-    def _normal(self, t: FloatScalar, y: State, base: Base) -> FloatArray:
-        return _stacked(self.system.normal_forces(t, y, base), t)
+    def _normal(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatArray:
+        return _stacked(forcing.seen_at(self.system, t).normal_forces(t, y, base), t)
 
     def _normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
         if not self.system.has_normal_forces:
             return jnp.ones(self.contacts, y[0].dtype)
-        return self._normal(*self._at(forcing, tau, y))
+        return self._normal(forcing, *self._at(forcing, tau, y))
 
 
 def _stacked(values: Any, t: FloatScalar) -> FloatArray:

@@ -43,14 +43,6 @@ class Base(NamedTuple):
     acceleration: FloatScalar
 
 
-class GeneralForcing(NamedTuple):
-    """The piecewise-linear part of the base velocity from time `t` on: value (m/s) and slope."""
-
-    t: FloatScalar
-    base: FloatScalar
-    base_slope: FloatScalar
-
-
 def base_motion(
     smooth: Signal | None, t: FloatScalar, velocity: FloatScalar, slope: FloatScalar, tau: FloatScalar
 ) -> Base:

@@ -18,7 +18,8 @@ from jax.tree_util import Partial
 from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
-from .._excitation.segments import added
+from .._excitation.force_steps import ForceSteps
+from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
@@ -26,10 +27,11 @@ from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number
 from .friction import Coulomb, FrictionLaw
 from .general_contacts import GeneralContactsModel
 from .one_contact import OneContactModel
-from .switched_model import Base, FloatPair, GeneralForcing, Segments, base_motion, with_change
+from .switched_model import FloatPair, Segments, with_change
 from .system import SHORTEST_TIME, SOLVED, Coordinate, TimeScale, shortest_period
 from .user_contacts_checks import check_contacts
-from .user_system_checks import check_fields, check_motion
+from .user_system_checks import check_fields, check_ground, check_motion
+from .users_forcing import GeneralForcing, UsersBase, records_in
 from .with_contacts import WithContacts
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
@@ -78,9 +80,11 @@ class SwitchedSystem(WithContacts):
         system = TwoMasses(stiffness=1.0, mass=1.0, normal_force=1.0, mu=0.3, mu_static=0.4)
         one = ss.simulate(system, ss.Harmonic(1.0, 0.8), t1=50.0, y0=(0.0, 0.0, 1.0, 0.0))
 
-    Fields hold numbers and arrays, or signals such as `Harmonic` for a force, ``self.force.value(t)``: what JAX can
-    differentiate with respect to. Where the annotation of a field holds a `Quantity`, the constructor checks the
-    field. Anything else, such as a name or a function, is declared ``field: str = equinox.field(static=True)``.
+    Fields hold numbers and arrays, or functions of time, ``self.force.value(t)``: a signal such as `Harmonic`, a
+    `Recorded` or `ForceSteps`, which time steps follow from point to point; all that JAX can differentiate with respect
+    to. A record may be a force or the velocity of a belt, steps a force only. Where the annotation of a field holds a
+    `Quantity`, the constructor checks the field. Anything else, such as a name or a function, is declared
+    ``field: str = equinox.field(static=True)``.
 
     For several contacts declare their number, ``contacts = 2``. `friction` is then an array (contacts,), and
     `relative_velocity` returns as many numbers; `static_ratio` may be an array too. Their forces must act as those of
@@ -94,7 +98,8 @@ class SwitchedSystem(WithContacts):
     `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
 
     `simulate` and `simulate_ensemble` raise ValueError for an instance that breaks these rules in the initial state
-    with the base at rest. Any base velocity may excite the system, but no ground acceleration.
+    with the base at rest. Any base velocity may excite the system, and any ground acceleration if `rates` uses
+    ``base.ground``.
     """
 
     @property
@@ -103,7 +108,7 @@ class SwitchedSystem(WithContacts):
         """Name and unit of each number of the state: ``("angle in rad", "angular velocity in rad/s")``."""
 
     @abc.abstractmethod
-    def rates(self, t: FloatScalar, y: State, base: Base, friction: FloatArray) -> tuple[FloatScalar | float, ...]:
+    def rates(self, t: FloatScalar, y: State, base: UsersBase, friction: FloatArray) -> tuple[FloatScalar | float, ...]:
         """The time derivative of the state, computed by JAX.
 
         Write a kinetic force that depends on the relative velocity r as ``friction * force(jnp.abs(r))``. Rates must be
@@ -112,7 +117,9 @@ class SwitchedSystem(WithContacts):
         Args:
             t: Time, s.
             y: The state, a tuple of scalars.
-            base: Velocity and acceleration of the base, m/s and m/s^2 (or rad/s and rad/s^2).
+            base: ``base.velocity`` and ``base.acceleration`` of the base, m/s and m/s^2 (or rad/s and rad/s^2), and
+                ``base.ground``, the acceleration of the ground, m/s^2: in coordinates relative to it, it is subtracted
+                from the rate of each velocity.
             friction: The friction force over the kinetic friction force: +1 while the relative velocity is positive, -1
                 while it is negative, and in a stick whatever holds it, at most `static_ratio` in size. Positive values
                 must act against a positive relative velocity, and rates must be affine in `friction`:
@@ -124,7 +131,7 @@ class SwitchedSystem(WithContacts):
 
     @abc.abstractmethod
     def relative_velocity(
-        self, t: FloatScalar, y: State, base: Base
+        self, t: FloatScalar, y: State, base: UsersBase
     ) -> FloatArray | tuple[FloatScalar, ...] | list[FloatScalar]:
         """The relative velocity in the contact: a smooth scalar function of the state; of each of several contacts.
 
@@ -143,7 +150,7 @@ class SwitchedSystem(WithContacts):
         return None
 
     def normal_forces(
-        self, t: FloatScalar, y: State, base: Base
+        self, t: FloatScalar, y: State, base: UsersBase
     ) -> FloatArray | tuple[FloatScalar, ...] | list[FloatScalar]:
         """The normal forces (contacts,), N (or N m), smooth functions of the state, of a system with `contacts`.
 
@@ -224,10 +231,11 @@ class SwitchedSystem(WithContacts):
     def check_excitation(self, excitation: Excitation) -> None:
         super().check_excitation(excitation)
         if excitation.ground:
-            raise ValueError(
-                f"Argument base of a {type(self).__name__} must be a base velocity, but a ground acceleration was "
-                "given; write what the acceleration of the ground does into rates, as a function of time."
-            )
+            check_ground(self)
+
+    @property
+    def recorded_loads(self) -> tuple[Recorded | ForceSteps, ...]:
+        return records_in(self)
 
 
 class _Contact(NamedTuple):
@@ -263,7 +271,7 @@ class GeneralModel(OneContactModel[GeneralForcing]):
     solver: ExplicitSolver
 
     def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
-        return GeneralForcing(t, *added(t, segments.base))
+        return GeneralForcing.of(t, segments)
 
     def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         return self.slip_and_error(forcing, y, h, sign)[0]
@@ -295,29 +303,28 @@ class GeneralModel(OneContactModel[GeneralForcing]):
         mirror image of the state.
         """
         t, base, _ = self.base_at(forcing, tau)
-        sigma, gradient = self._gradient(t, y, base)
+        sigma, gradient = self._gradient(forcing, t, y, base)
         steep = sum(part * part for part in gradient)
         beyond = (sign * sigma < 0) & (steep > 0)
         shift = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
         end, image = (tuple(v - k * shift * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
-        here, there = self._rates(t, end, base, sign), self._rates(t, image, base, sign)
+        here, there = self._rates(forcing, t, end, base, sign), self._rates(forcing, t, image, base, sign)
         return tuple(jnp.where(beyond, 2 * a - b, b) for a, b in zip(here, there, strict=True))
 
     def stick_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
         """The sliding field: the rates under the friction that keeps the relative velocity."""
-        contact = self._contact(*self.base_at(forcing, tau)[:2], y)
+        contact = self._contact(forcing, *self.base_at(forcing, tau)[:2], y)
         return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.by_friction, strict=True))
 
     def guard(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
-        t, base, jerk = self.base_at(forcing, tau)
-        base_rates = Base(base.acceleration, jerk)
+        t, base, base_rates = self.base_at(forcing, tau)
         one = jnp.ones_like(t)
 
         slid = self.slip_rates(forcing, tau, y, sign)
-        sigma, sigma_rate = jax.jvp(self._sigma, (t, y, base), (one, slid, base_rates))
+        sigma, sigma_rate = jax.jvp(partial(self._sigma, forcing), (t, y, base), (one, slid, base_rates))
 
         def share_of(t, y, base):
-            contact = self._contact(t, base, y)
+            contact = self._contact(forcing, t, base, y)
             ratio = jnp.asarray(self.system.static_ratio, t.dtype)
             return contact.share / ratio, contact.has_effect
 
@@ -330,12 +337,12 @@ class GeneralModel(OneContactModel[GeneralForcing]):
 
     def guard_scale(self, forcing: GeneralForcing, y: State, sign: FloatScalar) -> FloatScalar:
         t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
-        sigma, gradient = self._gradient(t, y, base)
-        by_base = jax.grad(lambda v: self._sigma(t, y, Base(v, base.acceleration)))(base.velocity)
+        sigma, gradient = self._gradient(forcing, t, y, base)
+        by_base = jax.grad(lambda v: self._sigma(forcing, t, y, base._replace(velocity=v)))(base.velocity)
         slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
         slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
         if self.system.shortest_time is not None:
-            contact = self._contact(t, base, y)
+            contact = self._contact(forcing, t, base, y)
             change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
             slip = with_change(slip, change + jnp.abs(contact.gain), 2 * np.pi / self.system.shortest_time, t)
         return jnp.where(sign == 0, 2.0, slip)
@@ -344,12 +351,12 @@ class GeneralModel(OneContactModel[GeneralForcing]):
         return self._held(forcing, jnp.zeros_like(y[0]), y)
 
     def can_stick(self, forcing: GeneralForcing, y: State) -> BoolScalar:
-        contact = self._contact(*self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
+        contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
         return contact.has_effect & (jnp.abs(contact.share) <= self.system.static_ratio)
 
     def release_sign(self, forcing: GeneralForcing, y: State) -> FloatScalar:
         # Without friction the relative velocity would change faster than friction can prevent.
-        contact = self._contact(*self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
+        contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
         return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
 
     @property
@@ -360,49 +367,54 @@ class GeneralModel(OneContactModel[GeneralForcing]):
 
     def rates_under(self, forcing: GeneralForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         t, base, _ = self.base_at(forcing, tau)
-        return self._rates(t, y, base, coefficient)
+        return self._rates(forcing, t, y, base, coefficient)
 
     def relative_velocity(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatScalar:
         t, base, _ = self.base_at(forcing, tau)
-        return self._sigma(t, y, base)
+        return self._sigma(forcing, t, y, base)
 
     def relative_acceleration(self, forcing: GeneralForcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
-        t, base, jerk = self.base_at(forcing, tau)
-        return jax.jvp(self._sigma, (t, y, base), (jnp.ones_like(t), rates, Base(base.acceleration, jerk)))[1]
+        t, base, base_rates = self.base_at(forcing, tau)
+        return jax.jvp(partial(self._sigma, forcing), (t, y, base), (jnp.ones_like(t), rates, base_rates))[1]
 
-    def base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, Base, FloatScalar]:
-        """The time, the base and the rate of its acceleration, `tau` later."""
-        t = forcing.t + tau
+    def base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase, UsersBase]:
+        """The time, the base and its time derivative, `tau` later."""
+        t, base = forcing.t + tau, forcing.base_at(self.smooth, tau)
         jerk = jnp.zeros_like(t) if self.smooth is None else jnp.asarray(self.smooth.curvature(t), t.dtype)
-        return t, base_motion(self.smooth, *forcing, tau), jerk
+        return t, base, UsersBase(base.acceleration, jerk, forcing.ground_slope)
 
-    def _rates(self, t: FloatScalar, y: State, base: Base, friction: FloatScalar) -> State:
-        return tuple(jnp.asarray(rate, t.dtype) for rate in self.system.rates(t, y, base, friction))
+    def _rates(
+        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase, friction: FloatScalar
+    ) -> State:
+        return tuple(jnp.asarray(rate, t.dtype) for rate in forcing.seen_at(self.system, t).rates(t, y, base, friction))
 
     def _gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
         """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
         model, forcing, y, h = without_derivatives((self, forcing, y, h))
         t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
         none = jnp.zeros_like(t)
-        slopes = jax.jacfwd(partial(model._rates, t), argnums=(0, 2))(y, base, none)
-        return gross_changes(h, y, model._rates(t, y, base, none), *zip(*slopes, strict=True))
+        slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0, 2))(y, base, none)
+        return gross_changes(h, y, model._rates(forcing, t, y, base, none), *zip(*slopes, strict=True))
 
-    def _sigma(self, t: FloatScalar, y: State, base: Base) -> FloatScalar:
-        return jnp.asarray(self.system.relative_velocity(t, y, base), t.dtype)
+    def _sigma(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatScalar:
+        return jnp.asarray(forcing.seen_at(self.system, t).relative_velocity(t, y, base), t.dtype)
 
-    def _gradient(self, t: FloatScalar, y: State, base: Base) -> tuple[FloatScalar, State]:
+    def _gradient(
+        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
+    ) -> tuple[FloatScalar, State]:
         """The relative velocity and its gradient with respect to the state."""
-        return jax.value_and_grad(lambda y: self._sigma(t, y, base))(y)
+        return jax.value_and_grad(lambda y: self._sigma(forcing, t, y, base))(y)
 
-    def _contact(self, t: FloatScalar, base: Base, y: State) -> _Contact:
+    def _contact(self, forcing: GeneralForcing, t: FloatScalar, base: UsersBase, y: State) -> _Contact:
         # Rates are affine in friction: their derivative is what friction adds, without cancellation.
         idle, by_friction = jax.jvp(
-            lambda friction: self._rates(t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
+            lambda friction: self._rates(forcing, t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
         )
-        _, gradient = self._gradient(t, y, base)
+        _, gradient = self._gradient(forcing, t, y, base)
         # The relative velocity depends on the base's velocity only, whose rate is its acceleration.
-        moving = (jnp.ones_like(t), idle, Base(base.acceleration, jnp.zeros_like(t)))
-        _, drift = jax.jvp(self._sigma, (t, y, base), moving)
+        none = jnp.zeros_like(t)
+        moving = (jnp.ones_like(t), idle, UsersBase(base.acceleration, none, none))
+        _, drift = jax.jvp(partial(self._sigma, forcing), (t, y, base), moving)
         terms = [part * rate for part, rate in zip(gradient, by_friction, strict=True)]
         gain, size = sum(terms, jnp.zeros_like(t)), sum(map(jnp.abs, terms), jnp.zeros_like(t))
         has_effect = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
@@ -413,7 +425,7 @@ class GeneralModel(OneContactModel[GeneralForcing]):
         """`y`, moved in the direction in which friction acts until the relative velocity is zero."""
         t, base, _ = self.base_at(forcing, tau)
         for _ in range(_NEWTON_STEPS):
-            contact = self._contact(t, base, y)
-            friction = self._sigma(t, y, base) * contact.per_gain
+            contact = self._contact(forcing, t, base, y)
+            friction = self._sigma(forcing, t, y, base) * contact.per_gain
             y = tuple(value - friction * effect for value, effect in zip(y, contact.by_friction, strict=True))
         return y

@@ -10,7 +10,6 @@ from .. import _checks
 from .._claims import keeps
 from .._excitation.excitation import Excitation
 from .._excitation.random import RandomPhase, RandomSignal
-from .._excitation.recorded import Recorded
 from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
@@ -182,7 +181,7 @@ class System(Checked):
         return False
 
     @property
-    def recorded_loads(self) -> tuple[Recorded, ...]:
+    def recorded_loads(self) -> tuple[SegmentLaw, ...]:
         """External forces that are piecewise linear in time."""
         return ()
 

@@ -9,8 +9,9 @@ import numpy as np
 from .. import _checks
 from .._types import Number
 from .structure_checks import is_singular
-from .switched_model import Base, Segments
-from .user_system_checks import AFFINE, check_rates, check_smooth
+from .switched_model import Segments
+from .user_system_checks import AFFINE, Near, check_belt, check_rates, check_traceable, rates_near
+from .users_forcing import UsersBase
 
 _NOTHING = Segments((), (), ())
 
@@ -23,10 +24,16 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     kind, zero = type(system).__name__, jnp.zeros(())
     assert system.contacts is not None
     contacts = system.contacts
-    y, base = tuple(jnp.asarray(value, float) for value in y0), Base(zero, zero)
+    y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
+    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
+    check_traceable(
+        system, ("relative_velocity", *(("normal_forces",) if system.has_normal_forces else ())), zero, y, base
+    )
+    check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
     with _checks.traceable(f"The method relative_velocity of {kind}"):
         velocities = system.relative_velocity(zero, y, base)
     _check_number(kind, "relative_velocity", velocities, contacts)
+    check_belt(system, y, base)
     if system.has_normal_forces:
         with _checks.traceable(f"The method normal_forces of {kind}"):
             normal_forces = system.normal_forces(zero, y, base)
@@ -43,7 +50,8 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((found, gain))):
         return
-    check_smooth(system, y, base, jnp.ones(contacts))
+    near = Near.of(y)
+    near.check(kind, np.asarray(rates_near(system, near.columns, base, jnp.ones(contacts))))
     _check_affine(kind, np.array([[float(rate) for rate in row] for row in found]), contacts)
     _check_unique(kind, np.asarray(gain))
 

@@ -1,6 +1,9 @@
 """Checks of a user's `SwitchedSystem`, as far as it can be checked before it is simulated."""
 
+import contextlib
 import dataclasses
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -8,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._types import Array, Number
+from .._excitation.force_steps import ForceSteps
+from .._types import AnyArray, Array, Number
 from .structure_checks import MOST_CONTACTS
-from .switched_model import Base
 from .system import System
+from .users_forcing import UsersBase
 
 _SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
 _ONE_CONTACT = (
@@ -72,15 +76,58 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     must not return.
     """
     kind, zero = type(system).__name__, jnp.zeros(())
-    y, base = tuple(jnp.asarray(value, float) for value in y0), Base(zero, zero)
-    traced = jax.tree.map(jnp.asarray, system)  # as engines hold it: its numbers are arrays that JAX traces
-    for name in ("shortest_time", "static_ratio"):
-        with _checks.traceable(f"The property {name} of {kind}"):
-            jax.make_jaxpr(lambda system, name=name: getattr(system, name))(traced)
+    y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
+    is_new = _TRIED.is_new(system, y)
+    if is_new:
+        _check_methods(system, y, base)
+    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y))):
+        return
+    near = Near.of(y)
+    # Of another system like one that was tried, only the numbers are looked at, by a compiled function.
+    rates, gradient, found = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
+    near.check(kind, np.asarray(found))
+    _check_affine(kind, np.asarray(rates, float), np.asarray(gradient, float))
+    _TRIED.add(system, y)
+
+
+class _Tried:
+    """Systems whose methods were tried: their classes, and what can be told of their fields without the numbers."""
+
+    def __init__(self, most: int):
+        self._kinds: dict[Any, None] = {}
+        self._most = most
+
+    def is_new(self, system: Any, y: tuple[Array, ...]) -> bool:
+        """Whether no system like it was tried."""
+        try:
+            return self._kind(system, y) not in self._kinds
+        except TypeError:  # a static field cannot be hashed
+            return True
+
+    def add(self, system: Any, y: tuple[Array, ...]) -> None:
+        """Remember it; the oldest is forgotten."""
+        with contextlib.suppress(TypeError):
+            self._kinds[self._kind(system, y)] = None
+            if len(self._kinds) > self._most:
+                del self._kinds[next(iter(self._kinds))]
+
+    @staticmethod
+    def _kind(system: Any, y: tuple[Array, ...]) -> tuple[Any, ...]:
+        leaves, structure = jax.tree.flatten((system, y))
+        return structure, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+
+
+_TRIED = _Tried(256)
+
+
+def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
+    """Check what the methods of a system with one contact take and return."""
+    kind, zero = type(system).__name__, jnp.zeros(())
+    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
     try:
         with _checks.traceable(f"The method rates of {kind}"):
             rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in _SHARES]
-            jax.make_jaxpr(type(system).rates)(traced, zero, y, base, zero)
+            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, zero)
     except (IndexError, TypeError) as error:
         if not _takes_two(system, zero, y, base):
             raise
@@ -94,9 +141,8 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
             f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
         ) from error
     check_rates(kind, rates[0], len(y))
-    with _checks.traceable(f"The method relative_velocity of {kind}"):
-        velocity = system.relative_velocity(zero, y, base)
-        jax.make_jaxpr(type(system).relative_velocity)(traced, zero, y, base)
+    check_traceable(system, ("relative_velocity",), zero, y, base)
+    velocity = system.relative_velocity(zero, y, base)
     if isinstance(velocity, (tuple, list)) or np.size(velocity) > 1:
         number = len(velocity) if isinstance(velocity, (tuple, list)) else np.size(velocity)
         raise ValueError(
@@ -106,11 +152,97 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
         raise ValueError(
             f"Argument relative_velocity of a {kind} must return a scalar, but {_checks.show(velocity)} was given."
         )
+    check_belt(system, y, base)
+
+
+def check_traceable(system: Any, names: tuple[str, ...], *args: Any) -> None:
+    """Check that JAX can trace the numbers of `system` in these properties, or methods that take `args`.
+
+    Raises ValueError, also for what its known numbers alone do not allow.
+    """
+    kind = type(system).__name__
+    for name in names:
+        with _checks.traceable(f"The {'method' if args else 'property'} {name} of {kind}"):
+            jax.make_jaxpr(partial(_asked, name))(_as_traced(system), *args)
+
+
+def _asked(name: str, system: Any, *args: Any) -> Any:
+    return getattr(system, name)(*args) if args else getattr(system, name)
+
+
+def _as_traced(system: Any) -> Any:
+    """`system` as engines hold it: its numbers are arrays that JAX traces."""
+    return jax.tree.map(jnp.asarray, system)
+
+
+def check_belt(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
+    """Check that the relative velocity does not jump with a `ForceSteps`: sticks would not see it."""
+
+    def is_steps(value):
+        return isinstance(value, ForceSteps)
+
+    leaves, tree = jax.tree.flatten(system, is_leaf=is_steps)
+    steps = [leaf for leaf in leaves if is_steps(leaf)]
+
+    def velocity(steps):
+        own = iter(steps)
+        known = jax.tree.unflatten(tree, [next(own) if is_steps(leaf) else leaf for leaf in leaves])
+        return known.relative_velocity(jnp.zeros(()), y, base)
+
+    if steps and _uses(velocity, steps):
+        raise ValueError(
+            f"Argument relative_velocity of a {type(system).__name__} must not use a ForceSteps, which is a force that "
+            "jumps; a base that jumps is the argument base, a VelocitySteps."
+        )
+
+
+def _uses(function: Callable[[Any], Any], argument: Any) -> bool:
+    """Whether `function` looks at its argument."""
+    jaxpr = jax.make_jaxpr(function)(argument).jaxpr
+    used = [*jaxpr.outvars, *(atom for equation in jaxpr.eqns for atom in equation.invars)]
+    return any(atom is given for atom in used for given in jaxpr.invars)
+
+
+def _numbers(
+    system: Any, y: tuple[Array, ...], base: UsersBase, columns: tuple[AnyArray, ...]
+) -> tuple[Array, Array, Array]:
+    """The rates (4, states) at `_SHARES`, the gradient of the relative velocity, and the rates (places, states) near
+    `columns`.
+    """
+    zero = jnp.zeros(())
+    rates = [jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, y, base, jnp.asarray(share))])
+             for share in _SHARES]  # fmt: skip
     gradient = jax.grad(lambda y: jnp.asarray(system.relative_velocity(zero, y, base), float))(y)
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((rates, gradient))):
-        return
-    check_smooth(system, y, base, jnp.ones(()))
-    _check_affine(kind, np.array([[float(rate) for rate in row] for row in rates]), np.array(gradient, float))
+    return jnp.stack(rates), jnp.stack(gradient), rates_near(system, columns, base, jnp.ones(()))
+
+
+_compiled_numbers = jax.jit(_numbers)
+
+
+def rates_near(system: Any, columns: tuple[AnyArray, ...], base: UsersBase, friction: Array) -> Array:
+    """The rates (places, states) in the states whose numbers are the `columns` of a `Near`."""
+
+    def rates(*state):
+        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(jnp.zeros(()), state, base, friction)])
+
+    return jax.vmap(rates)(*columns)
+
+
+def check_ground(system: Any) -> None:
+    """Check that the rates of `system` use the acceleration of the ground, which excites it. Else raises ValueError."""
+    kind, zero = type(system).__name__, jnp.zeros(())
+    friction = zero if system.contacts is None else jnp.zeros(system.contacts)
+
+    def rates(ground):
+        return system.rates(zero, (zero,) * len(system.state_names), UsersBase(zero, zero, ground), friction)
+
+    with _checks.traceable(f"The method rates of {kind}"):
+        is_used = _uses(rates, zero)
+    if not is_used:
+        raise ValueError(
+            f"Argument base of a {kind} must be a base velocity, but a ground acceleration was given, and rates does "
+            "not use base.ground; subtract it from the rate of each velocity relative to the ground."
+        )
 
 
 def check_rates(kind: str, rates: object, size: int) -> None:
@@ -128,7 +260,7 @@ def check_rates(kind: str, rates: object, size: int) -> None:
             )
 
 
-def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: Base) -> bool:
+def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: UsersBase) -> bool:
     """Whether the rates of `system` can be asked for with two numbers as friction."""
     try:
         system.rates(t, y, base, jnp.zeros(2))
@@ -137,35 +269,41 @@ def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: Base) -> bool:
     return True
 
 
-def check_smooth(system: Any, y: tuple[Array, ...], base: Base, friction: Array) -> None:
-    """Check that the rates do not jump where a number of the state passes zero, its initial value, or another number.
+class Near:
+    """States close to those where a number of the state passes zero, its initial value, or another number.
 
-    There the sign of a velocity changes that somebody writes for a second contact.
+    There the sign of a velocity changes that somebody writes for a second contact: rates must not jump there.
     """
-    values = [float(value) for value in y]
-    places = [(i, centre) for i in range(len(y)) for centre in sorted({0.0, *values})]
-    step = float(np.sqrt(np.finfo(y[0].dtype).eps)) * max(1.0, *map(abs, values))
-    near = np.array(values) * np.ones((len(places), 4, 1))
-    for row, (i, centre) in zip(near, places, strict=True):
-        row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
-    columns = tuple(jnp.asarray(near.reshape(-1, len(y)).T, y[0].dtype))
-    size = len(near) * 4
-    found = jax.vmap(lambda *state: tuple(map(jnp.asarray, system.rates(jnp.zeros(()), state, base, friction))))(
-        *columns
-    )
-    rates = np.stack([np.broadcast_to(np.asarray(rate, float), size) for rate in found], -1).reshape(len(near), 4, -1)
-    far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
-    most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
-    jumps = (close > _JUMP * far) & (close > AFFINE * most)
-    if not np.any(jumps):
-        return
-    place, number = (int(index) for index in np.argwhere(jumps)[0])
-    state, centre = places[place]
-    raise ValueError(
-        f"Argument rates of a {type(system).__name__} must be smooth functions of the state, but rate number {number} "
-        f"jumps from {rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number {state} of the state "
-        f"passes {centre:g}; {_ONE_CONTACT}"
-    )
+
+    def __init__(self, places: list[tuple[int, float]], columns: tuple[AnyArray, ...]):
+        self.places, self.columns = places, columns
+
+    @classmethod
+    def of(cls, y: tuple[Array, ...]) -> "Near":
+        """Those of the initial state `y`: four at each place, two on either side."""
+        values = [float(value) for value in y]
+        places = [(i, centre) for i in range(len(y)) for centre in sorted({0.0, *values})]
+        step = float(np.sqrt(np.finfo(y[0].dtype).eps)) * max(1.0, *map(abs, values))
+        near = np.array(values) * np.ones((len(places), 4, 1))
+        for row, (i, centre) in zip(near, places, strict=True):
+            row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
+        return cls(places, tuple(near.reshape(-1, len(y)).T.astype(y[0].dtype)))
+
+    def check(self, kind: str, found: np.ndarray) -> None:
+        """Check the rates (places, states) `found` there: that they do not jump."""
+        rates = found.reshape(len(self.places), 4, -1)
+        far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
+        most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
+        jumps = (close > _JUMP * far) & (close > AFFINE * most)
+        if not np.any(jumps):
+            return
+        place, number = (int(index) for index in np.argwhere(jumps)[0])
+        state, centre = self.places[place]
+        raise ValueError(
+            f"Argument rates of a {kind} must be smooth functions of the state, but rate number {number} jumps from "
+            f"{rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number {state} of the state passes "
+            f"{centre:g}; {_ONE_CONTACT}"
+        )
 
 
 def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:

@@ -1,6 +1,7 @@
 """Checks of the arguments of `simulate` and `simulate_ensemble`."""
 
 import warnings
+from dataclasses import fields
 from typing import NamedTuple
 
 import jax
@@ -9,6 +10,7 @@ import numpy as np
 
 from ... import _checks
 from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of
+from ..._excitation.segments import SegmentLaw
 from ..._numerics.known import primal_of
 from ..._systems.system import System, require_system
 from ..._types import AnyArray, InitialState, Number, Scalar
@@ -53,7 +55,7 @@ class Arguments(NamedTuple):
         """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
         if _checks.is_traced(self.t1):
             return
-        loads = [("force", load) for load in self.system.recorded_loads]
+        loads = [(_field_of(self.system, load, "force"), load) for load in self.system.recorded_loads]
         loads += [("normal_force", load) for load in self.system.recorded_normal_forces]
         for name, motion in (("base", motion_of(self.base)), *loads):
             if motion.covered_time < float(self.t1) * (1 - 1e-12):
@@ -75,6 +77,11 @@ class Arguments(NamedTuple):
         if _checks.is_traced(step) or _checks.is_traced(horizon):
             return excitation, jnp.minimum(step, horizon)
         return excitation, min(float(step), float(horizon))
+
+
+def _field_of(system: System, load: SegmentLaw, other: str) -> str:
+    """The name of the field of `system` that holds this `load`; `other` where it stands within another field."""
+    return next((field.name for field in fields(system) if getattr(system, field.name) is load), other)
 
 
 def check_method(method: object) -> None:

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.errors import ConcretizationTypeError
 
 from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
-from ..._excitation.segments import first_segment
+from ..._excitation.segments import SegmentLaw, first_segment
 from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State, SwitchedModel
 from ..._systems.system import System
@@ -23,6 +24,8 @@ from .stepping import advance, start_lane
 
 MOST_STEPS = 2**30  # steps are counted in 32 bits
 _SPARE = 4  # times as many steps where it is not known before the call how fast the motion is
+_ROOM = 96  # steps more, for short trajectories
+_PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
 
 T = TypeVar("T")
 
@@ -124,18 +127,39 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar) 
     """Number of loop steps that suffices for nearly every trajectory: by the time steps and segments until `t1`.
 
     Rounded up by `padded_length`, so that similar lengths share a compilation; the loop stops when the trajectory ends.
-    Raises NotKnown where a number that it depends on is traced, ValueError for more steps than 32 bits can count.
+    Where a number that it depends on is traced, it follows from the lengths of records. Raises NotKnown where there are
+    none, ValueError for more steps than 32 bits can count.
     """
-    horizon, shortest = largest(t1), smallest(step)
+    laws = SegmentLaws.of(system, excitation).all
     try:
-        shortest = min(shortest, smallest(system.usual_step(excitation)))
+        horizon, shortest = largest(t1), _shortest(system, excitation, step)
     except NotKnown:
-        shortest /= _SPARE
-    segments = sum(law.segments(horizon) for law in SegmentLaws.of(system, excitation).all)
-    steps = 1.5 * (horizon / shortest) + 2 * segments + 96
+        return _steps_by_length(laws, t1)
+    segments = sum(law.segments(horizon) for law in laws)
+    steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
     if steps > MOST_STEPS:
         raise ValueError(
             f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
             "segments of the motion."
         )
     return padded_length(math.ceil(steps))
+
+
+def _steps_by_length(laws: tuple[SegmentLaw, ...], t1: Scalar) -> int:
+    """The number of loop steps by the number of segments alone, where there is a record. Else raises NotKnown."""
+    if not any(law.is_record for law in laws):
+        raise NotKnown
+    try:
+        segments = sum(law.segments(t1) for law in laws)
+    except ConcretizationTypeError:  # of a law whose segments are not a record's
+        raise NotKnown from None
+    return padded_length((_PER_SEGMENT + 2) * segments + _ROOM)
+
+
+def _shortest(system: System, excitation: Excitation, step: Scalar) -> float:
+    """The length of most time steps, s."""
+    shortest = smallest(step)
+    try:
+        return min(shortest, smallest(system.usual_step(excitation)))
+    except NotKnown:
+        return shortest / _SPARE
