@@ -136,7 +136,44 @@ def follow(setups: list[dict[str, Any]], coupled: bool) -> Batch:
     return Batch(*map(np.asarray, _follow(*stacked(parts))))
 
 
-def _expected(setup: dict[str, Any], nudge: np.ndarray | float = 0.0):
+class Verdict(NamedTuple):
+    """Of one set-up: whether it differs from the reference beyond the bounds, whether the package tells, by how much.
+
+    Errors are infinite where the sticks are others.
+    """
+
+    differs: bool
+    told: bool
+    state: float
+    times: float
+
+
+def _expected(setup: dict[str, Any], nudge: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (contact, start, end, position) of the sticks, and the final state."""
     motion = reference_motion(setup | {"x0": setup["x0"] + nudge})
-    sticks = sorted((s.contact, s.start, s.end, s.position) for s in motion.sticks)
-    return np.array(sticks).reshape(-1, 4), np.concatenate([motion.position, motion.velocity]), motion
+    sticks = sorted((stick.contact, stick.start, stick.end, stick.position) for stick in motion.sticks)
+    return np.array(sticks).reshape(-1, 4), np.concatenate([motion.position, motion.velocity])
+
+
+def _errors(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:
+    """Of states and positions of sticks (m, m/s), and of times (s)."""
+    if one[0].shape != other[0].shape or np.any(one[0][:, 0] != other[0][:, 0]):
+        return np.inf, np.inf
+    apart, times = np.abs(one[0] - other[0]), slice(1, 3)
+    return max(np.max(np.abs(one[1] - other[1])), np.max(apart[:, 3], initial=0)), np.max(apart[:, times], initial=0)
+
+
+def judged(setup: dict[str, Any], batch: Batch, i: int) -> Verdict:
+    """Set-up `i` of a batch beside the reference.
+
+    Where the bounds are exceeded the reference, started a little to both sides, says by how much errors grow.
+    """
+    told, expected, found = batch.tells(i), _expected(setup), batch.sticks(i)
+    state, times = _errors((found[np.lexsort((found[:, 1], found[:, 0]))], batch.state[i]), expected)
+    if state <= STATE and times <= TIMES:
+        return Verdict(False, told, state, times)
+    if told or state == np.inf:
+        return Verdict(True, told, state, times)
+    moved = [_errors(_expected(setup, side * NUDGE), expected) for side in (-1, 1)]
+    grown = [AMPLIFIED / NUDGE * max(errors) for errors in zip(*moved, strict=True)]
+    return Verdict(state > STATE + grown[0] or times > TIMES + grown[1], told, state, times)
