@@ -6,12 +6,27 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 import stickslip_jax as ss
 
 from . import compiled, derivatives
-from .setups import ENSEMBLES, INTERVALS, LAW, RANDOM_PHASE, REGULARIZED, START, T1, system
-from .sizes import Sizes
+from .setups import (
+    BELT,
+    ENSEMBLES,
+    INTERVALS,
+    LAW,
+    RANDOM_PHASE,
+    REGULARIZED,
+    START,
+    T1,
+    TWO_BLOCKS,
+    chain,
+    chain_name,
+    starts,
+    system,
+)
+from .sizes import FULL, Sizes
 
 
 class Work(NamedTuple):
@@ -139,6 +154,22 @@ def _stepped(name: str, threads: int, sizes: Sizes) -> Run:
     return run
 
 
+def _blocks(blocks: int, threads: int, sizes: Sizes) -> Run:
+    """Blocks on a belt that begin anywhere without velocity, the sticks of all counted; 0: the two unequal blocks."""
+    system, samples = (chain(blocks), sizes.chain_blocks // blocks) if blocks else (TWO_BLOCKS, sizes.two_blocks)
+    still, t1 = np.zeros(system.size), sizes.blocks_t1
+
+    def run(number: int) -> Work:
+        many = ss.simulate_contacts(
+            system, BELT, t1=t1, samples=samples, y0=(*starts(number, system.size, samples), *still),
+            keep="totals", threads=threads, progress=False,
+        )  # fmt: skip
+        assert many.of_contact(0).finished == samples
+        return Work(samples * t1)
+
+    return run
+
+
 def _motor_cart(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
     """The paper's 20,000 runs: 10,000 at mu = 0.2 and at mu = 0.5, every one followed for 2 s."""
 
@@ -236,6 +267,9 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
         found[f"totals, uncertain, {word}"] = partial(_uncertain, threads)
         for name in ENSEMBLES:
             found[f"{name}, {word}"] = partial(_stepped, name, threads)
+        found[f"two blocks, {word}"] = partial(_blocks, 0, threads)
+        for blocks in FULL.chains:
+            found[f"{chain_name(blocks)}, {word}"] = partial(_blocks, blocks, threads)
     found["every stick, handed on, 1 thread"] = _handed_on
     for name, function in COMPOSED.items():
         found[f"vmapped: {name}"] = partial(_composed, function)

@@ -52,6 +52,31 @@ ENSEMBLES: dict[str, Callable[[Sizes], tuple[Any, Any, Any]]] = {
 }
 """System, law and initial state."""
 
+BELT = ss.Constant(0.2)
+TWO_BLOCKS = ss.LinearStructure(
+    (1.0, 1.0), ((2.2, -1.2), (-1.2, 2.2)),
+    contacts=(
+        ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(0.8, 1.0)),
+        ss.Contact.of_mass(1, 2, 1.0, ss.Coulomb(1.0, 1.3)),
+    ),
+)  # fmt: skip
+
+
+def chain(blocks: int) -> ss.LinearStructure:
+    """Blocks in a row on a belt, as those of the baseline `scipy_chain`."""
+    return ss.block_row(blocks, mass=1.0, between=1.0, to_ground=0.2, normal_force=1.0, friction=ss.Coulomb(0.3))
+
+
+def chain_name(blocks: int) -> str:
+    """What its case is called."""
+    return f"chain of {blocks} block{'s' * (blocks > 1)}"
+
+
+def starts(number: int, blocks: int, samples: int) -> np.ndarray:
+    """Positions (blocks, samples) in m, other ones in every round."""
+    return np.random.default_rng(number).uniform(-1, 1, (blocks, samples))
+
+
 # How many trajectories to time, and the settings, from coarse to fine.
 REGULARIZED: dict[str, list[tuple[str, int, dict[str, Any]]]] = {
     "fixed steps": [

@@ -21,6 +21,14 @@ class Sizes(NamedTuple):
     harmonics: tuple[int, int, int]
     """Components: of an ensemble that is timed, and of two whose compilation is."""
     sensitivity_compiled: int
+    two_blocks: int
+    """Samples of two blocks on a belt."""
+    chains: tuple[int, ...]
+    """Lengths of chains of blocks."""
+    chain_blocks: int
+    """Blocks in all samples of a chain."""
+    blocks_t1: float
+    """Horizon of blocks on a belt."""
 
 
 FULL = Sizes(
@@ -36,6 +44,10 @@ FULL = Sizes(
     sensitivity=100_000,
     harmonics=(8, 16, 64),
     sensitivity_compiled=4_096,
+    two_blocks=8_192,
+    chains=(1, 2, 4, 8, 10, 16, 32, 64),
+    chain_blocks=8_192,
+    blocks_t1=60.0,
 )
 TINY = Sizes(
     samples=1_000,
@@ -50,4 +62,8 @@ TINY = Sizes(
     sensitivity=1_000,
     harmonics=(2, 2, 2),
     sensitivity_compiled=64,
+    two_blocks=64,
+    chains=(10,),
+    chain_blocks=80,
+    blocks_t1=5.0,
 )

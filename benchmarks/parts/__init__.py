@@ -1,12 +1,13 @@
 """The parts of the benchmarks: each measures (`measure`) and writes its table (`table`)."""
 
-from . import compiling, composed, derivatives, intervals, motor_cart, regularized, sensitivity, stepping, sweeps
+from . import compiling, composed, contacts, derivatives, intervals, motor_cart, regularized, sensitivity, stepping, sweeps
 
 PARTS = {
     "intervals": intervals,
     "composed": composed,
     "derivatives": derivatives,
     "stepping": stepping,
+    "contacts": contacts,
     "compiling": compiling,
     "motor cart": motor_cart,
     "regularised": regularized,

@@ -15,6 +15,7 @@ from benchmarks.baselines import (
     numba_regularized,
     numba_scalar,
     numba_two_blocks,
+    scipy_chain,
     scipy_events,
 )
 from benchmarks.baselines.event_driver import switching_velocities
@@ -119,3 +120,17 @@ def test_two_blocks_on_a_belt():
         assert np.all(same | flagged)
         assert np.array_equal(totals.sticks[same], expected.count[same, contact])
         assert np.median(np.abs(totals.stick_time - expected.time[:, contact])) < 1e-11
+
+
+@pytest.mark.slow
+def test_a_chain_by_scipy():
+    x = np.random.default_rng(1).uniform(-1, 1, (10, 4))
+    chain = ss.block_row(10, mass=1.0, between=1.0, to_ground=0.2, normal_force=1.0, friction=ss.Coulomb(0.3))
+    y0 = (*x, *np.zeros(10))
+    many = ss.simulate_contacts(chain, ss.Constant(0.2), t1=20.0, samples=4, y0=y0, keep="totals")
+    totals = [many.of_contact(contact).totals for contact in range(10)]
+    for sample in range(4):
+        found = scipy_chain.simulate(x[:, sample], t1=20.0)
+        assert found.count.sum() > 10
+        np.testing.assert_array_equal([each.sticks[sample] for each in totals], found.count)
+        np.testing.assert_allclose([each.stick_time[sample] for each in totals], found.time, atol=1e-4)

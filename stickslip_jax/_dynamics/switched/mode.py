@@ -68,7 +68,10 @@ def _mode_after(
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
     goes_on = was_stick & ~jumped
     asked, stays = landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_stick)
+    slips = model.slip_sign(forcing, lane.y)
     if model.coupled:
+        # What slips from here on acts on the others at once.
+        sign = jnp.where(resolve & ~(resting | goes_on), slips, sign)
         # Where one mode changes, the friction that other sticks need changes too.
         stays = was_stick & any_of(landed | changed) & ~landed
         asked, goes_on = asked | stays, goes_on | stays
@@ -82,7 +85,7 @@ def _mode_after(
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), sign)
     at_limit = goes_on & is_not_below(guard, guard_rate, lane.t)
     held_or_released = jnp.where(holds | at_limit, 0, release_sign)
-    resolved = jnp.where(resting | goes_on, held_or_released, model.slip_sign(forcing, lane.y))
+    resolved = jnp.where(resting | goes_on, held_or_released, slips)
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
     # A mass that sticks has the base's velocity to the last bit.
     rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))

@@ -127,6 +127,17 @@ def test_what_sticks_together_moves_as_one_mass():
     assert np.allclose(one.final_state[::2], alone.final_state, rtol=0, atol=2e-10)
 
 
+def test_a_jump_of_the_base_asks_the_others_under_the_friction_that_it_starts():
+    """Pushed by 3 N, held by at most 3.2 N: when the belt turns, the lower block is slowed down, and the upper holds."""
+    below, above = ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(3.2)), ss.Contact.between(1, 0, 2, 1.0, ss.Coulomb(1.0))
+    system = ss.LinearStructure([1.0, 1.0], [0.0, 0.0], contacts=(below, above), force=(3.0, None))
+    one = ss.simulate(system, ss.VelocitySteps([1.0, 1.0], [1.0, -1.0]), t1=2.0, y0=(0.0, 0.0, 1.0, 1.0))
+    assert one.of_contact(1).sticks.end[one.of_contact(1).sticks.mask].tolist() == [2.0]
+    assert one.of_contact(0).sticks.end[one.of_contact(0).sticks.mask].tolist() == [1.0]
+    assert int(one.near_grazing_count) == 0
+    np.testing.assert_allclose(one.final_state[2:], 0.9, rtol=1e-14)  # both are slowed down by 0.1 m/s^2
+
+
 @pytest.mark.slow
 def test_laws_of_different_kinds():
     """Each contact may have its own law: a Stribeck curve beside Coulomb's, against the single oscillators."""
