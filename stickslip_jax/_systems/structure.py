@@ -41,6 +41,8 @@ class LinearStructure(WithContacts):
             forces.
         uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
             Found from the numbers; to be given only where JAX traces the masses or directions.
+        rotates: Whether the positions are angles in rad, and the masses inertias. Directions of contacts are then
+            radii in m.
 
     Raises:
         ValueError: For a mass that is singular, matrices that are not symmetric or of another size, contacts that
@@ -53,6 +55,7 @@ class LinearStructure(WithContacts):
     contacts: tuple[Contact, ...] = eqx.field(default=(), converter=entries_of)
     force: tuple[Signal | Recorded | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
     uncoupled: bool | None = eqx.field(static=True, default=None)
+    rotates: bool = eqx.field(static=True, default=False)
 
     def __post_init__(self):
         # Equinox converts the fields after this.
@@ -85,9 +88,17 @@ class LinearStructure(WithContacts):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
+        name, unit, symbol = ("angle", "rad", r"\varphi") if self.rotates else ("position", "m", "x")
+        rate = "angular velocity" if self.rotates else "velocity"
         numbers = range(1, self.size + 1)
-        positions = [Coordinate(f"position {i}", "m", f"x_{{{i}}}") for i in numbers]
-        return (*positions, *(Coordinate(f"velocity {i}", "m/s", rf"\dot x_{{{i}}}") for i in numbers))
+        positions = [Coordinate(f"{name} {i}", unit, f"{symbol}_{{{i}}}") for i in numbers]
+        return (*positions, *(Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers))
+
+    @property
+    def stick_position(self) -> Coordinate:
+        if self.counted_contact == "all":
+            return super().stick_position
+        return Coordinate("relative displacement when the stick starts", "m")
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel":
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel

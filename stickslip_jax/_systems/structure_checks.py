@@ -22,16 +22,21 @@ def check_structure(mass: Any, stiffness: Any, damping: Any, contacts: Any, forc
         _check_matrix("damping", damping, size)
     _check_mass(mass)
     _check_contacts(mass, contacts, size)
-    if force is None:
+    check_forces("force", force, size)
+
+
+def check_forces(name: str, forces: Any, size: int) -> None:
+    """Raises ValueError unless `forces` is None, or a tuple with one for each of `size` masses."""
+    if forces is None:
         return
-    if not isinstance(force, tuple) or len(force) != size:
-        raise _checks.refused("force", f"be a tuple of {size} forces, one for each mass (None for no force)", force)
-    for number, part in enumerate(force):
+    if not isinstance(forces, tuple) or len(forces) != size:
+        raise _checks.refused(name, f"be a tuple of {size} forces, one for each mass (None for no force)", forces)
+    for number, part in enumerate(forces):
         if part is not None and not isinstance(part, (Signal, Recorded)):
             try:
-                _checks.numeric(f"force[{number}]", part)
+                _checks.numeric(f"{name}[{number}]", part)
             except ValueError:
-                raise _checks.refused(f"force[{number}]", "be a number, a Signal, a Recorded or None", part) from None
+                raise _checks.refused(f"{name}[{number}]", "be a number, a Signal, a Recorded or None", part) from None
 
 
 def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:

@@ -12,6 +12,7 @@ from .._statistics.accumulator import MOST_ORDERS
 from .._uncertainty.families import Uniform
 from ._bases_config import BaseConfig, SourceVoltageConfig
 from ._sections import Section, Start, UniformConfig, kinds_in, start_value, tag_of, toml_blocks, toml_value
+from ._structures_config import BlockRowConfig, LinearStructureConfig, StoreysOnBearingConfig, StructureSection
 from ._systems_config import MassSpringConfig, MotorCartConfig, SystemConfig
 
 _OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
@@ -58,8 +59,8 @@ class PointConfig(Section):
             return Exact(self.step, self.max_steps, solver)
         return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
 
-    def y0(self) -> tuple[float | Uniform, ...]:
-        """The initial state as the simulation takes it."""
+    def y0(self) -> tuple[float | Uniform, ...] | None:
+        """The initial state as the simulation takes it; None for zeros."""
         return tuple(start_value(getattr(self, name)) for name in self.initial)
 
 
@@ -76,6 +77,9 @@ class RunConfig(PointConfig):
     )
 
 
+_Solver = Literal["Tsit5", "Dopri5", "Dopri8"]
+
+
 class MassSpringPointConfig(PointConfig):
     """The same with the initial state of a `MassSpring`."""
 
@@ -83,7 +87,7 @@ class MassSpringPointConfig(PointConfig):
 
     initial_position: Start = Field(default=0.0, description=f"m, {_OR_RANDOM}")
     initial_velocity: Start = Field(default=1.0, description="m/s, likewise")
-    solver: Literal["Tsit5", "Dopri5", "Dopri8"] | None = Field(
+    solver: _Solver | None = Field(
         default=None,
         description="Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms, with a width Kvaerno3",
     )
@@ -101,12 +105,32 @@ class MotorCartPointConfig(PointConfig):
     initial_current: Start = Field(default=0.0, description="A, likewise")
 
 
+class StructurePointConfig(PointConfig):
+    """The same with the initial state of a structure."""
+
+    initial_state: list[Start] | None = Field(
+        default=None, description=f"positions (m), then velocities (m/s), each a number {_OR_RANDOM}; not given: zeros"
+    )
+    solver: _Solver | None = Field(default=None, description="Tsit5, Dopri5 or Dopri8; not given: Dopri8")
+
+    def y0(self) -> tuple[float | Uniform, ...] | None:
+        return None if self.initial_state is None else tuple(map(start_value, self.initial_state))
+
+
 class MassSpringRunConfig(MassSpringPointConfig, RunConfig):
     """Section ``[run]`` of an ensemble of a `MassSpring`."""
 
 
 class MotorCartRunConfig(MotorCartPointConfig, RunConfig):
     """Section ``[run]`` of an ensemble of a `MotorCart`."""
+
+
+class StructureRunConfig(StructurePointConfig, RunConfig):
+    """Section ``[run]`` of an ensemble of a structure."""
+
+
+STRUCTURES = LinearStructureConfig, BlockRowConfig, StoreysOnBearingConfig
+"""The kinds of section ``[system]`` that are structures."""
 
 
 class OutputConfig(Section):
@@ -161,6 +185,24 @@ class FileConfig(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _run_fits_a_structure(self) -> "FileConfig":
+        run: Any = getattr(self, "run", None)
+        if not isinstance(self.system, StructureSection) or run is None:
+            return self
+        size, state = self.system.size, run.initial_state
+        if state is not None and len(state) != 2 * size:
+            raise ValueError(
+                f"initial_state in [run] must hold {2 * size} numbers, the positions and then the velocities of {size} "
+                f"masses, but {len(state)} were given."
+            )
+        if run.width is not None:
+            raise ValueError(
+                f"width in [run] must be left out, because model in [system] is {self.system.title}, which is followed "
+                f"exactly only, but {run.width} was given."
+            )
+        return self
+
     def to_toml(self) -> str:
         """The complete file in TOML, with units as comments; reading it gives the same description."""
         by_voltage = self.system.driven_by_voltage
@@ -178,7 +220,10 @@ class StudyConfig(FileConfig):
     runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
         MassSpringConfig: MassSpringRunConfig,
         MotorCartConfig: MotorCartRunConfig,
+        **dict.fromkeys(STRUCTURES, StructureRunConfig),
     }
 
-    run: MassSpringRunConfig | MotorCartRunConfig = Field(default_factory=dict, validate_default=True)
+    run: MassSpringRunConfig | MotorCartRunConfig | StructureRunConfig = Field(
+        default_factory=dict, validate_default=True
+    )
     output: OutputConfig = OutputConfig()

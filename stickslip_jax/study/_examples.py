@@ -27,8 +27,25 @@ EXAMPLES: dict[str, Mapping[str, Mapping[str, object]]] = {
         "output": {"directory": "results/base-isolation"},
     },
     "motor-cart": {"system": {"model": "MotorCart"}, "output": {"directory": "results/motor-cart"}},
+    "two-blocks": {
+        "system": {
+            "model": "LinearStructure",
+            "mass": [1.0, 1.0],
+            "stiffness": [[2.2, -1.2], [-1.2, 2.2]],
+            "contact": 0,
+            "contacts": [
+                {"mass": mass, "normal_force": force, "friction": {"law": "Coulomb", "mu": 0.8, "mu_static": 1.0}}
+                for mass, force in enumerate((1.0, 1.3))
+            ],
+        },
+        "base": {"law": "PoissonSwitching", "speed": 0.3, "rate": 0.5},
+        "run": {"t1": 60.0, "samples": 1000, "initial_state": [{"low": -0.5, "high": 0.5}, 0.0, 0.0, 0.0]},
+        "output": {"directory": "results/two-blocks"},
+    },
 }
-"""A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart."""
+"""A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart; two blocks
+joined by a spring on a base that switches.
+"""
 
 
 def _share(

@@ -19,7 +19,7 @@ def _whole_number(kind: type, tokens: Sequence[Token]) -> int:
 
 
 _Whole = Annotated[int | None, Parameter(converter=_whole_number)]
-Example = Literal["harmonic-base", "base-isolation", "motor-cart"]
+Example = Literal["harmonic-base", "base-isolation", "motor-cart", "two-blocks"]
 Paper = Literal[
     "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
 ]
@@ -59,7 +59,8 @@ class StudyOptions:
         Print the complete configuration, a file to start from, and run nothing.
     print_example
         Print the configuration of an example, likewise: a mass on a base that oscillates (harmonic-base), a building on
-        sliding isolators in an earthquake (base-isolation), or a cart driven by a motor (motor-cart).
+        sliding isolators in an earthquake (base-isolation), a cart driven by a motor (motor-cart), or a structure with
+        several contacts (two-blocks).
     """
 
     samples: _Whole = None

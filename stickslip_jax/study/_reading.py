@@ -1,11 +1,12 @@
 """Reads studies and sweeps from TOML files and the command's options; every mistake becomes one sentence."""
 
+import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, get_args
 
 from pydantic import ValidationError
 
@@ -21,6 +22,13 @@ _File = TypeVar("_File", bound=FileConfig)
 _Tables = Mapping[str, Mapping[str, object]]
 _Options = Mapping[tuple[str, str], str]
 """The option of the command by which a value was given, by section and key."""
+_NOT_A_SECTION = {
+    "model_type": "a section [{}] of keys",
+    "model_attributes_type": "a section [{}] of keys",
+    "list_type": "sections [[{}]] of keys, one or more",
+    "too_short": "sections [[{}]] of keys, one or more",
+}
+"""What must be where something else stands, by what pydantic says of it."""
 _CHOSEN = None  # the name under which the chosen kind of a section stands
 
 OPTIONS = {
@@ -44,8 +52,8 @@ def read_config(
         path: The file; files that it names are relative to its folder. By default the default study.
         options: Values that replace those of the file, by the names of the options of ``stickslip study``; None leaves
             the file's.
-        example: Without `path`, the name of an example to read instead: "harmonic-base", "base-isolation" or
-            "motor-cart".
+        example: Without `path`, the name of an example to read instead: "harmonic-base", "base-isolation",
+            "motor-cart" or "two-blocks".
 
     Returns:
         The description of the study.
@@ -122,10 +130,9 @@ def _sentence_for(
     place = _place_of(problem["loc"], file, run)
     if problem["type"] == "extra_forbidden":
         return _unknown_key(place, file) if place.section else _unknown_section(place.key, problem["input"], file)
-    if problem["type"] in ("model_type", "model_attributes_type"):
-        return (
-            f"{place.name} must be a section [{place.section}] of keys, but {shown_value(problem['input'])} was given."
-        )
+    if problem["type"] in _NOT_A_SECTION and not place.key:
+        demand = _NOT_A_SECTION[problem["type"]].format(place.section)
+        return f"{place.name} must be {demand}, but {shown_value(problem['input'])} was given."
     if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
         return _wrong_tag(place, problem["input"])
     if problem["type"] == "missing":
@@ -135,7 +142,9 @@ def _sentence_for(
         return f"in [{place.section}], {said}" if place.section else said
     option = options.get((place.section, place.key))
     subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
-    demand = _demand(problem["type"], problem["msg"], problem["loc"][-1])
+    demand = _demand(problem["type"], problem["msg"])
+    if problem["loc"][-1] == NUMBER:
+        demand += _in_place_of_a_number(place)
     return f"{subject} {demand}, but {shown_value(problem['input'])} was given."
 
 
@@ -165,7 +174,7 @@ def _place_of(location: Iterable[str | int], file: type[FileConfig], run: type[S
     place = outside = _Place("", {_CHOSEN: file})
     for part in location:
         if isinstance(part, int):
-            place = place._replace(key=f"{place.key}[{part}]")
+            place = place._replace(**{"key" if place.key else "section": f"{place.key or place.section}[{part}]"})
         elif part == NUMBER:  # a number where a table is possible too
             place = outside._replace(key=place.name)
         elif part in place.kinds:
@@ -211,7 +220,7 @@ def _all_sections(
 # --- what is wrong
 
 
-def _demand(kind: str, said: str, last: str | int) -> str:
+def _demand(kind: str, said: str) -> str:
     demands = {
         "float_type": "must be a number",
         "int_type": "must be a whole number",
@@ -221,13 +230,32 @@ def _demand(kind: str, said: str, last: str | int) -> str:
         "string_too_short": "must not be empty",
         "too_short": "must not be empty",
     }
-    demand = demands.get(kind) or said.replace("Input should be", "must be")
-    return f"{demand} or {{ low = ..., high = ... }}" if last == NUMBER else demand
+    return demands.get(kind) or said.replace("Input should be", "must be")
+
+
+def _in_place_of_a_number(place: _Place) -> str:
+    """What else may stand where a number was expected."""
+    kinds = kinds_in(place.kind.model_fields[_without_numbers(place.key)].annotation)
+    return (
+        " or { low = ..., high = ... }"
+        if UniformConfig in kinds.values()
+        else f" or a section of the law {one_of(kinds)}"
+    )
+
+
+def _without_numbers(name: str) -> str:
+    """The name of a key or section without the number in a list."""
+    return re.sub(r"\[\d+\]", "", name)
 
 
 def _missing(place: _Place, owner: _Place) -> str:
-    about = owner.kind.model_fields[place.key or place.name].description
-    return f"[{owner.section}] lacks {place.key or f'[{place.section}]'} ({about}), which {tag_of(owner.kind)} needs."
+    about = owner.kind.model_fields[place.key or place.name]
+    name = place.key or (place.name if _takes_a_number(about.annotation) else f"[{place.section}]")
+    return f"[{owner.section}] lacks {name} ({about.description}), which {tag_of(owner.kind)} needs."
+
+
+def _takes_a_number(annotation: object) -> bool:
+    return annotation is float or any(map(_takes_a_number, get_args(annotation)))
 
 
 def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
@@ -242,10 +270,10 @@ def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
 
 
 def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
-    key, models = place.key, {run: model for model, run in _runs_by_model(file).items()}
-    tag, name = ("model", models[place.kind]) if place.kind in models else (tag_key(place.kind), tag_of(place.kind))
+    key, models = place.key, [model for model, run in _runs_by_model(file).items() if run is place.kind]
+    tag, name = ("model", one_of(models)) if models else (tag_key(place.kind), tag_of(place.kind))
     owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
-    hint = _owner_of(key, file, place.section) or _nearest(key, place.kind.model_fields)
+    hint = _owner_of(key, file, _without_numbers(place.section)) or _nearest(key, place.kind.model_fields)
     return f"unknown key {key} in {owner}; {hint or f'its keys are {_listed(place.kind.model_fields)}.'}"
 
 

@@ -238,7 +238,12 @@ def _provenance(config: StudyConfig) -> dict[str, object]:
 
 
 def _flat(name: str, value: object) -> dict[str, object]:
-    """`value` as an attribute called `name`, a table as attributes called ``<name>_<key>``; True as 1, False as 0."""
+    """`value` as an attribute called `name`, a table as attributes called ``<name>_<key>``; True as 1, False as 0.
+
+    A list that holds lists or tables is a table by number.
+    """
+    if isinstance(value, list) and any(isinstance(part, (list, dict)) for part in value):
+        value = dict(enumerate(value))
     if isinstance(value, dict):
         return {key: entry for part in value for key, entry in _flat(f"{name}_{part}", value[part]).items()}
     return {name: int(value) if isinstance(value, bool) else value}

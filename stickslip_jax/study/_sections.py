@@ -11,6 +11,7 @@ from textwrap import wrap
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, create_model, model_validator
+from pydantic.fields import FieldInfo
 
 from .._checks import one_of
 from .._excitation.smooth import SIGNAL_UNIT
@@ -167,7 +168,7 @@ def toml_value(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(toml_value(entry) for entry in value)}]"
     if isinstance(value, Section):
-        return toml_value(value.model_dump())
+        return toml_value(value.model_dump(exclude_none=True))
     if isinstance(value, dict):
         return f"{{ {', '.join(f'{_toml_key(key)} = {toml_value(entry)}' for key, entry in value.items())} }}"
     return repr(value)
@@ -183,26 +184,44 @@ def _toml_key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
 
 
-def toml_blocks(section: Section, name: str, choices: Iterable[str] = ()) -> Iterator[str]:
+def toml_blocks(
+    section: Section, name: str, choices: Iterable[str] = (), *, one_of_many: bool = False
+) -> Iterator[str]:
     """The section called `name` and the sections in it, with units as comments; keys without a value are comments.
 
-    `choices`: the kinds of section that may stand here, listed in the comment of the tag.
+    - `choices`: the kinds of section that may stand here, listed in the comment of the tag.
+    - `one_of_many`: whether it is one of several of this name.
     """
     kind = type(section)
     tables, tag = tables_of(kind), tag_key(kind)
-    comments = {key: str(info.description) for key, info in kind.model_fields.items() if key not in tables}
+    inner = {key: _sections_in(getattr(section, key)) for key in tables}
     lines = [] if tag is None else [_line(tag, tag_of(kind), one_of(choices))]
-    lines += [_line(key, getattr(section, key), comment) for key, comment in comments.items() if key != tag]
+    for key, info in kind.model_fields.items():
+        value = getattr(section, key)
+        if key not in tables or (value is not None and not inner[key]) or (value is None and _holds_list(info)):
+            lines += [_line(key, value, str(info.description))] if key != tag else []
     lines += [f"{_toml_key(key)} = {toml_value(value)}" for key, value in (section.model_extra or {}).items()]
     for key, kinds in tables.items():
-        if getattr(section, key) is None:
+        if getattr(section, key) is None and not _holds_list(kind.model_fields[key]):
             tags = f"{tag_key(next(iter(kinds.values())))}: {one_of(kinds)}"
             comment = f"{kind.model_fields[key].description}; {tags}"
             lines.append(_commented(f"# [{name}.{key}]", comment))
-    yield "\n".join([f"[{name}]", *lines])
+    yield "\n".join([f"[[{name}]]" if one_of_many else f"[{name}]", *lines])
     for key, kinds in tables.items():
-        if getattr(section, key) is not None:
-            yield from toml_blocks(getattr(section, key), f"{name}.{key}", kinds)
+        for each in inner[key]:
+            many = isinstance(getattr(section, key), list)
+            yield from toml_blocks(each, f"{name}.{key}", kinds, one_of_many=many)
+
+
+def _sections_in(value: object) -> list[Section]:
+    """The sections that a key holds, one or a list of nothing else; none where it has another value."""
+    values = value if isinstance(value, list) else [value]
+    sections = [one for one in values if isinstance(one, Section)]
+    return sections if len(sections) == len(values) else []
+
+
+def _holds_list(info: FieldInfo) -> bool:
+    return any(get_origin(part) is list for part in (info.annotation, *get_args(info.annotation)))
 
 
 def _line(key: str, value: object, comment: str) -> str:

@@ -11,7 +11,14 @@ from pydantic import ConfigDict, Field, model_validator
 
 from .._checks import LARGEST, one_of
 from .._sweep.points import MOST_POINTS
-from ._config import FileConfig, MassSpringPointConfig, MotorCartPointConfig, PointConfig
+from ._config import (
+    STRUCTURES,
+    FileConfig,
+    MassSpringPointConfig,
+    MotorCartPointConfig,
+    PointConfig,
+    StructurePointConfig,
+)
 from ._sections import Section, shown_value
 from ._systems_config import MassSpringConfig, MotorCartConfig
 
@@ -141,7 +148,10 @@ class SweepConfig(FileConfig):
     runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
         MassSpringConfig: MassSpringPointConfig,
         MotorCartConfig: MotorCartPointConfig,
+        **dict.fromkeys(STRUCTURES, StructurePointConfig),
     }
 
-    run: MassSpringPointConfig | MotorCartPointConfig = Field(default_factory=dict, validate_default=True)
+    run: MassSpringPointConfig | MotorCartPointConfig | StructurePointConfig = Field(
+        default_factory=dict, validate_default=True
+    )
     sweep: SweepSection = Field(default_factory=dict, validate_default=True)

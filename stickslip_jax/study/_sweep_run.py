@@ -47,7 +47,7 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
 
 def _full_name(name: str, initial: tuple[str, ...]) -> str:
     """The name in `Sweep` of a parameter of the file: initial values have names of their own there."""
-    return f"y0[{initial.index(name)}]" if name in initial else name
+    return f"y0[{initial.index(name)}]" if name in initial else re.sub(r"\Ainitial_state\[", "y0[", name)
 
 
 _SENSITIVITIES = "sensitivities in [sweep] must hold lists of parameters by statistic"

@@ -12,7 +12,7 @@ DOCUMENTS = {
     "README.md": 5,
     "docs/clusters.md": 2,
     "docs/designs.md": 8,
-    "docs/howto/contacts.md": 9,
+    "docs/howto/contacts.md": 11,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 10,
     "docs/howto/memory.md": 1,
