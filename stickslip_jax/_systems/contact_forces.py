@@ -47,17 +47,22 @@ def solved(gain: FloatArray, wanted: FloatArray, given: FloatArray, chosen: Bool
     matrix = jnp.where(both, gain, jnp.eye(len(chosen), dtype=gain.dtype))
     others = jnp.where(chosen, 0, given)
     target = jnp.where(chosen, wanted - times(gain, others), given)
-    return _linear_solve(matrix, target)
+    return linear_solve(matrix, target)
 
 
 def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Their product."""
+    """Their product; `vector` may have columns."""
+    if len(vector) > WRITTEN_OUT:
+        return matrix @ vector
     # XLA fuses sums of few terms with what surrounds them.
-    return jnp.sum(matrix * vector[None, :], axis=1) if len(vector) <= WRITTEN_OUT else matrix @ vector
+    return jnp.sum(jnp.expand_dims(matrix, range(2, vector.ndim + 1)) * vector[None], axis=1)
 
 
-def _linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots."""
+def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots.
+
+    `target`: (size,), or (size, sides) for as many solutions.
+    """
     size = len(target)
     if size > WRITTEN_OUT:
         return jnp.linalg.solve(matrix, target)

@@ -15,13 +15,13 @@ from .._excitation.smooth import Signal
 from .._fields import with_fields
 from .._types import DType, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
 from .contact import Contact, entries_of, numbers_of
-from .contact_forces import WRITTEN_OUT, Limits, times
+from .contact_forces import WRITTEN_OUT, Limits, linear_solve, times
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
-from .normal_force import NormalForce, is_function, periods_of, recorded_in, size_of, values_at
+from .normal_force import NormalForce, is_function, largest_of, periods_of, recorded_in, size_of, values_at
 from .structure_checks import check_structure, is_uncoupled
 from .switched_model import Segments, base_motion
-from .system import SOLVED, Coordinate, TimeScale, shortest_period
+from .system import SOFT, SOLVED, Coordinate, TimeScale, shortest_period
 from .with_contacts import WithContacts
 
 
@@ -142,8 +142,39 @@ class LinearStructure(WithContacts):
         return scales | {name: TimeScale(period, SOLVED) for name, period in periods_of(self.normal_forces).items()}
 
     @property
-    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
-        return None, None
+    def has_fixed_time_scales(self) -> bool:
+        return True
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return any(contact.friction.static_exceeds_kinetic for contact in self.contacts)
+
+    @property
+    def contact_scales(self) -> tuple[FloatArray | None, FloatArray | None]:
+        """Of each contact; the speed is what friction changes in the time of one radian of the masses it pushes."""
+        normal = [largest_of(force) for force in self.normal_forces]
+        if any(force is None for force in normal):
+            return None, None
+        of = self.matrices
+        held = [contact.friction.static * force for contact, force in zip(self.contacts, normal, strict=True)]
+        gain = jnp.sum(of.directions.T * of.by_force, axis=0)
+        deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
+        return deceleration * self._clocks, deceleration
+
+    @property
+    def _clocks(self) -> FloatArray:
+        """The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring."""
+        of = self.matrices
+        pull = jnp.sum(of.directions.T * (of.stiffness @ of.by_force), axis=0)
+        squared = pull / jnp.sum(of.directions.T * of.by_force, axis=0)
+        swings = squared > SOFT**2
+        return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
+
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
+        speed, _ = self.contact_scales
+        if speed is None:
+            return super().state_scales(excitation)
+        return (jnp.max(speed * self._clocks),) * self.size + (jnp.max(speed),) * self.size
 
     @property
     def body_name(self) -> str:
@@ -226,6 +257,21 @@ class StructureModel(ContactsModel[StructureForcing]):
     @property
     def coupled(self) -> bool:
         return not self.structure.uncoupled
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        given = (self.smooth, *(self.structure.force or ()), *self.structure.normal_forces)
+        return all(one.shortest_period is not None for one in given if isinstance(one, Signal))
+
+    def implicit_changes(
+        self, forcing: StructureForcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
+    ) -> State:
+        of, (of_position, of_velocity) = self._in_precision_of(y), sides
+        matrix = jnp.eye(self.structure.size, dtype=weight.dtype) + weight**2 * of.stiffness
+        if of.damping is not None:
+            matrix = matrix + weight * of.damping
+        velocity = linear_solve(matrix, of_velocity - weight * times(of.stiffness, of_position))
+        return of_position + weight * velocity, velocity
 
     def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
         size = self.structure.size
