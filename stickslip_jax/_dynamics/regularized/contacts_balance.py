@@ -7,7 +7,8 @@ and the stiffness is positive definite there is one solution: the minimum of a c
 pass their narrow bands of small relative velocity in it, it ends at the minimum along its direction.
 """
 
-from typing import Protocol
+import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,19 +24,25 @@ _MOST = 40  # iterations; three are usual
 _ULPS = 64
 _OVERSHOT = 0.5  # of the slope along a step: so much of the other sign at its end is allowed
 _SECANTS = 3
+_HALVINGS = 48
 
 
-class ForceLaw(Protocol):
-    """The regularised friction forces in several contacts at one instant, a pytree."""
+class ForceLaw(eqx.Module):
+    """The regularised friction forces in several contacts at one instant."""
 
+    @abc.abstractmethod
     def __call__(self, velocity: FloatArray) -> FloatArray:
         """The signed forces at these relative velocities; each depends on its own."""
-        ...
 
     @property
+    @abc.abstractmethod
     def width(self) -> FloatArray:
         """The relative velocity over which they change their signs."""
-        ...
+
+    @property
+    @abc.abstractmethod
+    def is_straight(self) -> bool:
+        """Whether they are nearly straight lines between one width on either side and beyond."""
 
 
 def balanced_forces(law: ForceLaw, speed: FloatArray, stiffness: FloatArray, guess: FloatArray) -> FloatArray:
@@ -102,15 +109,34 @@ def _share(law: ForceLaw, sigma: FloatArray, force: FloatArray, moved: FloatArra
     slopes = jax.vmap(downhill)(jnp.where(inner, edges, 0))
     before, beyond = inner & (slopes >= 0), inner & (slopes < 0)
     low, high = jnp.max(jnp.where(before, edges, 0)), jnp.min(jnp.where(beyond, edges, 1))
-    of_low, of_high = downhill(low), downhill(high)
-    share = low
-    for _ in range(_SECANTS):
-        total = of_low - of_high
-        share = low + (high - low) * jnp.where(total > 0, of_low / jnp.where(total > 0, total, 1), 0.5)
+
+    def narrower(bracket: _Bracket, share: FloatScalar) -> _Bracket:
         here = downhill(share)
-        low, of_low = jnp.where(here >= 0, share, low), jnp.where(here >= 0, here, of_low)
-        high, of_high = jnp.where(here >= 0, high, share), jnp.where(here >= 0, of_high, here)
-    return jnp.where(at_end >= -_OVERSHOT * at_start, all_of_it, share)
+        is_low = here >= 0
+        low, high = jnp.where(is_low, share, bracket.low), jnp.where(is_low, bracket.high, share)
+        return _Bracket(low, high, jnp.where(is_low, here, bracket.of_low), jnp.where(is_low, bracket.of_high, here))
+
+    bracket = _Bracket(low, high, downhill(low), downhill(high))
+    if not law.is_straight:  # of long tails a secant sees little
+        bracket = lax.fori_loop(0, _HALVINGS, lambda _, b: narrower(b, (b.low + b.high) / 2), bracket)
+    for _ in range(_SECANTS):
+        bracket = narrower(bracket, bracket.by_secant)
+    return jnp.where(at_end >= -_OVERSHOT * at_start, all_of_it, bracket.by_secant)
+
+
+class _Bracket(NamedTuple):
+    """Two parts of a step between which the slope along it changes its sign, and the slopes there."""
+
+    low: FloatScalar
+    high: FloatScalar
+    of_low: FloatScalar
+    of_high: FloatScalar
+
+    @property
+    def by_secant(self) -> FloatScalar:
+        total = self.of_low - self.of_high
+        share = jnp.where(total > 0, self.of_low / jnp.where(total > 0, total, 1), 0.5)
+        return self.low + (self.high - self.low) * share
 
 
 def _with_slope(law: ForceLaw, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,13 +17,13 @@ from ..._systems.contact_forces import times
 from ..._systems.contacts_model import ContactsModel
 from ..._systems.switched_model import State
 from ..._types import FloatArray, FloatScalar
-from .contacts_balance import balanced_forces
+from .contacts_balance import ForceLaw, balanced_forces
 from .implicit_step import ERROR, GAMMA, KINK, ROUND_OFF, WEIGHTS, moved
 from .switch import Switch
 
 
-class FrictionAt(eqx.Module):
-    """The regularised friction forces at one instant and state: a `ForceLaw`."""
+class FrictionAt(ForceLaw):
+    """The regularised friction forces at one instant and state."""
 
     model: ContactsModel
     switch: Switch
@@ -42,6 +42,10 @@ class FrictionAt(eqx.Module):
     @property
     def width(self) -> FloatArray:
         return jnp.asarray(self.switch.width, self.tau.dtype)
+
+    @property
+    def is_straight(self) -> bool:
+        return self.switch.shape == "linear"
 
 
 def contacts_step(
