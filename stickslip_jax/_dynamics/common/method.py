@@ -109,7 +109,9 @@ class Regularized(eqx.Module):
         if self.threshold is not None:
             _checks.bounded("threshold", self.threshold, "m/s", above=0, ndim=_ndim(self.threshold))
         if self.minimum_duration is not None:
-            _checks.bounded("minimum_duration", self.minimum_duration, "s", at_least=0, ndim=_ndim(self.minimum_duration))
+            _checks.bounded(
+                "minimum_duration", self.minimum_duration, "s", at_least=0, ndim=_ndim(self.minimum_duration)
+            )
         _checks.positive("rtol", self.rtol)
         if self.atol is not None:
             _checks.numeric("atol", self.atol, ndim=None)

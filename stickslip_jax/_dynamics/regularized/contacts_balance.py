@@ -1,8 +1,8 @@
 """The friction forces in several contacts at which a stage of an implicit step balances, with all their derivatives.
 
-With the relative velocities ``sigma = speed - stiffness force`` that the forces (contacts,) leave of the `speed` without
-friction, the forces are those of the regularised law, ``force = law(sigma)``. Where the law rises with the velocity
-and the stiffness is positive definite there is one solution: the minimum of a convex function, whose gradient is
+With the relative velocities ``sigma = speed - stiffness force`` that the forces (contacts,) leave of the `speed`
+without friction, the forces are those of the regularised law, ``force = law(sigma)``. Where the law rises with the
+velocity and the stiffness is positive definite there is one solution: the minimum of a convex function with the gradient
 ``stiffness (force - law(sigma))``. Newton's method finds it. Where a step would overshoot the minimum, because contacts
 pass their narrow bands of small relative velocity in it, it ends at the minimum along its direction.
 """

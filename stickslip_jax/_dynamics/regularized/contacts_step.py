@@ -130,15 +130,11 @@ def _of_all(columns: FloatArray, force: FloatArray) -> FloatArray:
     return jnp.sum(columns * jnp.expand_dims(force, range(columns.ndim - 1)), axis=-1)
 
 
-def _error(
-    model: ContactsModel, forcing: object, y: State, h: FloatArray, middle: _Stage, end: _Stage
-) -> FloatArray:
+def _error(model: ContactsModel, forcing: object, y: State, h: FloatArray, middle: _Stage, end: _Stage) -> FloatArray:
     """The estimated error of a step from `y` by its two stages, over the allowed one; at most 1 is accurate enough."""
     first = model.instant(forcing, jnp.zeros_like(h), y).rates
     last = model.instant(forcing, h, end.state).rates
-    flat, first, between, third, last = (
-        ravel_pytree(part)[0] for part in (y, first, middle.free, end.free, last)
-    )
+    flat, first, between, third, last = (ravel_pytree(part)[0] for part in (y, first, middle.free, end.free, last))
     gross, kink = _sizes(model, forcing, end)
     stages = zip(WEIGHTS, (first, between, third), strict=True)
     error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + GAMMA * jnp.abs(last - third))

@@ -1,4 +1,4 @@
-"""A system with one contact under its excitation, its friction regularised, as the engines of both kinds of steps ask it.
+"""A system with one contact under its excitation, its friction regularised, as the engines ask it.
 
 With several contacts: `contacts_field.py`.
 """

@@ -150,7 +150,11 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
         return lane, (record, passage)
 
     return stopping_scan(
-        one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts)
+        one_step,
+        start,
+        steps,
+        lambda lane, _: has_ended(lane, t1, most),
+        lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts),
     )
 
 
@@ -181,7 +185,11 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
 
     start = start_detection(field, tables, criterion, solution.y[0], ALL)
     detector, (records, passages) = stopping_scan(
-        one_step, start, steps, lambda _, index: index >= solution.steps, lambda _: nothing_seen(tuple(solution.y[0]), field.model.contacts)
+        one_step,
+        start,
+        steps,
+        lambda _, index: index >= solution.steps,
+        lambda _: nothing_seen(tuple(solution.y[0]), field.model.contacts),
     )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(excitation, tables, passages, solution.steps, solution.time_reached, final)

@@ -79,14 +79,12 @@ def check_contacts(system: System, method: Regularized) -> None:
         shape = np.shape(getattr(method, name)) if getattr(method, name) is not None else ()
         if shape not in ((),) + (() if contacts is None else ((contacts,),)):
             each = "" if contacts is None else f", or one for each of the {contacts} contacts"
-            raise ValueError(
-                f"Argument {name} must be one number{each}, but an array of shape {shape} was given."
-            )
+            raise ValueError(f"Argument {name} must be one number{each}, but an array of shape {shape} was given.")
     if contacts is not None and method.step is not None and system.static_exceeds_kinetic:
         raise ValueError(
             "Argument method must be Exact(), or Regularized(width) without a step, where static friction exceeds "
-            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; or make "
-            "static friction equal to kinetic friction."
+            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; or "
+            "make static friction equal to kinetic friction."
         )
 
 

@@ -10,16 +10,19 @@ from ..._events.stick_quantities import Remembered, StickSpan, begin_quantities,
 from ..._events.sticks import StickRecord, Totals, ending_of, start_totals, with_stick
 from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.roots import look_ahead
-from ..._types import BoolArray, FloatArray, Scalar
+from ..._types import AnyArray, BoolArray, FloatArray, Scalar
 
 _AT_LIMIT = 1e-5  # of the largest friction
 
 
 class Criterion(NamedTuple):
-    """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s)."""
+    """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s).
 
-    threshold: Scalar
-    minimum_duration: Scalar
+    Of several contacts one number each, or arrays (contacts,).
+    """
+
+    threshold: AnyArray | Scalar
+    minimum_duration: AnyArray | Scalar
 
 
 class StickDetector(NamedTuple):
@@ -154,7 +157,7 @@ class AtEnd(NamedTuple):
 
 
 def recorded(
-    minimum_duration: Scalar | FloatArray, detector: StickDetector, step: Step, time: TimeInside, at_end: AtEnd
+    minimum_duration: AnyArray | Scalar, detector: StickDetector, step: Step, time: TimeInside, at_end: AtEnd
 ) -> tuple[StickDetector, StickRecord]:
     """The `detector` after a step, and the record of the stick that ended in the step, if any."""
     inside, leaves, start, position, leave, crossed, crossed_at = time

@@ -59,7 +59,7 @@ class Switch(eqx.Module):
         slides = kinetic * part
         return jnp.where(jnp.abs(ratio) < 1, held, slides + (held - slides) * left)
 
-    def creep(self, speed: Scalar) -> Scalar:
+    def creep(self, speed: Scalar | FloatArray) -> Scalar | FloatArray:
         """The approximate relative velocity (m/s) of a mass at its release from a stick.
 
         Before its release the mass creeps: friction balances the growing force at ``phi = force / largest``. The

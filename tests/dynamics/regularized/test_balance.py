@@ -48,7 +48,7 @@ def random_setups(contacts: int) -> tuple[jax.Array, ...]:
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("contacts", [1, 2, 5, 10])
 def test_the_forces_balance_from_any_guess(shape, contacts):
-    """``force = law(sigma)`` with ``sigma = speed - stiffness force``, but for the round-off of sigma, widths to 1e-9."""
+    """``force = law(sigma)`` with ``sigma = speed - stiffness force``, but for its round-off; widths down to 1e-9."""
     setups = random_setups(contacts)
 
     @jax.jit

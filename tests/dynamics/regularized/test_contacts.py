@@ -1,5 +1,7 @@
 """Regularised dynamics of several contacts: against scipy, the exact engine, one contact, and differences."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,7 +93,9 @@ def radau_of_stack(shape):
 
 
 def radau_of_own(shape):
-    return radau(lambda y: -y[:3] - 0.2 * y[:3] ** 3 - 0.05 * y[3:], lambda t, y: [5.0, 2.0, 0.3 + 2.0 * y[2]], 0.3, shape)
+    return radau(
+        lambda y: -y[:3] - 0.2 * y[:3] ** 3 - 0.05 * y[3:], lambda t, y: [5.0, 2.0, 0.3 + 2.0 * y[2]], 0.3, shape
+    )
 
 
 def shown(one, number):
@@ -115,7 +119,8 @@ def test_three_blocks_converge_to_the_exact_events(how):
         one = follow(width)
         assert int(one.status) == ss.Status.FINISHED
         assert list(one.totals.sticks) == [2, 1, 2]
-        sticks = jax.tree.map(lambda leaf: np.asarray(leaf)[np.asarray(one.sticks.mask)], one.sticks)
+        sticks = jax.tree.map(lambda leaf: np.asarray(leaf)[:5], one.sticks)
+        assert np.all(sticks.mask)
         np.testing.assert_array_equal(sticks.contact, [0, 2, 1, 0, 2])
         np.testing.assert_array_equal(sticks.ending, [ss.Ending.RELEASED] * 2 + [ss.Ending.HORIZON] * 3)
         together = one.of_all_contacts().sticks
@@ -124,7 +129,7 @@ def test_three_blocks_converge_to_the_exact_events(how):
         exact = [*CHAIN_STARTS, *CHAIN_RELEASES, *CHAIN_POSITIONS[1:]]
         errors.append([*sticks.start, *sticks.end[:2], *map(float, one.final_state[1:3])] - np.array(exact))
     assert np.all(np.abs(errors[-1]) < 10 * widths[-1])
-    for coarse, fine in zip(errors[:-1], errors[1:], strict=True):
+    for coarse, fine in itertools.pairwise(errors):
         np.testing.assert_allclose(coarse / fine, 2.0, rtol=0.1)
 
 
@@ -166,7 +171,9 @@ def test_sticks_are_those_of_the_exact_engine():
         assert int(one.sticks.count) == int(other.sticks.count) > 0
         count = int(one.sticks.count)
         for name in ("start", "end", "position", "slip_displacement"):
-            np.testing.assert_allclose(getattr(one.sticks, name)[:count], getattr(other.sticks, name)[:count], atol=4e-3)
+            np.testing.assert_allclose(
+                getattr(one.sticks, name)[:count], getattr(other.sticks, name)[:count], atol=4e-3
+            )
         np.testing.assert_array_equal(one.sticks.ending[:count], other.sticks.ending[:count])
 
 
@@ -178,8 +185,6 @@ def test_a_clutch_that_is_opened_and_closed(how):
     1 rad/s stops in 1/20 s (both have 1 kg m^2), so that it sticks in [0.05, 1] and again from 2.05 s on.
     """
     force = ss.ForceSteps(times=[0.0, 1.0, 2.0], values=[20.0, 0.0, 20.0])
-    push = ss.ForceSteps(times=[0.0, 1.0, 2.0], values=[0.0, 1.0, 0.0])
-    del push  # loads are signals or records
     load = ss.Recorded([0.0, 1.0, 1.5, 2.0, 4.0], [0.0, 0.0, 2.0, 0.0, 0.0])
     clutch = ss.Contact.between(1, 0, 2, force, ss.Coulomb(0.5))
     train = ss.LinearStructure([1.0, 1.0], [0.0, 0.0], contacts=(clutch,), force=(None, load))
@@ -211,7 +216,7 @@ def test_one_contact_of_a_list_is_the_mass_alone(shape):
 
 
 def test_derivatives_are_those_of_differences():
-    """By a friction coefficient and by an entry of the mass matrix, in both modes, of the end and of a stick's start."""
+    """By a friction coefficient and an entry of the mass matrix, in both modes, of the end and of a stick's start."""
     method = ss.Regularized(WIDTH, step=5e-3, max_steps=2048, threshold=WIDTH, minimum_duration=0.05)
 
     @jax.jit
@@ -278,8 +283,8 @@ def test_adaptive_samples_of_one_contact_are_single_runs():
 
 def test_static_above_kinetic_friction_in_adaptive_steps():
     """One mass of a list against the exact engine: releases at the static limit."""
-    contact = ss.Contact(np.ones(1), 1.0, ss.Coulomb(0.25, 0.375))
-    block = ss.LinearStructure([0.5], [1.0], [4.0], (contact,))
+    contact = ss.Contact(np.ones(1), 4.0, ss.Coulomb(0.25, 0.375))
+    block = ss.LinearStructure([0.5], [1.0], contacts=(contact,))
     how = {"t1": 12.0, "y0": (0.0, 0.0)}
     exact = ss.simulate(block, ss.Constant(0.3), **how)
     smooth = ss.simulate(block, ss.Constant(0.3), method=ss.Regularized(1e-4, rtol=1e-8), **how)
@@ -300,7 +305,8 @@ def test_static_above_kinetic_friction_in_adaptive_steps():
     ],
 )  # fmt: skip
 def test_bad_input_is_told(call, message):
-    def run(method, friction=ss.Coulomb(0.3)):
+    def run(method, friction=None):
+        friction = ss.Coulomb(0.3) if friction is None else friction
         contacts = tuple(ss.Contact.of_mass(i, 3, 1.0, friction) for i in range(3))
         return ss.simulate(ss.LinearStructure(np.ones(3), CHAIN, None, contacts), FLOOR, t1=1.0, method=method)
 
@@ -321,9 +327,10 @@ def test_what_needs_a_step_or_a_number_is_told():
 
 def test_single_precision():
     exact = ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START)
-    with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
+    with jax.enable_x64(False):
         method = ss.Regularized(1e-3, step=0.005)
-        one = ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START, method=method)
+        with pytest.warns(UserWarning, match="float32"):
+            one = ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START, method=method)
         assert one.final_state[0].dtype == jnp.float32
         assert list(one.totals.sticks) == list(exact.totals.sticks)
         np.testing.assert_allclose(one.sticks.start[:5], exact.sticks.start[:5], atol=2e-2)
