@@ -93,12 +93,17 @@ class Smoothed(NamedTuple):
         assert isinstance(method, Regularized)
         method = resolved(system, excitation, method, dtype)
         if method.step is None:
+            if system.track_count is not None:
+                raise ValueError(
+                    "Argument method must give a step, Regularized(width, step=...), for the sticks of every contact "
+                    "of many samples; with adaptive steps take system.of_contact(number) or system.of_all_contacts()."
+                )
             sizes = table_sizes(system, excitation, largest(t1))
             return AdaptiveBatch(system, excitation, method, t1, y0, tuple(np.int32(size) for size in sizes))
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
         return FixedEngine(
-            system, excitation, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED))
+            system.ready(), excitation, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED))
         )
 
 

@@ -13,11 +13,10 @@ asked again. What has broken and is driven back by the others is held again by a
 settled among all that have broken before the rest are asked.
 """
 
-from functools import partial, reduce
+from functools import reduce
 from operator import add
 from typing import NamedTuple, TypeAlias
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -63,7 +62,7 @@ def solved(gain: Gain, wanted: FloatArray, given: FloatArray, chosen: BoolArray)
     matrix = jnp.where(both, gain, jnp.eye(len(chosen), dtype=gain.dtype))
     others = jnp.where(chosen, 0, given)
     target = jnp.where(chosen, wanted - times(gain, others), given)
-    return _linear_solve(matrix, target)
+    return linear_solve(matrix, target)
 
 
 def holding(gain: Gain, sticks: BoolArray) -> FloatArray:
@@ -75,8 +74,7 @@ def holding(gain: Gain, sticks: BoolArray) -> FloatArray:
         return jnp.where(sticks, gain.inverse, 0)
     both = sticks[:, None] & sticks[None, :]
     one = jnp.eye(len(sticks), dtype=gain.dtype)
-    inverse = jax.vmap(partial(_linear_solve, jnp.where(both, gain, one)), in_axes=1, out_axes=1)(one)
-    return jnp.where(both, inverse, 0)
+    return jnp.where(both, linear_solve(jnp.where(both, gain, one), one), 0)
 
 
 def times(matrix: FloatArray, values: FloatArray) -> FloatArray:
@@ -89,8 +87,11 @@ def times(matrix: FloatArray, values: FloatArray) -> FloatArray:
     return reduce(add, (matrix[:, j, None] * values[None, j] for j in range(len(values))))
 
 
-def _linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots."""
+def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots.
+
+    `target`: (size,), or (size, sides) for as many solutions.
+    """
     size = len(target)
     if size > WRITTEN_OUT:
         return jnp.linalg.solve(matrix, target)

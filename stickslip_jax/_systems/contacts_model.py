@@ -7,12 +7,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jax.tree_util import Partial
 
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step
 from .._types import Array, BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
-from .contact_forces import Gain, Limits, acceleration, settled, solved
+from .contact_forces import Gain, Limits, acceleration, linear_solve, settled, solved
 from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
@@ -92,6 +93,27 @@ class ContactsModel(SwitchedModel[F]):
 
         `friction`: the largest friction forces, (contacts,).
         """
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
+        return False
+
+    def jacobian(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+        """The derivative of the rates without friction by the state, (numbers, numbers)."""
+        flat, state = ravel_pytree(y)
+        return jax.jacfwd(lambda values: ravel_pytree(self.instant(forcing, tau, state(values)).rates)[0])(flat)
+
+    def implicit_changes(self, forcing: F, tau: FloatScalar, y: State, weight: FloatScalar, sides: State) -> State:
+        """The changes x of the state with ``x - weight J x = side`` for each of the `sides`, arrays (..., sides).
+
+        J: the `jacobian`.
+        """
+        jacobian, number = self.jacobian(forcing, tau, y), sides[0].shape[-1]
+        matrix = jnp.eye(len(jacobian), dtype=jacobian.dtype) - weight * jacobian
+        found = linear_solve(matrix, jnp.concatenate([side.reshape(-1, number) for side in sides]))
+        ends = np.cumsum([side.size // number for side in sides])[:-1]
+        return tuple(part.reshape(side.shape) for part, side in zip(jnp.split(found, ends), sides, strict=True))
 
     @property
     def varying(self) -> tuple[int, ...]:

@@ -36,11 +36,10 @@ from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
 from .structure import LinearStructure, StructureModel
 from .switched_model import Base, FloatPair, Segments, base_motion, with_change
-from .system import PERIOD, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
+from .system import PERIOD, SOFT, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
-_SOFT = 0.01  # rad/s, of a spring that does not set the time in which a motion changes
 _PASSED = StepCount(6.0, 1.0)
 _DECAYED = StepCount(2.0, 1.0)
 
@@ -216,23 +215,26 @@ class MassSpring(System):
         }
 
     @property
-    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
-        if is_function(self.normal_force):
-            return None, None
+    def contact_scales(self) -> tuple[Scalar | FloatArray | None, Scalar | FloatArray | None]:
+        structure = self._as_structure
+        if structure is not None:
+            return structure.contact_scales
         held = self.friction.static * self.normal_force
         return held / self.mass * self._clock, held / self.mass
 
     def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
+        structure = self._as_structure
+        if structure is not None:
+            return structure.state_scales(excitation)
         speed, _ = self.contact_scales
-        if speed is None:
-            return super().state_scales(excitation)
+        assert speed is not None
         return speed * self._clock, speed
 
     @property
     def _clock(self) -> Scalar:
         """In which the motion changes: the time of one radian, or 1 s where there is hardly a spring."""
         squared = jnp.asarray(self.stiffness / self.mass, float)
-        swings = squared > _SOFT**2
+        swings = squared > SOFT**2
         return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
 
     def check_solver(self, solver: Solver | None) -> None:

@@ -97,6 +97,14 @@ def size_of(normal_force: NormalForce, value: FloatScalar) -> FloatScalar:
     return jnp.abs(value)
 
 
+def largest_of(normal_force: NormalForce) -> Scalar | None:
+    """The largest size that it has at any time, N, or an upper bound of it; None where that is not known."""
+    if isinstance(normal_force, Signal) and not normal_force.is_harmonic:
+        return None
+    number = jnp.zeros(()) if is_function(normal_force) else jnp.asarray(normal_force, float)
+    return size_of(normal_force, number)
+
+
 def periods_of(normal_forces: tuple[NormalForce, ...]) -> dict[str, Scalar | None]:
     """The shortest period (s) of each that is a smooth function of time, by what it is called."""
     return {

@@ -17,11 +17,11 @@ from .._fields import with_fields
 from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import WRITTEN_OUT, Uncoupled
-from .normal_force import NormalForce, periods_of, recorded_in
+from .normal_force import NormalForce, largest_of, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
 from .structure_model import Matrices, StructureModel
-from .system import PERIOD, SOLVED, Coordinate, TimeScale, shortest_period
+from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, shortest_period
 from .with_contacts import WithContacts
 
 
@@ -163,8 +163,40 @@ class LinearStructure(WithContacts):
         return {name: TimeScale(time, steps) for name, time in times.items()}
 
     @property
-    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
-        return None, None
+    def has_fixed_time_scales(self) -> bool:
+        return True
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return any(contact.friction.static_exceeds_kinetic for contact in self.contacts)
+
+    @property
+    def contact_scales(self) -> tuple[FloatArray | None, FloatArray | None]:
+        """Of each contact; the speed is what friction changes in the time of one radian of the masses it pushes."""
+        of, held = self.matrices, []
+        for contact in self.contacts:
+            normal = largest_of(contact.normal_force)
+            if normal is None:
+                return None, None
+            held.append(contact.friction.static * normal)
+        gain = jnp.sum(of.directions.T * of.by_force, axis=0)
+        deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
+        return deceleration * self._clocks, deceleration
+
+    @property
+    def _clocks(self) -> FloatArray:
+        """The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring."""
+        of = self.matrices
+        pull = jnp.sum(of.directions.T * (of.stiffness @ of.by_force), axis=0)
+        squared = pull / jnp.sum(of.directions.T * of.by_force, axis=0)
+        swings = squared > SOFT**2
+        return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
+
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
+        speed, _ = self.contact_scales
+        if speed is None:
+            return super().state_scales(excitation)
+        return (jnp.max(speed * self._clocks),) * self.size + (jnp.max(speed),) * self.size
 
     @property
     def body_name(self) -> str:

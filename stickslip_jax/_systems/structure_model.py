@@ -9,7 +9,7 @@ import numpy as np
 from .._excitation.segments import Segment, added
 from .._excitation.smooth import Signal
 from .._types import DType, FloatArray, FloatScalar, Number, State
-from .contact_forces import Gain, Limits, times
+from .contact_forces import Gain, Limits, linear_solve, times
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
 from .normal_force import is_function, size_of, values_at
@@ -64,6 +64,21 @@ class StructureModel(ContactsModel[StructureForcing]):
     @property
     def coupled(self) -> bool:
         return not self.structure.uncoupled
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        given = (self.smooth, *(self.structure.force or ()), *self.structure.normal_forces)
+        return all(one.shortest_period is not None for one in given if isinstance(one, Signal))
+
+    def implicit_changes(
+        self, forcing: StructureForcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
+    ) -> State:
+        of, (of_position, of_velocity) = self._in_precision_of(y), sides
+        matrix = jnp.eye(self.structure.size, dtype=weight.dtype) + weight**2 * of.stiffness
+        if of.damping is not None:
+            matrix = matrix + weight * of.damping
+        velocity = linear_solve(matrix, of_velocity - weight * times(of.stiffness, of_position))
+        return of_position + weight * velocity, velocity
 
     def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
         size = self.structure.size

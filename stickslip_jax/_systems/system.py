@@ -14,7 +14,7 @@ from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
-from .._types import AnyArray, Array, ExplicitSolver, Number, Scalar, Solver
+from .._types import AnyArray, Array, ExplicitSolver, FloatArray, Number, Scalar, Solver
 from .one_contact import OneContactModel
 from .switched_model import SwitchedModel
 
@@ -68,6 +68,8 @@ class StepCount(NamedTuple):
 # 288,000. A Runge-Kutta method needs more.
 PERIOD, SOLVED = StepCount(16.0, 10.0), StepCount(48.0, 12.0)
 
+SOFT = 0.01  # rad/s, of a spring that does not set the time in which a motion changes
+
 
 SHORTEST_TIME = "shortest time of the system"
 
@@ -115,9 +117,9 @@ class System(Checked):
         model = self.switched_model(smooth, solver)
         if not isinstance(model, OneContactModel):
             raise ValueError(
-                "Argument system must have one contact, with a constant normal force, for energies, friction forces "
-                f"and Regularized, but a {type(self).__name__} with a list of contacts or a normal force that varies "
-                "was given: follow it with method=Exact()."
+                "Argument system must have one contact, with a constant normal force, for energies and friction "
+                f"forces, but a {type(self).__name__} with a list of contacts or a normal force that varies was "
+                "given."
             )
         return model
 
@@ -151,10 +153,10 @@ class System(Checked):
 
     @property
     @abc.abstractmethod
-    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
+    def contact_scales(self) -> tuple[Scalar | FloatArray | None, Scalar | FloatArray | None]:
         """A typical relative velocity (m/s), and the deceleration by the largest friction force alone (m/s^2).
 
-        Each is None where it is not known.
+        Of several contacts they may be arrays (contacts,). Each is None where it is not known.
         """
 
     def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:

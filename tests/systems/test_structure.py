@@ -143,7 +143,7 @@ ONE = {"base": ss.Constant(0.2), "t1": 1.0}
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: ss.simulate(s, **ONE, method=SMOOTHED), "must have one contact"),
+        (lambda s: ss.simulate(s, **ONE, method=SMOOTHED), "static friction exceeds kinetic"),
         (lambda s: ss.simulate_ensemble(s, LAW, t1=1.0, samples=2, key=jax.random.key(0)), "whose sticks are counted"),
         (lambda s: ss.simulate(s, **ONE).slips, "of_contact"),
         (lambda s: ss.simulate(s, **ONE).friction_force(0.5), "must have one contact"),

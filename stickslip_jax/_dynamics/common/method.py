@@ -4,6 +4,7 @@ import difflib
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from ... import _checks
@@ -89,8 +90,8 @@ class Regularized(eqx.Module):
     rtol: Scalar = eqx.field(default=1e-5, kw_only=True)
     atol: AnyArray | Scalar | None = eqx.field(default=None, kw_only=True)
     max_steps: int | None = eqx.field(static=True, default=None, kw_only=True, converter=_as_max_steps)
-    threshold: Scalar | None = eqx.field(default=None, kw_only=True)
-    minimum_duration: Scalar | None = eqx.field(default=None, kw_only=True)
+    threshold: AnyArray | Scalar | None = eqx.field(default=None, kw_only=True)
+    minimum_duration: AnyArray | Scalar | None = eqx.field(default=None, kw_only=True)
     adjoint: Any = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self):
@@ -102,11 +103,15 @@ class Regularized(eqx.Module):
                 f"Argument shape must be one of {', '.join(map(repr, SHAPES))}, but {_checks.show(self.shape)} was "
                 f"given{guess}"
             )
-        for name, unit in {"step": "s", "threshold": "m/s"}.items():
-            if getattr(self, name) is not None:
-                _checks.positive(name, getattr(self, name), unit)
+        if self.step is not None:
+            _checks.positive("step", self.step, "s")
+        # Of several contacts there may be one for each.
+        if self.threshold is not None:
+            _checks.bounded("threshold", self.threshold, "m/s", above=0, ndim=_ndim(self.threshold))
         if self.minimum_duration is not None:
-            _checks.non_negative("minimum_duration", self.minimum_duration, "s")
+            _checks.bounded(
+                "minimum_duration", self.minimum_duration, "s", at_least=0, ndim=_ndim(self.minimum_duration)
+            )
         _checks.positive("rtol", self.rtol)
         if self.atol is not None:
             _checks.numeric("atol", self.atol, ndim=None)
@@ -130,6 +135,11 @@ class Regularized(eqx.Module):
                 "Argument adjoint must be one of diffrax's, such as diffrax.ForwardMode(), but "
                 f"{_checks.show(self.adjoint)} was given."
             )
+
+
+def _ndim(value: Any) -> int:
+    """0, or 1 for an array: threshold and duration may be given for each of several contacts."""
+    return 1 if isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) else 0
 
 
 EXACT = Exact()

@@ -12,6 +12,7 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
 from ..._numerics.random_bits import random_words
+from ..._systems.contacts_model import ContactsModel
 from ..._systems.system import System
 from ..._types import AnyArray, AnyInteger, Array, BoolArray, DType, IntArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
@@ -19,9 +20,12 @@ from ..common.engine import Engine, SampleTotals
 from ..common.method import Regularized
 from ..common.segments import SegmentLaws
 from ..common.stopping_scan import stopping_scan
+from ..common.tracks import of_track
 from ..common.varying import with_leaves
+from .contacts_field import ContactsField
+from .field import Field
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
-from .stepping import Field, FixedLane, advance_fixed, start_fixed
+from .stepping import FixedLane, advance_fixed, start_fixed
 from .stick_detector import Criterion, StickDetector
 from .switch import Switch
 
@@ -51,6 +55,14 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
     most_steps: AnyInteger
     quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
+    @property
+    def tracks(self) -> int | None:
+        return self.system.track_count
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.system.compiles_natively
+
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realized(self.excitation, key_data, dtype)
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
@@ -69,13 +81,13 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
         self, shared: FixedShared, sample: Signal | None, motion: FixedLane, drawn: None
     ) -> tuple[FixedLane, StickRecord]:
         lane, stick, _ = advance_fixed(field_of(self.system, sample, self.method), *shared, motion)
-        return lane, stick
+        return lane, of_track(stick, self.system)
 
     def ended(self, motion: FixedLane, before: FixedLane) -> BoolArray:
         return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
 
     def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
-        return _results(motion.detector, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
+        return _results(motion.detector, self.system, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
 
 
 class AdaptiveBatch(NamedTuple):
@@ -112,7 +124,7 @@ def solve_batch(
     the others end at once. `varying`, `leaf_numbers`: the leaves of the batch that
     differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
-    t1, quantities = jnp.asarray(batch.t1, dtype), ALL if keep else ()
+    t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.track_count
 
     def one(place, number, varying):
         words = random_words(key_data, number)
@@ -128,7 +140,7 @@ def solve_batch(
 
         def one_step(detector, index):
             detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)
-            return detector, record if keep else None
+            return detector, of_track(record, here.system) if keep else None
 
         start = start_detection(field, tables, criterion, solution.y[0], quantities)
         detector, records = stopping_scan(
@@ -136,19 +148,22 @@ def solve_batch(
             start,
             most,
             lambda _, index: index >= solution.steps,
-            lambda _: no_stick(dtype, quantities) if keep else None,
+            lambda _: no_stick(dtype, quantities, () if tracks is None else (tracks,)) if keep else None,
         )
         return detector, status_of(solution, detector), records
 
     detectors, statuses, records = jax.vmap(one)(
         jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), varying
     )
-    return _results(detectors, statuses), records
+    return _results(detectors, batch.system, statuses), records
 
 
-def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field:
+def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField:
     """The regularised field of `system` under a realised smooth excitation."""
-    return Field(system.one_contact_model(smooth, None), Switch(method.width, method.shape))
+    model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
+    if isinstance(model, ContactsModel):
+        return ContactsField(model, switch, criterion_of(method).threshold, system.static_exceeds_kinetic)
+    return Field(system.one_contact_model(smooth, None), switch)
 
 
 def criterion_of(method: Regularized) -> Criterion:
@@ -162,11 +177,12 @@ def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
     return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
 
 
-def _results(detector: StickDetector, status: IntArray) -> SampleTotals:
+def _results(detector: StickDetector, system: System, status: IntArray) -> SampleTotals:
+    totals, at_start = of_track((detector.totals, detector.at_start), system)
     return SampleTotals(
-        sticks=detector.totals.sticks,
-        slips=count_slips(detector.totals, detector.at_start),
-        stick_time=detector.totals.stick_time,
+        sticks=totals.sticks,
+        slips=count_slips(totals, at_start),
+        stick_time=totals.stick_time,
         status=status,
-        near_grazing_count=jnp.zeros_like(detector.totals.sticks),
+        near_grazing_count=jnp.zeros(status.shape, totals.sticks.dtype),
     )

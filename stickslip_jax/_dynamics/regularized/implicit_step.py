@@ -26,15 +26,15 @@ from .balance_root import balance_root
 from .static_balance import balance_with_static
 from .switch import Switch
 
-_GAMMA = 1 - 1 / math.sqrt(2)
+GAMMA = 1 - 1 / math.sqrt(2)
 # The weights of the quadrature of order 3 at the instants 0, gamma and 1 of a step, less those of the method.
-_SECOND, _LAST = 1 / (6 * _GAMMA * (1 - _GAMMA)), (2 - 3 * _GAMMA) / (6 * (1 - _GAMMA))
-_WEIGHTS = 1 - _SECOND - _LAST, _SECOND - (1 - _GAMMA), _LAST - _GAMMA
-_KINK = _GAMMA * abs(_WEIGHTS[1]) + abs(_WEIGHTS[2])  # the most that friction adds to the estimate
+_SECOND, _LAST = 1 / (6 * GAMMA * (1 - GAMMA)), (2 - 3 * GAMMA) / (6 * (1 - GAMMA))
+WEIGHTS = 1 - _SECOND - _LAST, _SECOND - (1 - GAMMA), _LAST - GAMMA
+KINK = GAMMA * abs(WEIGHTS[1]) + abs(WEIGHTS[2])  # the most that friction adds to the estimate
 # Allowed in a step, of what the terms of the equations of motion change in it, each alone: that of a harmonic motion in
 # some 45 steps in a period, whose error is below a thousandth of the amplitude per radian.
-_ERROR = 1e-4
-_ROUND_OFF = 64  # units in the last place
+ERROR = 1e-4
+ROUND_OFF = 64  # units in the last place
 _NEWTON = {"linear": 3, "tanh": 7, "rational": 7, "arctan": 7}
 
 
@@ -49,10 +49,10 @@ def implicit_step(
     speed = model.relative_velocity(forcing, jnp.zeros_like(h), y)
     slides = None if band is None else jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
     start = model.rates_under(forcing, jnp.zeros_like(h), y, switch.coefficient(model.friction, speed))
-    expected = _moved(y, _GAMMA * h, start)
-    middle = _stage(model, switch, forcing, _GAMMA * h, y, expected, _GAMMA * h, slides)
-    base, expected = _moved(y, (1 - _GAMMA) * h, middle.rates), _moved(y, h, middle.rates)
-    end = _stage(model, switch, forcing, h, base, expected, _GAMMA * h, middle.slides)
+    expected = moved(y, GAMMA * h, start)
+    middle = _stage(model, switch, forcing, GAMMA * h, y, expected, GAMMA * h, slides)
+    base, expected = moved(y, (1 - GAMMA) * h, middle.rates), moved(y, h, middle.rates)
+    end = _stage(model, switch, forcing, h, base, expected, GAMMA * h, middle.slides)
     if model.time_scales_are_known:
         return end.state, None
     return end.state, _error(*without_derivatives((model, forcing, y, h, middle, end)))
@@ -79,10 +79,10 @@ def _error(model: OneContactModel, forcing: object, y: State, h: FloatArray, mid
     last = model.rates_under(forcing, h, end.state, jnp.zeros_like(h))
     largest, eps = jnp.zeros_like(h), jnp.finfo(h.dtype).eps
     for i, value in enumerate(y):
-        stages = zip(_WEIGHTS, (first[i], middle.free[i], end.free[i]), strict=True)
-        error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + _GAMMA * jnp.abs(last[i] - end.free[i]))
-        error = error - _ROUND_OFF * eps * (jnp.abs(value) + h * end.gross[i]) - _KINK * h * h * end.kink[i]
-        allowed = _ERROR * h * end.gross[i]
+        stages = zip(WEIGHTS, (first[i], middle.free[i], end.free[i]), strict=True)
+        error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + GAMMA * jnp.abs(last[i] - end.free[i]))
+        error = error - ROUND_OFF * eps * (jnp.abs(value) + h * end.gross[i]) - KINK * h * h * end.kink[i]
+        allowed = ERROR * h * end.gross[i]
         share = error / jnp.where(allowed > 0, allowed, 1)
         largest = jnp.maximum(largest, jnp.where((error > 0) & (allowed > 0), share, 0))
     return largest
@@ -117,7 +117,7 @@ def _stage(
     without, per_unit = _solve(matrix, [list(missing), [weight * value for value in by_friction]])
 
     speed, gain = jax.jvp(
-        lambda state: model.relative_velocity(forcing, tau, state), (_moved(expected, 1.0, without),), (per_unit,)
+        lambda state: model.relative_velocity(forcing, tau, state), (moved(expected, 1.0, without),), (per_unit,)
     )
     if slides is None:
         coefficient = _balance(switch, model.friction, speed, -gain)
@@ -138,7 +138,7 @@ def _stage(
     )
     held = jnp.abs(model.friction.static)
     kink = tuple(held * sum(jnp.abs(j * f) for j, f in zip(row, by_friction, strict=True)) for row in jacobian)
-    return _Stage(_moved(expected, 1.0, change), end_rates, slides, alone, gross, kink)
+    return _Stage(moved(expected, 1.0, change), end_rates, slides, alone, gross, kink)
 
 
 def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray) -> FloatArray:
@@ -186,5 +186,6 @@ def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> lis
     return [tuple(rows[i][size + k] for i in range(size)) for k in range(len(sides))]
 
 
-def _moved(y: State, h: FloatArray | float, rates: State) -> State:
+def moved(y: State, h: FloatArray | float, rates: State) -> State:
+    """``y + h rates``."""
     return tuple(value + h * rate for value, rate in zip(y, rates, strict=True))

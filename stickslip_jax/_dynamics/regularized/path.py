@@ -11,7 +11,7 @@ from jax import lax
 
 from ... import _checks
 from ..._events.stick_quantities import ALL
-from ..._events.sticks import StickRecord, sticks_in_order
+from ..._events.sticks import StickRecord
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
@@ -27,6 +27,7 @@ from ..common.path import Path, Run
 from ..common.segments import SegmentLaws
 from ..common.stopping_scan import padded_length, stopping_scan
 from ..common.time_scales import max_steps_advice, step_for
+from ..common.tracks import sticks_and_totals
 from .engine import criterion_of, field_of
 from .settings import as_arrays, fixed_steps, resolved
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
@@ -149,7 +150,11 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
         return lane, (record, passage)
 
     return stopping_scan(
-        one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), lambda lane: nothing_seen(lane.y)
+        one_step,
+        start,
+        steps,
+        lambda lane, _: has_ended(lane, t1, most),
+        lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts),
     )
 
 
@@ -161,8 +166,9 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
     setting = setting._replace(method=method)
     lane, (records, passages) = with_slopes(lambda setting: _fixed_loop(setting, steps), setting, most=_MOST_SLOPES)
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
-    path = CubicPath.of(excitation, tables, passages, lane.steps, lane.t, lane.y)
-    return _run(records, lane.detector, status_of_lane(lane, t1), lane.t, lane.y, path)
+    final = system.switched_model(excitation.signal, None).numbers(lane.y)
+    path = CubicPath.of(excitation, tables, passages, lane.steps, lane.t, final)
+    return _run(records, lane.detector, system, status_of_lane(lane, t1), lane.t, final, path)
 
 
 @eqx.filter_jit
@@ -179,15 +185,26 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
 
     start = start_detection(field, tables, criterion, solution.y[0], ALL)
     detector, (records, passages) = stopping_scan(
-        one_step, start, steps, lambda _, index: index >= solution.steps, lambda _: nothing_seen(tuple(solution.y[0]))
+        one_step,
+        start,
+        steps,
+        lambda _, index: index >= solution.steps,
+        lambda _: nothing_seen(tuple(solution.y[0]), field.model.contacts),
     )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(excitation, tables, passages, solution.steps, solution.time_reached, final)
-    return _run(records, detector, status_of(solution, detector), solution.time_reached, final, path)
+    return _run(records, detector, system, status_of(solution, detector), solution.time_reached, final, path)
 
 
 def _run(
-    records: Any, detector: StickDetector, status: IntArray, time_reached: FloatArray, final: State, path: Path
+    records: Any,
+    detector: StickDetector,
+    system: System,
+    status: IntArray,
+    time_reached: FloatArray,
+    final: State,
+    path: Path,
 ) -> Run:
     none = jnp.zeros((), jnp.int32)
-    return Run(sticks_in_order(records), detector.totals, status, time_reached, final, none, path)
+    sticks, totals, of_all = sticks_and_totals(records, detector.totals, system)
+    return Run(sticks, totals, status, time_reached, final, none, path, of_all)

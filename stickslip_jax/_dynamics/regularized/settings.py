@@ -27,15 +27,17 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 
     Raises ValueError where an option is needed because the system's scales are not known.
     """
+    check_contacts(system, method)
     width = jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales
     # Static friction above kinetic friction holds a mass up to one width.
     scales = {"threshold": width if system.static_exceeds_kinetic else speed, "minimum_duration": deceleration}
     for name, known in scales.items():
         if getattr(method, name) is None and known is None:
+            own = "; or give it the properties speed_scale and shortest_time" if hasattr(system, "speed_scale") else ""
             raise ValueError(
                 f"Argument method must give the {name}, Regularized(..., {name}=...), because the velocities of a "
-                f"{type(system).__name__} are not known; or give it the properties speed_scale and shortest_time."
+                f"{type(system).__name__} are not known{own}."
             )
     threshold = method.threshold
     if threshold is None:
@@ -68,6 +70,22 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         minimum_duration=jnp.asarray(duration, dtype),
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
     )
+
+
+def check_contacts(system: System, method: Regularized) -> None:
+    """Check what several contacts cannot have. Raises ValueError for it."""
+    contacts = system.contact_count
+    for name in ("threshold", "minimum_duration"):
+        shape = np.shape(getattr(method, name)) if getattr(method, name) is not None else ()
+        if shape not in ((),) + (() if contacts is None else ((contacts,),)):
+            each = "" if contacts is None else f", or one for each of the {contacts} contacts"
+            raise ValueError(f"Argument {name} must be one number{each}, but an array of shape {shape} was given.")
+    if contacts is not None and method.step is not None and system.static_exceeds_kinetic:
+        raise ValueError(
+            "Argument method must be Exact(), or Regularized(width) without a step, where static friction exceeds "
+            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; "
+            "or make static friction equal to kinetic friction."
+        )
 
 
 def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:

@@ -5,20 +5,24 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ... import _diffrax as diffrax
 from ..._events.sticks import StickRecord
 from ..._excitation.excitation import Excitation
 from ..._excitation.segment_table import SegmentTable
+from ..._numerics.over_contacts import any_of
 from ..._status import Status
 from ..._systems.switched_model import Segments
 from ..._systems.system import System
 from ..._types import Array, BoolArray, FloatArray, IntArray, Number
 from ..common.method import Regularized
 from ..common.segments import SegmentLaws
+from .contacts_field import ContactsField
 from .controller import step_control
-from .stepping import Field, Passage
-from .stick_detector import Criterion, StickDetector, detect, start_detector
+from .field import Field
+from .stepping import Passage
+from .stick_detector import Criterion, StickDetector
 
 
 class Tables(eqx.Module):
@@ -27,23 +31,28 @@ class Tables(eqx.Module):
     base: tuple[SegmentTable, ...]
     ground: tuple[SegmentTable, ...]
     force: tuple[SegmentTable, ...]
+    normal: tuple[SegmentTable, ...]
 
     @classmethod
     def of(cls, system: System, excitation: Excitation, key_data: Any, sizes: tuple[int, ...], dtype) -> "Tables":
         """The segments that `key_data` choose; `sizes`: how many of each part (`table_sizes`)."""
         segment_laws, own = SegmentLaws.of(system, excitation), excitation.segment_key_data(key_data)
         tables = [SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True)]
-        second, third = len(segment_laws.base), len(segment_laws.base) + len(segment_laws.ground)
-        return cls(tuple(tables[:second]), tuple(tables[second:third]), tuple(tables[third:]))
+        ends = np.cumsum([len(segment_laws.base), len(segment_laws.ground), len(segment_laws.force)])
+        return cls(*(tuple(tables[begin:end]) for begin, end in zip([0, *ends], [*ends, None], strict=True)))
 
     @property
     def all(self) -> tuple[SegmentTable, ...]:
         """The tables in order."""
-        return self.base + self.ground + self.force
+        return sum(self._parts, ())
 
     def at(self, t: FloatArray) -> Segments:
         """The current segments at time `t`."""
-        return Segments(*(tuple(table.at(t) for table in part) for part in (self.base, self.ground, self.force)))
+        return Segments(*(tuple(table.at(t) for table in part) for part in self._parts))
+
+    @property
+    def _parts(self) -> tuple[tuple[SegmentTable, ...], ...]:
+        return self.base, self.ground, self.force, self.normal
 
     @property
     def end(self) -> FloatArray | float:
@@ -105,7 +114,7 @@ class Solution(NamedTuple):
 
 
 def solve_adaptive(
-    field: Field, tables: Tables, t1: FloatArray, y0: tuple[Number, ...], how: Solver, max_steps: int
+    field: Field | ContactsField, tables: Tables, t1: FloatArray, y0: tuple[Number, ...], how: Solver, max_steps: int
 ) -> Solution:
     """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not."""
     dtype = t1.dtype
@@ -113,7 +122,7 @@ def solve_adaptive(
 
     def rates(t, y, _):
         forcing = field.model.forcing(t, tables.at(t))
-        return jnp.stack(field.rates(forcing, zero, tuple(y)))
+        return jnp.stack(field.model.numbers(field.rates(forcing, zero, field.model.start(tuple(y), dtype))))
 
     control = step_control(how.rtol, how.atol, tables.times)
     end = jnp.minimum(t1, tables.end)
@@ -134,16 +143,16 @@ def solve_adaptive(
 
 
 def start_detection(
-    field: Field, tables: Tables, criterion: Criterion, y: Array, quantities: tuple[str, ...]
+    field: Field | ContactsField, tables: Tables, criterion: Criterion, y: Array, quantities: tuple[str, ...]
 ) -> StickDetector:
     """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
     zero = jnp.zeros((), y.dtype)
-    speed = field.model.relative_velocity(field.model.forcing(zero, tables.at(zero)), zero, tuple(y))
-    return start_detector(criterion, speed, y[0], quantities)
+    forcing = field.model.forcing(zero, tables.at(zero))
+    return field.start_detector(criterion, forcing, field.model.start(tuple(y), y.dtype), quantities)
 
 
 def detect_in_step(
-    field: Field,
+    field: Field | ContactsField,
     tables: Tables,
     criterion: Criterion,
     t1: FloatArray,
@@ -154,29 +163,30 @@ def detect_in_step(
     """Run the stick detector over step number `index` of a solution; beyond its last step nothing changes."""
     live = index < solution.steps
     index = jnp.where(live, index, 0)
-    t, y = solution.t[index], tuple(solution.y[index])
+    model, dtype = field.model, solution.y.dtype
+    t, y = solution.t[index], model.start(tuple(solution.y[index]), dtype)
     # A solution without steps is read as one step of no length.
     following = jnp.where(solution.steps > 0, index + 1, 0)
-    now, after = solution.t[following], tuple(solution.y[following])
+    now, reached = solution.t[following], model.start(tuple(solution.y[following]), dtype)
     h = now - t
     segments, next_segments = tables.at(t + h / 2), tables.at(now)
-    seen, rates, end_rates = field.seen(field.model.forcing(t, segments), t, h, y, after)
+    seen, rates, end_rates = field.seen(model.forcing(t, segments), t, h, y, reached)
     jumped = jnp.zeros((), bool)
     for table, old, new in zip(tables.base, segments.base, next_segments.base, strict=True):
         jumped = jumped | ((old.begin != new.begin) & table.jumps)
-    speed = field.model.relative_velocity(field.model.forcing(now, next_segments), jnp.zeros_like(now), after)
-    moved, record = detect(
-        criterion, detector, seen, jumped=jumped & (now < t1), after=speed, last=now >= t1, resolved=True
+    after = field.contact(model.forcing(now, next_segments), now, reached)
+    moved, record = field.detect(
+        criterion, detector, seen, jumped=jumped & (now < t1), after=after, last=now >= t1, resolved=True
     )
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
     # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `status_of`.
-    hidden = live & ~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1))
+    hidden = live & any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
     stick_time = jnp.where(hidden, jnp.nan, moved.totals.stick_time)
     moved = moved._replace(totals=moved.totals._replace(stick_time=stick_time))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
-    return moved, record, Passage(t, y, rates, end_rates)
+    return moved, record, Passage(t, *map(model.numbers, (y, rates, end_rates)))
 
 
 def status_of(solution: Solution, detector: StickDetector) -> IntArray:
     """How a solution ended whose steps the `detector` has seen."""
-    return jnp.where(jnp.isnan(detector.totals.stick_time), jnp.int8(Status.NOT_FINITE), solution.status)
+    return jnp.where(any_of(jnp.isnan(detector.totals.stick_time)), jnp.int8(Status.NOT_FINITE), solution.status)

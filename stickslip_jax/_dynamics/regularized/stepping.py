@@ -14,64 +14,18 @@ from ..._compiler import sharing
 from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.segments import SegmentState
-from ..._systems.one_contact import OneContactModel
-from ..._systems.switched_model import NOISE_ULPS, State
+from ..._numerics.over_contacts import any_of
+from ..._systems.switched_model import State
 from ..._types import BoolArray, FloatArray, IntArray
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws, following_segments
-from .implicit_step import implicit_step
+from .contacts_field import ContactsField
+from .field import Field
 from .landing import shortened
-from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
-from .switch import Switch
+from .stick_detector import Criterion, StickDetector
 
-_TIME_ULPS = 4  # the round-off of the time, in units in the last place
 _GROWTH = 8  # of a step that was shortened, at most
 _SAFETY, _LEAST_ERROR = 0.9, 1e-3
-
-
-class Field(NamedTuple):
-    """A system under its excitation, with friction regularised by `switch`."""
-
-    model: OneContactModel
-    switch: Switch
-
-    def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
-        """The time derivative of the state."""
-        speed = self.model.relative_velocity(forcing, tau, y)
-        return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction, speed))
-
-    def need(self, forcing: object, tau: FloatArray, y: State) -> FloatArray:
-        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
-        free, held = self._accelerations(forcing, tau, y)
-        return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
-
-    def band(self, forcing: object, t: FloatArray, y: State) -> FloatArray:
-        """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off."""
-        _, held = self._accelerations(forcing, jnp.zeros_like(t), y)
-        scale = NOISE_ULPS * self.model.guard_scale(forcing, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
-        return self.switch.width + lax.stop_gradient(jnp.finfo(t.dtype).eps * scale)
-
-    def _accelerations(self, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
-        """The relative acceleration without friction, and the largest one that friction causes, m/s^2."""
-        free, gain = self.model.effect_of_friction(forcing, tau, y)
-        return free, jnp.abs(gain) * self.model.friction.stick_limit(free)
-
-    def seen(
-        self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[Step, State, State]:
-        """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
-        zero = jnp.zeros_like(h)
-        rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        first = (
-            self.model.relative_velocity(forcing, zero, before),
-            self.model.relative_acceleration(forcing, zero, before, rates),
-        )
-        last = (
-            self.model.relative_velocity(forcing, h, after),
-            self.model.relative_acceleration(forcing, h, after, end_rates),
-        )
-        needs = self.need(forcing, zero, before), self.need(forcing, h, after)
-        return Step(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
 
 
 class FixedLane(NamedTuple):
@@ -98,14 +52,14 @@ class Passage(NamedTuple):
     end_rates: State
 
 
-def nothing_seen(y: State) -> tuple[StickRecord, Passage]:
-    """The records of an idle step, for a trajectory with states like `y`."""
-    none = tuple(jnp.zeros_like(value) for value in y)
-    return no_stick(y[0].dtype, ALL), Passage(none[0], none, none, none)
+def nothing_seen(numbers: State, contacts: int | None) -> tuple[StickRecord, Passage]:
+    """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
+    none = tuple(jnp.zeros_like(value) for value in numbers)
+    return no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,)), Passage(none[0], none, none, none)
 
 
 def start_fixed(
-    field: Field,
+    field: Field | ContactsField,
     segment_laws: SegmentLaws,
     criterion: Criterion,
     segment_states: tuple[SegmentState, ...],
@@ -114,18 +68,16 @@ def start_fixed(
     quantities: tuple[str, ...],
 ) -> FixedLane:
     """The lane at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
-    zero = jnp.zeros((), dtype)
-    y = tuple(jnp.asarray(value, dtype) for value in y0)
-    speed = field.model.relative_velocity(field.model.forcing(zero, segment_laws.segments(segment_states)), zero, y)
-    may_be_short = field.model.friction.static_exceeds_kinetic or not field.model.time_scales_are_known
-    limit = jnp.full((), jnp.inf, dtype) if may_be_short else None
-    detector = start_detector(criterion, speed, y[0], quantities)
+    zero, y = jnp.zeros((), dtype), field.model.start(y0, dtype)
+    forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
+    limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
+    detector = field.start_detector(criterion, forcing, y, quantities)
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
 
 @sharing
 def advance_fixed(
-    field: Field,
+    field: Field | ContactsField,
     segment_laws: SegmentLaws,
     criterion: Criterion,
     t1: FloatArray,
@@ -139,7 +91,7 @@ def advance_fixed(
     a shorter one.
     """
     forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
-    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps) & ~jnp.isnan(lane.y[0])
+    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps) & ~any_of(jnp.isnan(lane.y[0]))
     stop = t1
     for segment_state in lane.segment_states:
         stop = jnp.minimum(stop, segment_state.segment.end)
@@ -148,19 +100,19 @@ def advance_fixed(
     # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = longest * (1 + 1e-6) >= left
     h = jnp.where(to_stop, left, longest)
-    band = field.band(forcing, lane.t, lane.y) if field.model.friction.static_exceeds_kinetic else None
-    y, error = implicit_step(field.model, field.switch, forcing, lane.y, h, band)
+    band = field.band(forcing, lane.t, lane.y)
+    y, error = field.step(forcing, lane.y, h, band)
     seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
     # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `NOT_FINITE`.
-    known = jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)
+    known = ~any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
     y = (jnp.where(known, y[0], jnp.nan), *y[1:])
 
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
-    after = field.model.relative_velocity(
-        field.model.forcing(t, segment_laws.segments(segment_states)), jnp.zeros_like(t), y
+    after = field.contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
+    detector, record = field.detect(
+        criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False
     )
-    detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False)
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
     accepted = live
     if lane.limit is not None:
@@ -175,7 +127,7 @@ def advance_fixed(
         moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
-    return moved, record, Passage(lane.t, lane.y, rates, end_rates)
+    return moved, record, Passage(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
 
 
 def _judged(error: FloatArray) -> tuple[BoolArray, FloatArray]:

@@ -10,16 +10,19 @@ from ..._events.stick_quantities import Remembered, StickSpan, begin_quantities,
 from ..._events.sticks import StickRecord, Totals, ending_of, start_totals, with_stick
 from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.roots import look_ahead
-from ..._types import BoolArray, FloatArray, Scalar
+from ..._types import AnyArray, BoolArray, FloatArray, Scalar
 
 _AT_LIMIT = 1e-5  # of the largest friction
 
 
 class Criterion(NamedTuple):
-    """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s)."""
+    """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s).
 
-    threshold: Scalar
-    minimum_duration: Scalar
+    Of several contacts one number each, or arrays (contacts,).
+    """
+
+    threshold: AnyArray | Scalar
+    minimum_duration: AnyArray | Scalar
 
 
 class StickDetector(NamedTuple):
@@ -40,11 +43,22 @@ class StickDetector(NamedTuple):
     at_start: BoolArray
 
 
+class NormalForces(NamedTuple):
+    """The normal forces of several contacts at both ends of a step, N, and their slopes there, (contacts,) each."""
+
+    n0: FloatArray
+    slope0: FloatArray
+    n1: FloatArray
+    slope1: FloatArray
+
+
 class Step(NamedTuple):
     """One step from `t` to ``t + h`` as the detector reads it.
 
     `r0`, `slope0`, `r1`, `slope1`: relative velocity and its slope at both ends (before a jump of the base); `x0`,
     `v0`, `x1`, `v1`: position and velocity; `need0`, `need1`: friction that holds the mass, over the largest friction.
+    Of several contacts they are arrays: the positions of each and of all at once, everything else of each, with the
+    normal forces.
     """
 
     t: FloatArray
@@ -59,6 +73,7 @@ class Step(NamedTuple):
     v1: FloatArray
     need0: FloatArray
     need1: FloatArray
+    normal: NormalForces | None = None
 
 
 def start_detector(
@@ -94,10 +109,8 @@ def detect(
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
     inside = jnp.abs(step.r1) <= threshold
     enters, leaves = ~detector.inside & inside, detector.inside & ~inside
-    entry = _crossing(threshold, step, entering=True) if resolved else _straight_entry(threshold, step)
-    leave = _crossing(threshold, step, entering=False)
-    leave = leave if resolved else _late_exit(threshold, step, leave)
-    at = _position(step, entry)
+    entry, leave = passages(threshold, step, resolved=resolved)
+    at = position_in(step, entry)
     start = jnp.where(enters, step.t + entry, detector.start)
     position = jnp.where(enters, at, detector.position)
     crossed, crossed_at = detector.crossed, detector.crossed_at
@@ -107,20 +120,59 @@ def detect(
         start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
         passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
         crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
-
-    now = step.t + step.h
-    cut = last & inside
-    ends = leaves | cut | (jumped & inside)
-    end = jnp.where(leaves, step.t + leave, now)
-    counts = ends & (end - start >= criterion.minimum_duration) & (end > start)
-    left_at = jnp.where(leaves, _position(step, leave), step.x1)
-    quantities, remembered = measured(detector.remembered, counts, StickSpan(start, end, position, left_at))
-    record = StickRecord(start, end, position, quantities, ending_of(counts, leaves, cut))
+    time = TimeInside(inside, leaves, start, position, leave, crossed, crossed_at)
     goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
+    end = AtEnd(jumped, goes_on, last, leaves)
+    return recorded(criterion.minimum_duration, detector, step, time, end)
+
+
+class TimeInside(NamedTuple):
+    """How a step changes the time in which the relative velocity is below the threshold.
+
+    - `inside`: whether it is at the end of the step, since `start` (s) at `position`. `leaves`: whether that time ends
+      in the step, `leave` (s) after the step began.
+    - `crossed`, `crossed_at`: see `StickDetector`.
+    """
+
+    inside: BoolArray
+    leaves: BoolArray
+    start: FloatArray
+    position: FloatArray
+    leave: FloatArray
+    crossed: FloatArray
+    crossed_at: FloatArray
+
+
+class AtEnd(NamedTuple):
+    """What happens at the very end of a step.
+
+    - `over`: whether the time below the threshold ends there in any case. `goes_on`: whether one goes on or begins
+      there. `last`: whether it is the horizon. `released`: whether a stick that ended was released.
+    """
+
+    over: BoolArray
+    goes_on: BoolArray
+    last: BoolArray
+    released: BoolArray
+
+
+def recorded(
+    minimum_duration: AnyArray | Scalar, detector: StickDetector, step: Step, time: TimeInside, at_end: AtEnd
+) -> tuple[StickDetector, StickRecord]:
+    """The `detector` after a step, and the record of the stick that ended in the step, if any."""
+    inside, leaves, start, position, leave, crossed, crossed_at = time
+    now = step.t + step.h
+    cut = at_end.last & inside
+    ends = leaves | cut | (at_end.over & inside)
+    end = jnp.where(leaves, step.t + leave, now)
+    counts = ends & (end - start >= minimum_duration) & (end > start)
+    left_at = jnp.where(leaves, position_in(step, leave), step.x1)
+    quantities, remembered = measured(detector.remembered, counts, StickSpan(start, end, position, left_at))
+    record = StickRecord(start, end, position, quantities, ending_of(counts, at_end.released, cut))
     detector = StickDetector(
-        inside=goes_on,
-        start=jnp.where(jumped, now, start),
-        position=jnp.where(jumped, step.x1, position),
+        inside=at_end.goes_on,
+        start=jnp.where(at_end.over, now, start),
+        position=jnp.where(at_end.over, step.x1, position),
         crossed=crossed,
         crossed_at=crossed_at,
         remembered=remembered,
@@ -130,18 +182,32 @@ def detect(
     return detector, record
 
 
+def passages(threshold: FloatArray, step: Step, *, resolved: bool) -> tuple[FloatArray, FloatArray]:
+    """When ``|v_rel|`` falls to the `threshold` in a step and when it rises to it, s after the step began.
+
+    Each is meaningless where it does not.
+    """
+    entry = _crossing(threshold, step, entering=True) if resolved else _straight_entry(threshold, step)
+    leave = _crossing(threshold, step, entering=False)
+    return entry, leave if resolved else _late_exit(threshold, step, leave)
+
+
 def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
     """When ``|v_rel|`` passes the threshold, s after the step began; meaningless where it does not."""
-    h = step.h
     sign = _sign(step.r0 if entering else step.r1)
     # Positive before the crossing and negative after it.
     turn = sign if entering else -sign
     shift = threshold if entering else -threshold
     s0, s1 = turn * step.r0 - shift, turn * step.r1 - shift
-    d0, d1 = turn * step.slope0 * h, turn * step.slope1 * h
+    return fall_in(step.h, s0, turn * step.slope0, s1, turn * step.slope1)
+
+
+def fall_in(h: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+    """When the cubic with these values and slopes at 0 and `h` falls through zero; meaningless where it does not."""
+    d0, d1 = d0 * h, d1 * h
     falls = (s0 > 0) & (s1 < 0)
     s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
-    u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(h)).where
+    u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(s0)).where
     # One more Newton step.
     cubic = s0, d0, s1, d1
     value, slope = _of_cubic(u, *cubic), _slope_of_cubic(u, *cubic)
@@ -201,7 +267,7 @@ def _sign(value: FloatArray) -> FloatArray:
     return jnp.where(value < 0, -1.0, 1.0).astype(value.dtype)
 
 
-def _position(step: Step, tau: FloatArray) -> FloatArray:
+def position_in(step: Step, tau: FloatArray) -> FloatArray:
     """The position inside the step, by the cubic through its ends."""
     return hermite(tau, step.h, step.x0, step.v0, step.x1, step.v1)
 

@@ -36,10 +36,19 @@ class Switch(eqx.Module):
         there, the largest value, and falls off to ``kinetic`` within a few widths more. The long tails of the smooth
         shapes are left out: on them a mass would creep faster than at one width, and not stick.
         """
-        ratio, kinetic = velocity / self.width, friction.slip_coefficient(velocity)
-        if not friction.static_exceeds_kinetic:
+        static = friction.stick_limit(velocity) if friction.static_exceeds_kinetic else None
+        return self.friction(velocity, friction.slip_coefficient(velocity), static)
+
+    def friction(
+        self, velocity: FloatArray, kinetic: Scalar | FloatArray, static: Scalar | FloatArray | None
+    ) -> FloatArray:
+        """The signed friction, a coefficient or a force, from that of a slip at this relative `velocity` (m/s).
+
+        `static`: the largest one, where it exceeds the `kinetic` one, else None. See `coefficient`.
+        """
+        ratio = velocity / self.width
+        if static is None:
             return kinetic * self(ratio)
-        static = friction.stick_limit(velocity)
         part, beyond = jnp.clip(ratio, -1, 1), jnp.maximum(jnp.abs(ratio) - 1, 0)
         # Concave on the rise, so that a step can find the balance of forces from below (`implicit_step.py`).
         if self.shape == "linear":
@@ -50,7 +59,7 @@ class Switch(eqx.Module):
         slides = kinetic * part
         return jnp.where(jnp.abs(ratio) < 1, held, slides + (held - slides) * left)
 
-    def creep(self, speed: Scalar) -> Scalar:
+    def creep(self, speed: Scalar | FloatArray) -> Scalar | FloatArray:
         """The approximate relative velocity (m/s) of a mass at its release from a stick.
 
         Before its release the mass creeps: friction balances the growing force at ``phi = force / largest``. The

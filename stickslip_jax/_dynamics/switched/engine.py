@@ -14,8 +14,9 @@ from ..._types import AnyInteger, Array, BoolArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
 from ..common.engine import Engine, SampleTotals
 from ..common.segments import SegmentLaws
+from ..common.tracks import of_track
 from .lane import Lane
-from .run import lane_at_start, of_track
+from .run import lane_at_start
 from .stepping import advance
 
 

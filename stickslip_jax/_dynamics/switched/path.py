@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..._events.sticks import Totals, sticks_in_order
 from ..._excitation.excitation import Excitation
 from ..._excitation.smooth import Signal
 from ..._numerics.known import NotKnown, largest
@@ -21,8 +20,9 @@ from ..common.extremes import largest_in_steps
 from ..common.method import Exact
 from ..common.path import Path, Run
 from ..common.time_scales import max_steps_advice
+from ..common.tracks import sticks_and_totals
 from ..common.validation import Arguments
-from .run import Beginnings, of_track, run_trajectory, state_at, state_in_step, steps_for
+from .run import Beginnings, run_trajectory, state_at, state_in_step, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
 _MOST_SLOPES = 3  # by more numbers, going back over the steps takes less time
@@ -102,12 +102,5 @@ def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> 
     lane = done.lane
     path = StepPath(system, excitation, solver, done.beginnings)
     state = system.switched_model(excitation.signal, solver).numbers(lane.y)
-    (records, totals), of_all = of_track((done.records, lane.totals), system), None
-    if system.track_count is not None:  # of what can stick, the last is all contacts at once
-        of_all = (sticks_in_order(jax.tree.map(lambda of_each: of_each[:, -1], records)), _only(totals, -1))
-        records, totals = jax.tree.map(lambda of_each: of_each[:, :-1], records), _only(totals, slice(-1))
-    return Run(sticks_in_order(records), totals, done.status, lane.t, state, lane.near_grazing_count, path, of_all)
-
-
-def _only(totals: Totals, part: int | slice) -> Totals:
-    return jax.tree.map(lambda of_each: of_each[part], totals)
+    sticks, totals, of_all = sticks_and_totals(done.records, lane.totals, system)
+    return Run(sticks, totals, done.status, lane.t, state, lane.near_grazing_count, path, of_all)

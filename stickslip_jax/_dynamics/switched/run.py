@@ -1,7 +1,7 @@
 """One trajectory of the switched engine, and its state at any time."""
 
 import math
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,8 +26,6 @@ MOST_STEPS = 2**30  # steps are counted in 32 bits
 _SPARE = 4  # times as many steps where it is not known before the call how fast the motion is
 _ROOM = 96  # steps more, for short trajectories
 _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
-
-T = TypeVar("T")
 
 
 class Beginnings(NamedTuple):
@@ -101,13 +99,6 @@ def run_trajectory(
 
     lane, (records, beginnings) = stopping_scan(one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle)
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
-
-
-def of_track(tree: T, system: System) -> T:
-    """The arrays (..., tracks) in `tree`, or of these what the `system` counts alone, if it does."""
-    return (
-        tree if system.counted_track is None else jax.tree.map(lambda of_each: of_each[..., system.counted_track], tree)
-    )
 
 
 def state_at(system: System, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:

@@ -1,0 +1,336 @@
+"""Regularised dynamics of several contacts: against scipy, the exact engine, one contact, and differences."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from support.regularized import PHI
+
+import stickslip_jax as ss
+
+# Three blocks on the floor, from an event-by-event integration (rtol 1e-12); see tests/reference/test_contacts.py.
+CHAIN = np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+CHAIN_START = (-1.0, 1, -1, -1, 1, 1)
+CHAIN_STARTS = [4.63544896516, 4.96043120202, 6.78298795467, 7.34343581525, 8.37062952656]
+CHAIN_RELEASES = [4.82994374361, 5.08551319834]
+CHAIN_POSITIONS = [0.202558662099, 0.412765621355, 0.531438212051]
+
+# A stack that is coupled by its contacts and by its mass matrix, on a shaken floor; the last contact opens.
+WIDTH, T1 = 1e-2, 6.0
+DIRECTIONS = np.array([[1.0, 0, 0], [-1, 1, 0], [0, -1, 1]])
+MASS = np.array([[1.0, 0.2, 0], [0.2, 0.8, 0.1], [0, 0.1, 0.5]])
+STIFFNESS = np.array([[2.0, -0.5, 0], [-0.5, 1.5, 0], [0, 0, 1.0]])
+MU, NORMAL = np.array([0.2, 0.3, 0.25]), np.array([5.0, 2.0, 1.0])
+START = (0.5, -0.2, 0.1, 0.0, 0.3, -0.4)
+FLOOR = ss.Harmonic(0.8, 1.1)
+
+
+def chain(mu=0.3):
+    contacts = tuple(ss.Contact.of_mass(i, 3, 1.0, ss.Coulomb(mu)) for i in range(3))
+    return ss.LinearStructure(np.ones(3), CHAIN, CHAIN / 10, contacts)
+
+
+def stack(mu=MU, mass=MASS):
+    normal = (NORMAL[0], NORMAL[1], ss.Harmonic(NORMAL[2], 1.7, 0.3, offset=0.3))
+    contacts = tuple(
+        ss.Contact(DIRECTIONS[i], normal[i], ss.Coulomb(mu[i]), on_base=1.0 if i == 0 else 0.0) for i in range(3)
+    )
+    return ss.LinearStructure(mass, STIFFNESS, 0.05 * STIFFNESS, contacts)
+
+
+class Stack(ss.SwitchedSystem):
+    """The same in equations of its own, with a spring that hardens and a normal force that depends on the state."""
+
+    mu: float = 0.3
+    contacts = 3
+
+    @property
+    def state_names(self):
+        return tuple(f"{name} {i} in {unit}" for name, unit in (("x", "m"), ("v", "m/s")) for i in range(3))
+
+    def rates(self, t, y, base, friction):
+        x, v = jnp.stack(y[:3]), jnp.stack(y[3:])
+        pull = -x - 0.2 * x**3 - 0.05 * v - DIRECTIONS.T @ (self.mu * friction)
+        return *y[3:], *jnp.linalg.solve(jnp.asarray(MASS), pull)
+
+    def relative_velocity(self, t, y, base):
+        return DIRECTIONS @ jnp.stack(y[3:]) - jnp.asarray([1.0, 0, 0]) * base.velocity
+
+    def normal_forces(self, t, y, base):
+        return 5.0, 2.0, 0.3 + 2.0 * y[2]
+
+    @property
+    def shortest_time(self):
+        return 3.0
+
+    @property
+    def speed_scale(self):
+        return 1.0
+
+
+def radau(load, normal, mu, shape):
+    """The state at the end by scipy's implicit Radau method, from the equations as they are written in the docs."""
+    inverse = np.linalg.inv(MASS)
+
+    def field(t, y):
+        relative = DIRECTIONS @ y[3:] - [0.8 * np.cos(1.1 * t), 0, 0]
+        friction = mu * np.maximum(normal(t, y), 0) * PHI[shape](relative / WIDTH)
+        return np.r_[y[3:], inverse @ (load(y) - DIRECTIONS.T @ friction)]
+
+    return solve_ivp(field, (0, T1), START, "Radau", rtol=1e-10, atol=1e-12).y[:, -1]
+
+
+def radau_of_stack(shape):
+    return radau(
+        lambda y: -STIFFNESS @ (y[:3] + 0.05 * y[3:]),
+        lambda t, y: np.r_[NORMAL[:2], 0.3 + NORMAL[2] * np.cos(1.7 * t + 0.3)],
+        MU,
+        shape,
+    )
+
+
+def radau_of_own(shape):
+    return radau(
+        lambda y: -y[:3] - 0.2 * y[:3] ** 3 - 0.05 * y[3:], lambda t, y: [5.0, 2.0, 0.3 + 2.0 * y[2]], 0.3, shape
+    )
+
+
+def shown(one, number):
+    """Starts and ends of the sticks of one contact."""
+    sticks = one.of_contact(number).sticks
+    mask = np.asarray(sticks.mask)
+    return np.asarray(sticks.start)[mask], np.asarray(sticks.end)[mask]
+
+
+@pytest.mark.parametrize("how", [{"step": 1e-3}, {"rtol": 1e-8}], ids=["fixed", "adaptive"])
+def test_three_blocks_converge_to_the_exact_events(how):
+    """With order 1: errors of all events and positions halve with the width, to a tenth."""
+
+    @jax.jit
+    def follow(width):
+        method = ss.Regularized(width, max_steps=16384, **how)
+        return ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START, method=method)
+
+    errors, widths = [], [4e-3, 2e-3, 1e-3]
+    for width in widths:
+        one = follow(width)
+        assert int(one.status) == ss.Status.FINISHED
+        assert list(one.totals.sticks) == [2, 1, 2]
+        sticks = jax.tree.map(lambda leaf: np.asarray(leaf)[:5], one.sticks)
+        assert np.all(sticks.mask)
+        np.testing.assert_array_equal(sticks.contact, [0, 2, 1, 0, 2])
+        np.testing.assert_array_equal(sticks.ending, [ss.Ending.RELEASED] * 2 + [ss.Ending.HORIZON] * 3)
+        together = one.of_all_contacts().sticks
+        assert int(together.count) == 1
+        assert float(together.start[0]) == float(sticks.start[-1])
+        exact = [*CHAIN_STARTS, *CHAIN_RELEASES, *CHAIN_POSITIONS[1:]]
+        errors.append([*sticks.start, *sticks.end[:2], *map(float, one.final_state[1:3])] - np.array(exact))
+    assert np.all(np.abs(errors[-1]) < 10 * widths[-1])
+    for coarse, fine in itertools.pairwise(errors):
+        np.testing.assert_allclose(coarse / fine, 2.0, rtol=0.1)
+
+
+@pytest.mark.parametrize("shape", ["linear", "tanh"])
+def test_fixed_steps_follow_the_equations(shape):
+    """Coupled contacts, one of which opens, against scipy; a second-order method gains 4 by half the step."""
+    reference = radau_of_stack(shape)
+
+    @jax.jit
+    def end(step):
+        method = ss.Regularized(WIDTH, shape, step=step, max_steps=8192, threshold=WIDTH, minimum_duration=0.05)
+        return jnp.stack(ss.simulate(stack(), FLOOR, t1=T1, y0=START, method=method).final_state)
+
+    errors = [float(np.max(np.abs(end(step) - reference))) for step in (4e-3, 1e-3)]
+    assert errors[0] < 2e-5
+    assert errors[1] < errors[0] / 6
+
+
+@pytest.mark.parametrize("shape", ["linear", "tanh"])
+def test_adaptive_steps_follow_the_equations(shape):
+    method = ss.Regularized(WIDTH, shape, rtol=1e-9)
+    one = ss.simulate(stack(), FLOOR, t1=T1, y0=START, method=method)
+    np.testing.assert_allclose(jnp.stack(one.final_state), radau_of_stack(shape), atol=2e-8)
+
+
+@pytest.mark.parametrize(("how", "error"), [({"step": 2e-3}, 2e-5), ({"rtol": 1e-9}, 2e-8)])
+def test_equations_of_ones_own(how, error):
+    one = ss.simulate(Stack(), FLOOR, t1=T1, y0=START, method=ss.Regularized(WIDTH, **how))
+    assert int(one.status) == ss.Status.FINISHED
+    np.testing.assert_allclose(jnp.stack(one.final_state), radau_of_own("linear"), atol=error)
+
+
+def test_sticks_are_those_of_the_exact_engine():
+    """Which contact sticks when, all at once too, where a contact opens; the times differ by the width over F."""
+    exact = ss.simulate(stack(), FLOOR, t1=10.0, y0=START)
+    smooth = ss.simulate(stack(), FLOOR, t1=10.0, y0=START, method=ss.Regularized(1e-4, step=1e-3))
+    for of in (*(lambda one, i=i: one.of_contact(i) for i in range(3)), lambda one: one.of_all_contacts()):
+        one, other = of(exact), of(smooth)
+        assert int(one.sticks.count) == int(other.sticks.count) > 0
+        count = int(one.sticks.count)
+        for name in ("start", "end", "position", "slip_displacement"):
+            np.testing.assert_allclose(
+                getattr(one.sticks, name)[:count], getattr(other.sticks, name)[:count], atol=4e-3
+            )
+        np.testing.assert_array_equal(one.sticks.ending[:count], other.sticks.ending[:count])
+
+
+@pytest.mark.parametrize("how", [{"step": 2e-3}, {"rtol": 1e-8}], ids=["fixed", "adaptive"])
+def test_a_clutch_that_is_opened_and_closed(how):
+    """Its stick ends where the force jumps to zero, and begins where it is closed at rest; open, nothing sticks.
+
+    Two free inertias; the second is pushed while the clutch is open. With N = 20 N, mu = 0.5 a speed difference of
+    1 rad/s stops in 1/20 s (both have 1 kg m^2), so that it sticks in [0.05, 1] and again from 2.05 s on.
+    """
+    force = ss.ForceSteps(times=[0.0, 1.0, 2.0], values=[20.0, 0.0, 20.0])
+    load = ss.Recorded([0.0, 1.0, 1.5, 2.0, 4.0], [0.0, 0.0, 2.0, 0.0, 0.0])
+    clutch = ss.Contact.between(1, 0, 2, force, ss.Coulomb(0.5))
+    train = ss.LinearStructure([1.0, 1.0], [0.0, 0.0], contacts=(clutch,), force=(None, load))
+    method = ss.Regularized(1e-4, **how)
+    one = ss.simulate(train, ss.Constant(0.0), t1=3.0, y0=(0.0, 0.0, 1.0, 0.0), method=method)
+    starts, ends = shown(one, 0)
+    np.testing.assert_allclose(starts, [0.05, 2.05], atol=1e-4)
+    np.testing.assert_allclose(ends, [1.0, 3.0], atol=1e-12)
+    assert [int(code) for code in one.sticks.ending[:2]] == [ss.Ending.RELEASED, ss.Ending.HORIZON]
+    np.testing.assert_allclose(one.final_state[2:], [1.0, 1.0], atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", ["linear", "arctan"])
+def test_one_contact_of_a_list_is_the_mass_alone(shape):
+    """Two programs for one motion: the scalar balance of one contact, and that of a list with one entry."""
+    law = ss.PoissonSwitching(speed=1.0, rate=1.0).sample(jax.random.key(0), 20.0)
+    method = ss.Regularized(1e-3, shape, step=0.01)
+    alone = ss.MassSpring(1.2, 4.0, 1.5, ss.Coulomb(0.6), 0.1, ss.Harmonic(0.3, 1.1))
+    contact = ss.Contact(np.ones(1), 1.5, ss.Coulomb(0.6))
+    listed = ss.LinearStructure([1.2], [4.0], [0.1], (contact,), (ss.Harmonic(0.3, 1.1),))
+    one = ss.simulate(alone, law, t1=20.0, y0=(0.0, 1.0), method=method)
+    other = ss.simulate(listed, law, t1=20.0, y0=(0.0, 1.0), method=method).of_contact(0)
+    count = int(one.sticks.count)
+    assert count == int(other.sticks.count) > 2
+    for name in ("start", "end", "position", "slip_displacement", "ending"):
+        np.testing.assert_allclose(getattr(one.sticks, name)[:count], getattr(other.sticks, name)[:count], atol=1e-12)
+    assert float(one.method.minimum_duration) == pytest.approx(float(other.method.minimum_duration[0]), rel=1e-12)
+    assert float(one.method.threshold) == pytest.approx(float(other.method.threshold[0]), rel=1e-12)
+
+
+def test_derivatives_are_those_of_differences():
+    """By a friction coefficient and an entry of the mass matrix, in both modes, of the end and of a stick's start."""
+    method = ss.Regularized(WIDTH, step=5e-3, max_steps=2048, threshold=WIDTH, minimum_duration=0.05)
+
+    @jax.jit
+    def results(values):
+        mass = jnp.asarray(MASS).at[0, 1].set(values[1]).at[1, 0].set(values[1])
+        one = ss.simulate(stack((values[0], *MU[1:]), mass), FLOOR, t1=T1, y0=START, method=method)
+        return jnp.array([one.final_state[0], one.of_contact(0).sticks.start[0]])
+
+    at, change = jnp.array([0.2, 0.2]), 1e-5
+    columns = [(results(at + change * e) - results(at - change * e)) / (2 * change) for e in jnp.eye(2)]
+    np.testing.assert_allclose(jax.jacfwd(results)(at), jnp.stack(columns, axis=1), rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(jax.grad(lambda v: results(v)[0])(at), [c[0] for c in columns], rtol=2e-5, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_derivatives_of_adaptive_steps():
+    def end(mu):
+        method = ss.Regularized(WIDTH, rtol=1e-10)
+        return ss.simulate(stack((mu, *MU[1:])), FLOOR, t1=3.0, y0=START, method=method).final_state[0]
+
+    difference = (end(0.2 + 1e-4) - end(0.2 - 1e-4)) / 2e-4
+    assert float(jax.grad(end)(0.2)) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_samples_are_single_runs():
+    """Each sample of an ensemble with uncertain friction is its single run, each contact and all at once."""
+    uncertain = ss.LinearStructure(
+        [1.0, 1.0], [[2.2, -1.2], [-1.2, 2.2]],
+        contacts=(ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(ss.Uniform(0.2, 0.4))),
+                  ss.Contact.between(1, 0, 2, 1.3, ss.Coulomb(0.3))),
+    )  # fmt: skip
+    law = ss.PoissonSwitching(speed=0.3, rate=1.0)
+    how = {"t1": 20.0, "method": ss.Regularized(1e-3, step=0.01)}
+    drawn = {"samples": 30, "key": jax.random.key(0), "keep": "sticks"}
+    many = ss.simulate_contacts(uncertain, law, **drawn, **how)
+    assert many.status_counts == {ss.Status.FINISHED: 30}
+    counted = ss.simulate_ensemble(uncertain.of_contact(1), law, **drawn, **how)
+    for name in ("start", "end", "position", "ending"):
+        np.testing.assert_array_equal(getattr(counted.sticks, name), getattr(many.of_contact(1).sticks, name))
+    for sample in (0, 17):
+        system, base, y0 = many.realization(sample)
+        one = ss.simulate(system, base, y0=y0, **how)
+        parts = [(one.of_contact(i), many.of_contact(i)) for i in range(2)]
+        for single, ensemble in (*parts, (one.of_all_contacts(), many.of_all_contacts())):
+            mask = np.asarray(ensemble.sticks.mask[sample])
+            assert int(single.sticks.count) == mask.sum() > 0
+            for name in ("start", "end", "position", "slip_displacement"):
+                here = np.asarray(getattr(single.sticks, name))[: mask.sum()]
+                np.testing.assert_allclose(np.asarray(getattr(ensemble.sticks, name)[sample])[mask], here, atol=1e-12)
+            assert float(single.stick_time) == pytest.approx(float(ensemble.totals.stick_time[sample]), abs=1e-12)
+
+
+def test_adaptive_samples_of_one_contact_are_single_runs():
+    law = ss.PoissonSwitching(speed=0.3, rate=1.0)
+    how = {"t1": 3.0, "method": ss.Regularized(1e-2)}
+    many = ss.simulate_ensemble(
+        chain().of_all_contacts(), law, samples=3, key=jax.random.key(0), y0=CHAIN_START, keep="sticks", **how
+    )
+    for sample in range(3):
+        system, base, y0 = many.realization(sample)
+        one = ss.simulate(system, base, y0=y0, **how)
+        assert float(one.stick_time) == pytest.approx(float(many.totals.stick_time[sample]), abs=1e-9)
+
+
+def test_static_above_kinetic_friction_in_adaptive_steps():
+    """One mass of a list against the exact engine: releases at the static limit."""
+    contact = ss.Contact(np.ones(1), 4.0, ss.Coulomb(0.25, 0.375))
+    block = ss.LinearStructure([0.5], [1.0], contacts=(contact,))
+    how = {"t1": 12.0, "y0": (0.0, 0.0)}
+    exact = ss.simulate(block, ss.Constant(0.3), **how)
+    smooth = ss.simulate(block, ss.Constant(0.3), method=ss.Regularized(1e-4, rtol=1e-8), **how)
+    assert int(exact.sticks.count) == int(smooth.sticks.count) > 0
+    for ours, theirs in zip(shown(exact, 0), shown(smooth, 0), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=8e-3)
+
+
+@pytest.mark.usefixtures("annotations_unchecked")
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda run: run(ss.Regularized(1e-3, step=0.01), ss.Coulomb(0.3, 0.4)), "Argument method must be Exact"),
+        (lambda run: run(ss.Regularized(1e-3, threshold=np.ones(2))), "or one for each of the 3 contacts"),
+        (lambda run: run(ss.Regularized(1e-3, minimum_duration=np.ones((3, 1)))), "Argument minimum_duration must"),
+        (lambda run: run(ss.Regularized(1e-3, threshold=-np.ones(3))), "Argument threshold must be positive"),
+        (lambda run: run(ss.Regularized(1e-3, step=0.5)), "Argument step must be at most"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_told(call, message):
+    def run(method, friction=None):
+        friction = ss.Coulomb(0.3) if friction is None else friction
+        contacts = tuple(ss.Contact.of_mass(i, 3, 1.0, friction) for i in range(3))
+        return ss.simulate(ss.LinearStructure(np.ones(3), CHAIN, None, contacts), FLOOR, t1=1.0, method=method)
+
+    with pytest.raises(ValueError, match=message):
+        call(run)
+
+
+def test_what_needs_a_step_or_a_number_is_told():
+    law = ss.PoissonSwitching(speed=0.3, rate=1.0)
+    with pytest.raises(ValueError, match="Argument method must give a step"):
+        ss.simulate_contacts(chain(), law, t1=1.0, samples=2, key=jax.random.key(0), method=ss.Regularized(1e-2))
+    with pytest.raises(ValueError, match="must be one number, but an array"):
+        ss.simulate(
+            ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5)), law.sample(jax.random.key(0), 1.0), t1=1.0,
+            method=ss.Regularized(1e-3, threshold=jnp.ones(1)),
+        )  # fmt: skip
+
+
+def test_single_precision():
+    exact = ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START)
+    with jax.enable_x64(False):
+        method = ss.Regularized(1e-3, step=0.005)
+        with pytest.warns(UserWarning, match="float32"):
+            one = ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START, method=method)
+        assert one.final_state[0].dtype == jnp.float32
+        assert list(one.totals.sticks) == list(exact.totals.sticks)
+        np.testing.assert_allclose(one.sticks.start[:5], exact.sticks.start[:5], atol=2e-2)
