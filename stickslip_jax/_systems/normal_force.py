@@ -66,7 +66,8 @@ def largest_of(normal_force: NormalForce) -> Scalar | None:
     """The largest size that it has at any time, N, or an upper bound of it; None where that is not known."""
     if isinstance(normal_force, Signal) and not normal_force.is_harmonic:
         return None
-    return size_of(normal_force, jnp.asarray(0.0)) if is_function(normal_force) else normal_force
+    number = jnp.zeros(()) if is_function(normal_force) else jnp.asarray(normal_force, float)
+    return size_of(normal_force, number)
 
 
 def periods_of(normal_forces: tuple[NormalForce, ...]) -> dict[str, Scalar | None]:

@@ -152,11 +152,12 @@ class LinearStructure(WithContacts):
     @property
     def contact_scales(self) -> tuple[FloatArray | None, FloatArray | None]:
         """Of each contact; the speed is what friction changes in the time of one radian of the masses it pushes."""
-        normal = [largest_of(force) for force in self.normal_forces]
-        if any(force is None for force in normal):
-            return None, None
-        of = self.matrices
-        held = [contact.friction.static * force for contact, force in zip(self.contacts, normal, strict=True)]
+        of, held = self.matrices, []
+        for contact in self.contacts:
+            normal = largest_of(contact.normal_force)
+            if normal is None:
+                return None, None
+            held.append(contact.friction.static * normal)
         gain = jnp.sum(of.directions.T * of.by_force, axis=0)
         deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
         return deceleration * self._clocks, deceleration

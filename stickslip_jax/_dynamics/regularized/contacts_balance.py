@@ -2,7 +2,7 @@
 
 With the relative velocities ``sigma = speed - stiffness force`` that the forces (contacts,) leave of the `speed`
 without friction, the forces are those of the regularised law, ``force = law(sigma)``. Where the law rises with the
-velocity and the stiffness is positive definite there is one solution: the minimum of a convex function with the gradient
+velocity and the stiffness is positive definite there is one solution: the minimum of a convex function of gradient
 ``stiffness (force - law(sigma))``. Newton's method finds it. Where a step would overshoot the minimum, because contacts
 pass their narrow bands of small relative velocity in it, it ends at the minimum along its direction.
 """

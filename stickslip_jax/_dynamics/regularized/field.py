@@ -3,7 +3,7 @@
 With several contacts: `contacts_field.py`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -96,7 +96,7 @@ class Field(NamedTuple):
         seen: Step,
         *,
         jumped: BoolArray,
-        after: FloatArray,
+        after: Any,
         last: BoolArray,
         resolved: bool,
     ) -> tuple[StickDetector, StickRecord]:

@@ -83,8 +83,8 @@ def check_contacts(system: System, method: Regularized) -> None:
     if contacts is not None and method.step is not None and system.static_exceeds_kinetic:
         raise ValueError(
             "Argument method must be Exact(), or Regularized(width) without a step, where static friction exceeds "
-            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; or "
-            "make static friction equal to kinetic friction."
+            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; "
+            "or make static friction equal to kinetic friction."
         )
 
 
