@@ -68,13 +68,13 @@ class ContactsField(eqx.Module):
             jax.jvp(self.model.stick_position, (y,), (slope,)) for y, slope in ((before, rates), (after, end_rates))
         )
         slow = jnp.abs(velocities[0][0]) <= self.threshold
-        needs = tuple(self._need(forcing, tau, y, slow) for tau, y in ((zero, before), (h, after)))
+        need, end_need = self._need(forcing, zero, before, slow), self._need(forcing, h, after, slow)
         normal = None
         if self.model.varying:
             normal = NormalForces(
                 *self._normal(forcing, zero, before, rates), *self._normal(forcing, h, after, end_rates)
             )
-        step = Step(t, h, *velocities[0], *velocities[1], *positions[0], *positions[1], *needs, normal)
+        step = Step(t, h, *velocities[0], *velocities[1], *positions[0], *positions[1], need, end_need, normal)
         return step, rates, end_rates
 
     def contact(self, forcing: object, t: FloatArray, y: State) -> tuple[FloatArray, BoolArray]:

