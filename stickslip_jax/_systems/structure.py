@@ -14,6 +14,7 @@ from .._excitation.recorded import Recorded
 from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._fields import with_fields
+from .._numerics.primal import without_derivatives
 from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import WRITTEN_OUT, Uncoupled
@@ -144,11 +145,13 @@ class LinearStructure(WithContacts):
     def fastest(self) -> FloatScalar:
         """The highest natural angular frequency or decay rate, rad/s, of the structure without friction.
 
-        Sticks only constrain it, which raises none of them.
+        Sticks only constrain it, which raises none of them. A scale, without derivatives: masses without springs have
+        equal eigenvalues, which have none.
         """
         lowest = 1e-3 * jnp.sqrt(jnp.finfo(float).tiny)
-        squared = _largest_eigenvalue(self.mass, self.stiffness)
-        decay = 0.0 if self.damping is None else _largest_eigenvalue(self.mass, self.damping)
+        mass, stiffness, damping = without_derivatives((self.mass, self.stiffness, self.damping))
+        squared = _largest_eigenvalue(mass, stiffness)
+        decay = 0.0 if damping is None else _largest_eigenvalue(mass, damping)
         return jnp.maximum(jnp.maximum(jnp.sqrt(jnp.maximum(squared, 0)), decay), lowest)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:

@@ -110,6 +110,15 @@ def test_friction_law_of_a_clutch_is_asked_with_the_speed_at_its_radius():
     np.testing.assert_allclose(closing(INERTIA, RADIUS)[0], closed_form_of_closing(INERTIA, RADIUS), rtol=1e-11)
 
 
+def test_time_scale_of_inertias_without_springs_has_no_derivative():
+    """Their eigenvalues are equal; it was not a number, and every derivative in reverse mode with it."""
+
+    def fastest(inertia):
+        return ss.drivetrain(inertia, brakes=(None, ss.FrictionDisk(1.0, DRY))).fastest
+
+    np.testing.assert_array_equal(jax.grad(fastest)(jnp.asarray(INERTIA)), [0.0, 0.0])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_by_inertias_and_radius(mode):
