@@ -25,19 +25,17 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     assert system.contacts is not None
     contacts = system.contacts
     y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
-    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
-    check_traceable(
-        system, ("relative_velocity", *(("normal_forces",) if system.has_normal_forces else ())), zero, y, base
-    )
-    check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
     with _checks.traceable(f"The method relative_velocity of {kind}"):
         velocities = system.relative_velocity(zero, y, base)
     _check_number(kind, "relative_velocity", velocities, contacts)
+    check_traceable(system, ("relative_velocity",), zero, y, base)
     check_belt(system, y, base)
     if system.has_normal_forces:
         with _checks.traceable(f"The method normal_forces of {kind}"):
             normal_forces = system.normal_forces(zero, y, base)
         _check_number(kind, "normal_forces", normal_forces, contacts)
+        check_traceable(system, ("normal_forces",), zero, y, base)
+    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
 
     def rates(friction: np.ndarray) -> tuple:
         return system.rates(zero, y, base, jnp.asarray(friction))
@@ -46,6 +44,7 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     with _checks.traceable(f"The method rates of {kind}"):
         found = [rates(friction) for friction in (0 * units[0], np.ones(contacts), *units, *-units)]
     check_rates(kind, found[0], len(y))
+    check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
     model: Any = system.switched_model(None, None)
     gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((found, gain))):

@@ -85,6 +85,8 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     near = Near.of(y)
     # Of another system like one that was tried, only the numbers are looked at, by a compiled function.
     rates, gradient, found = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
+    if any(map(_checks.is_traced, (rates, gradient, found))):  # its class encloses a number that JAX traces
+        return
     near.check(kind, np.asarray(found))
     _check_affine(kind, np.asarray(rates, float), np.asarray(gradient, float))
     _TRIED.add(system, y)
