@@ -89,12 +89,18 @@ def assert_same_motion(one: ss.Simulation, other: ss.Simulation, least: int = 2)
         np.testing.assert_allclose(found, right, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(("base", "force"), [(GROUND, LOAD), (GROUND, None), (BASE, LOAD)])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("base", "force"), [(GROUND, LOAD), pytest.param(GROUND, None, marks=SLOW), pytest.param(BASE, LOAD, marks=SLOW)]
+)
 def test_as_the_built_in_system(base, force):
     """Whose slips and sticks are closed forms on every segment."""
     assert_same_motion(run(Copy(*NUMBERS, force), base), run(built_in(force), base))
 
 
+@SLOW
 def test_steps_are_not_those_of_the_record():
     """A long step and a short one give the same; interpolation in the stages would cost six digits."""
     right = run(built_in(LOAD), GROUND)
@@ -102,6 +108,7 @@ def test_steps_are_not_those_of_the_record():
         assert_same_motion(run(Copy(*NUMBERS, LOAD), GROUND, method=ss.Exact(step=step)), right)
 
 
+@SLOW
 def test_one_of_several_contacts():
     """Its normal force a record too."""
     normal = ss.Recorded([0.0, 5.0, 6.0, 13.0], [1.0, 1.2, -0.1, 1.4])
@@ -109,37 +116,50 @@ def test_one_of_several_contacts():
     assert_same_motion(own.of_contact(0), right)
 
 
+@SLOW
 def test_a_force_that_jumps():
     """By a harmonic sum it would be another motion: here against the simulations from jump to jump."""
-    one, y, t = run(Copy(*NUMBERS, JUMPS), ss.Constant(0.2)), START, 0.0
+    one, y = run(Copy(*NUMBERS, JUMPS), ss.Constant(0.2)), START
     for begin, end, force in zip(JUMPS.times, [*JUMPS.times[1:], T1], JUMPS.values, strict=True):
         part = ss.MassSpring(*NUMBERS[:3], ss.Coulomb(0.8), force=ss.SumOfHarmonics([0.0], [1.0], offset=float(force)))
         y = tuple(map(float, ss.simulate(part, ss.Constant(0.2), t1=float(end - begin), y0=y).final_state))
         np.testing.assert_allclose([float(x) for x in one.evaluate(float(end))], y, rtol=0, atol=1e-11)
-        t += end - begin
 
 
-def test_derivatives_by_numbers_and_records():
-    def told(system_of):
-        def quantities(mu, values):
-            one = run(system_of(mu, ss.Recorded(TIMES, values)), method=ss.Exact(max_steps=1024))
-            return jnp.stack([one.stick_time, one.final_state[0], one.sticks.start[0]])
+def told(system_of, mu, values):
+    """Some numbers of a motion, by the friction coefficient and by the values of a record."""
+    one = run(system_of(mu, ss.Recorded(TIMES, values)), method=ss.Exact(max_steps=1024))
+    return jnp.stack([one.stick_time, one.final_state[0], one.sticks.start[0]])
 
-        return quantities
 
-    own = told(lambda mu, force: Copy(*NUMBERS[:3], mu, force))
-    right = told(lambda mu, force: built_in(force, mu=mu))
-    for how in (jax.jacfwd(own), jax.jit(jax.jacrev(own))):
-        np.testing.assert_allclose(how(0.8, PULL), jax.jacfwd(right)(0.8, PULL), rtol=0, atol=1e-8)
-    along, flat = jnp.sin(TIMES), np.asarray(PULL)
+def own(mu, values):
+    return told(lambda mu, force: Copy(*NUMBERS[:3], mu, force), mu, values)
+
+
+def right(mu, values):
+    return told(lambda mu, force: built_in(force, mu=mu), mu, values)
+
+
+def test_derivatives():
+    found, expected = (jax.jacrev(function)(0.8, PULL) for function in (own, right))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+    assert np.all(np.abs(expected) > 1e-3)
+
+
+@SLOW
+def test_derivatives_by_a_record():
+    """Along a change of all its values, forward and backward, under jit."""
+    along = jnp.sin(TIMES)
     found, expected = (
-        jax.jit(lambda mu, f=f: jax.jvp(lambda values: f(mu, values), (flat,), (along,))[1])(0.8) for f in (own, right)
+        jax.jit(lambda values, f=f: jax.jvp(lambda values: f(0.8, values), (values,), (along,))[1])(PULL)
+        for f in (own, right)
     )
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
-    by_record = jax.jit(jax.grad(lambda values: own(0.8, values)[0]))(flat)
-    assert float(by_record @ along) == pytest.approx(float(expected[0]), abs=1e-8)
+    back = jax.jit(jax.grad(lambda values: own(0.8, values)[0]))(PULL)
+    assert float(back @ along) == pytest.approx(float(expected[0]), abs=1e-8)
 
 
+@SLOW
 def test_an_ensemble():
     options = {"t1": T1, "samples": 40, "key": jax.random.key(3), "keep": "sticks"}
     law = ss.PoissonSwitching(0.5, 0.3)
@@ -153,6 +173,7 @@ def test_an_ensemble():
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
 
 
+@SLOW
 def test_random_earthquakes():
     law = ss.KanaiTajimi(rms=2.0)
     options = {"t1": T1, "samples": 20, "key": jax.random.key(4)}
@@ -160,7 +181,8 @@ def test_random_earthquakes():
     assert float(ss.stick_fraction(own).value) == pytest.approx(float(ss.stick_fraction(right).value), abs=1e-11)
 
 
-@pytest.mark.parametrize("step", [0.01, pytest.param(None, marks=pytest.mark.slow)])
+@SLOW
+@pytest.mark.parametrize("step", [0.01, None])
 def test_regularised(step):
     method = ss.Regularized(1e-3, step=step, threshold=1e-2, minimum_duration=0.05)
     one, other = (run(system, GROUND, method=method) for system in (Copy(*NUMBERS, LOAD), built_in(LOAD)))
@@ -179,13 +201,14 @@ class Belt(Copy):
         return y[1], (-self.stiffness * y[0] - friction * self.mu * self.normal_force) / self.mass
 
 
+@SLOW
 def test_a_belt():
     """In a record's own system it is the base motion."""
     speed = ss.Recorded(TIMES, 0.4 * PULL)
     assert_same_motion(run(Belt(*NUMBERS, speed), ss.Constant(0.0)), run(built_in(), speed))
 
 
-@pytest.mark.parametrize("by", ["record", "system", "duration"])
+@pytest.mark.parametrize("by", [pytest.param("record", marks=SLOW), "system", pytest.param("duration", marks=SLOW)])
 def test_the_number_of_steps_follows_from_the_length_of_a_record(by):
     """Under jit too, where its times, the spring or the duration are not known."""
 
