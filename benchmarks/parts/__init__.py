@@ -1,6 +1,17 @@
 """The parts of the benchmarks: each measures (`measure`) and writes its table (`table`)."""
 
-from . import compiling, composed, contacts, derivatives, intervals, motor_cart, regularized, sensitivity, stepping, sweeps
+from . import (
+    compiling,
+    composed,
+    contacts,
+    derivatives,
+    intervals,
+    motor_cart,
+    regularized,
+    sensitivity,
+    stepping,
+    sweeps,
+)
 
 PARTS = {
     "intervals": intervals,

@@ -1,4 +1,4 @@
-"""Several contacts: two blocks beside a scalar loop in numba, a chain of ten beside scipy, and growth with the contacts.
+"""Several contacts: two blocks beside a scalar loop in numba, a chain of ten beside scipy, and longer chains.
 
 Every round times each program once, scipy's in a few of them.
 """

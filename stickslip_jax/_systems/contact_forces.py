@@ -9,7 +9,8 @@ Which contacts at rest are held is a linear complementarity problem with bounds 
 friction are equal and the gain is positive definite it has one solution (Stewart and Trinkle 1996; Pfeiffer and
 Glocker 1996). Where static friction is larger the rule is one after the other: what stuck holds up to its static limit,
 the stick that needs the largest share of its limit breaks first and falls to kinetic friction, and then the rest are
-asked again. What has broken and is driven back by the others is held again by at most its kinetic friction.
+asked again. What has broken and is driven back by the others is held again by at most its kinetic friction; that is
+settled among all that have broken before the rest are asked.
 """
 
 from typing import NamedTuple
@@ -141,8 +142,10 @@ def settled(gain: FloatArray, drift: FloatArray, limits: Limits, question: Quest
         excess = jnp.where(held, jnp.abs(share) - allowed, -jnp.inf)
         # A contact that others drive back is held again: its friction alone would reverse it.
         back = jnp.where(slips, -sign * acceleration(gain, drift, force), -jnp.inf)
-        breaks = (excess == jnp.max(excess)) & (excess > 0)
-        returns = (back == jnp.max(back)) & (back > 0) & ~jnp.any(breaks)
+        returns = (back == jnp.max(back)) & (back > 0)
+        # What has broken settles at kinetic friction before anything else is asked whether it breaks too.
+        excess = jnp.where(jnp.any(broken & (excess > 0)) & ~broken, -jnp.inf, excess)
+        breaks = (excess == jnp.max(excess)) & (excess > 0) & ~jnp.any(returns)
         decisive = jnp.where(held, share, decisive)
         new = jnp.where(breaks, jnp.where(force > 0, 1, -1), jnp.where(returns, 0, sign)).astype(sign.dtype)
         return new, decisive, broken | breaks, passes + 1, jnp.any(breaks | returns)

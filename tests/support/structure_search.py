@@ -5,7 +5,6 @@ although its status is FINISHED and its near-grazing count is 0.
 """
 
 import itertools
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -44,7 +43,13 @@ class Family(NamedTuple):
         for i in range(number):
             rng = np.random.default_rng([29, *code, i])
             setup = random_structure(
-                rng, self.contacts, coupled=self.coupled, base=self.base, varying=False, spare=self.spare, longest=LONGEST
+                rng,
+                self.contacts,
+                coupled=self.coupled,
+                base=self.base,
+                varying=False,
+                spare=self.spare,
+                longest=LONGEST,
             )
             setups.append(with_normal_forces(setup, rng, kinds) | {"kinds": kinds})
         return setups

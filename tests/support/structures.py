@@ -25,8 +25,8 @@ def random_base(rng: np.random.Generator, kind: str, t1: float) -> dict[str, Any
     """A base velocity in m/s.
 
     ``constant``: `velocity`. ``harmonic``: ``offset + amplitude cos(frequency t + phase)``. ``square``: `velocities`
-    between `times`, one more than velocities; the same for ``poisson``, of a Poisson process. ``lines``: `velocities` at
-    `times`, joined by straight lines.
+    between `times`, one more than velocities; ``poisson`` likewise, at the events of a Poisson process. ``lines``:
+    `velocities` at `times`, joined by straight lines.
     """
     if kind == "constant":
         return {"kind": kind, "velocity": float(rng.uniform(0.2, 1.0))}

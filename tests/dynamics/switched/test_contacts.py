@@ -4,8 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from reference.contact_arcs import Motion
+from reference.contacts import _settle_block
 
 import stickslip_jax as ss
+from stickslip_jax._systems.contact_forces import Limits, settled
+from stickslip_jax._systems.switched_model import Question
 
 CHAIN = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
@@ -128,14 +132,40 @@ def test_what_sticks_together_moves_as_one_mass():
 
 
 def test_a_jump_of_the_base_asks_the_others_under_the_friction_that_it_starts():
-    """Pushed by 3 N, held by at most 3.2 N: when the belt turns, the lower block is slowed down, and the upper holds."""
+    """Pushed by 3 N, held by at most 3.2 N: when the belt turns, the lower block is slowed, and the upper holds."""
     below, above = ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(3.2)), ss.Contact.between(1, 0, 2, 1.0, ss.Coulomb(1.0))
     system = ss.LinearStructure([1.0, 1.0], [0.0, 0.0], contacts=(below, above), force=(3.0, None))
-    one = ss.simulate(system, ss.VelocitySteps([1.0, 1.0], [1.0, -1.0]), t1=2.0, y0=(0.0, 0.0, 1.0, 1.0))
+    one = ss.simulate(system, ss.PiecewiseConstant([0.0, 1.0], [1.0, -1.0]), t1=2.0, y0=(0.0, 0.0, 1.0, 1.0))
     assert one.of_contact(1).sticks.end[one.of_contact(1).sticks.mask].tolist() == [2.0]
     assert one.of_contact(0).sticks.end[one.of_contact(0).sticks.mask].tolist() == [1.0]
     assert int(one.near_grazing_count) == 0
     np.testing.assert_allclose(one.final_state[2:], 0.9, rtol=1e-14)  # both are slowed down by 0.1 m/s^2
+
+
+@pytest.mark.parametrize("contacts", [2, 5, 6])
+def test_what_has_broken_settles_before_another_breaks(contacts):
+    """Contacts at rest under random loads, coupled, static above kinetic friction, against the reference's cases."""
+    rng = np.random.default_rng(contacts)
+    root = rng.normal(size=(400, contacts, contacts))
+    gain, drift = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(contacts), 3 * rng.normal(size=(400, contacts))
+    kinetic = rng.uniform(0.2, 2, (400, contacts))
+    static = kinetic * rng.uniform(1.05, 1.5, (400, contacts))
+    everywhere = jnp.ones(contacts, bool)
+
+    @jax.jit
+    @jax.vmap
+    def signs(gain, drift, kinetic, static):
+        question = Question(jnp.zeros(contacts), everywhere, ~everywhere, everywhere)
+        return settled(gain, drift, Limits(kinetic, kinetic, static, static), question, jnp.zeros(contacts)).sign
+
+    compared = 0
+    for found, *numbers in zip(signs(gain, drift, kinetic, static), gain, drift, kinetic, static, strict=True):
+        run = Motion()
+        expected = _settle_block(run, numbers[0], numbers[1], {}, *numbers[2:])
+        if run.margin > 1e-6:
+            np.testing.assert_array_equal(found, expected)
+            compared += 1
+    assert compared > 390
 
 
 @pytest.mark.slow
