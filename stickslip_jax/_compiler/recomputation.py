@@ -192,7 +192,7 @@ def _kept(jaxpr: core.Jaxpr) -> set[core.Var]:
 
 def _repeats(equation: core.JaxprEqn, atom: core.Var) -> int:
     """How often an element of the operand is computed where the result is, unless it is stored."""
-    size, results = math.prod(atom.aval.shape), math.prod(equation.outvars[0].aval.shape)
+    size, results = (math.prod(getattr(of.aval, "shape", ())) for of in (atom, equation.outvars[0]))
     return max(results // size, 1) if equation.primitive.name == "broadcast_in_dim" and size > 1 else 1
 
 

@@ -10,7 +10,7 @@ from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes
 from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
-from .contact_forces import Limits
+from .contact_forces import Limits, Uncoupled
 from .contacts_model import ContactsModel, Instant
 from .switched_model import Segments
 from .users_forcing import GeneralForcing, UsersBase
@@ -117,6 +117,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         """As of every model; NaN where the contacts have no unique motion, because friction would drive itself."""
         y = super().at_base_velocity(forcing, y, resting)
         gain = self.instant(forcing, jnp.zeros_like(y[0]), y).gain
+        assert not isinstance(gain, Uncoupled)
         is_unique = jnp.linalg.eigvalsh((gain + gain.T) / 2)[0] > 0
         return jnp.where(is_unique, y[0], jnp.nan), *y[1:]
 

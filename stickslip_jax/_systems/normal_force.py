@@ -1,13 +1,13 @@
 """Normal forces of contacts: numbers, or functions of time."""
 
 import dataclasses
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import jax.numpy as jnp
 
 from .._excitation.force_steps import ForceSteps
 from .._excitation.recorded import Recorded
-from .._excitation.smooth import Signal
+from .._excitation.smooth import Harmonic, Signal, SumOfHarmonics
 from .._fields import Quantity
 from .._types import FloatArray, FloatScalar, Number, Scalar
 
@@ -69,7 +69,8 @@ def power_series_of(
 
     Signals must be harmonic. `recorded`, `slopes`: of those that are `recorded_in` them, at `t`.
     """
-    harmonic = {i: one.power_series(t, terms) for i, one in enumerate(forces) if isinstance(one, Signal)}
+    signals = {i: cast(Harmonic | SumOfHarmonics, one) for i, one in enumerate(forces) if isinstance(one, Signal)}
+    harmonic = {i: one.power_series(t, terms) for i, one in signals.items()}
     pieces = {i: number for number, i in enumerate(i for i, one in enumerate(forces) if isinstance(one, _PIECES))}
 
     def coefficient(i: int, k: int) -> FloatScalar:

@@ -2,11 +2,12 @@
 
 from functools import reduce
 from operator import add
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
 
+from .._excitation.smooth import Harmonic, SumOfHarmonics
 from .._types import FloatArray, FloatScalar, State
 from .contact_forces import WRITTEN_OUT, acceleration, holding, solved, times
 from .contacts_model import InMode
@@ -33,18 +34,16 @@ class ArcsModel(StructureModel):
         held = _Held(of, holding(of.gain, sticks))
         sources = self._sources(held, forcing, y, sign, terms)
         stiffness, damping, in_terms = of.stiffness, of.damping, len(y[0]) > WRITTEN_OUT
-        if (
-            not in_terms
-        ):  # few masses: the matrices of the structure that the sticks hold cost less than to hold each term
+        if not in_terms:  # few masses: to hold the matrices costs less than to hold each term of the series
             stiffness, damping = held(stiffness), None if damping is None else held(damping)
         x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
-        for k in range(terms):
+        for k, source in enumerate(sources):
             pull = times(stiffness, x[k])
             if damping is not None:
                 pull = pull + times(damping, v[k])
             rate = -(held(pull) if in_terms else pull)
-            if sources[k] is not None:
-                rate = rate + power * sources[k]
+            if source is not None:
+                rate = rate + power * source
             share = (1 / (k + 1)) * h
             x.append(share * v[k])
             v.append(share * rate)
@@ -62,20 +61,21 @@ class ArcsModel(StructureModel):
         slip = share.slip(self._own(sign))
         normal = power_series_of(self.structure.normal_forces, t, forcing.normal, forcing.normal_slope, terms)
         load = power_series_of(self.structure.force or (), t, forcing.load, forcing.load_slope, terms)
-        base = (None,) * (terms + 1) if self.smooth is None else self.smooth.power_series(t, terms + 1)
-        sources = []
-        for k in range(terms):
-            parts = [] if normal[k] is None else [-times(of.by_force, slip * normal[k])]
+        base: tuple[FloatArray | None, ...] = (None,) * (terms + 1)
+        if self.smooth is not None:
+            base = cast(Harmonic | SumOfHarmonics, self.smooth).power_series(t, terms + 1)
+        sources: list[FloatArray | None] = []
+        for k, (of_normal, of_load, of_base) in enumerate(zip(normal, load, base[1:], strict=True)):
+            parts = [] if of_normal is None else [-times(of.by_force, slip * of_normal)]
             if k < 2:
                 parts.append(jnp.full_like(y[0], -(forcing.ground_slope if k else forcing.ground)))
-            if load[k] is not None:
-                parts.append(times(of.inverse_mass, load[k]))
+            if of_load is not None:
+                parts.append(times(of.inverse_mass, of_load))
             found = [held(reduce(add, parts))] if parts else []
-            following = forcing.base_slope if k == 0 else none
-            if base[k + 1] is not None:
-                following = following + (k + 1) * base[k + 1]
-            if k == 0 or base[k + 1] is not None:  # the sticks follow the base
-                found.append(held.by(of.on_base * following))
+            # The sticks follow the base.
+            following = none if of_base is None else (k + 1) * of_base
+            if k == 0 or of_base is not None:
+                found.append(held.by(of.on_base * (following + (forcing.base_slope if k == 0 else none))))
             sources.append(reduce(add, found) if found else None)
         return sources
 

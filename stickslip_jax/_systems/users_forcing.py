@@ -77,8 +77,9 @@ class _SeenAt:
     def __init__(self, record: Recorded | ForceSteps, t: FloatScalar, now: FloatScalar):
         self._record, self._t, self._now = record, t, now
 
+    # It is one of these to isinstance, as methods that take numbers too ask.
     @property
-    def __class__(self) -> type:  # it is one of these to isinstance, as methods that take numbers too ask
+    def __class__(self) -> type:  # pyright: ignore[reportIncompatibleMethodOverride]
         return type(self._record)
 
     def value(self, t: Any) -> Any:
