@@ -60,21 +60,17 @@ class ContactsField(eqx.Module):
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        velocities = tuple(
-            jax.jvp(lambda tau, y: self.model.relative_velocity(forcing, tau, y), (tau, y), (jnp.ones_like(tau), slope))
-            for tau, y, slope in ((zero, before, rates), (h, after, end_rates))
-        )
-        positions = tuple(
-            jax.jvp(self.model.stick_position, (y,), (slope,)) for y, slope in ((before, rates), (after, end_rates))
-        )
-        slow = jnp.abs(velocities[0][0]) <= self.threshold
+        r0, slope0 = self._velocity(forcing, zero, before, rates)
+        r1, slope1 = self._velocity(forcing, h, after, end_rates)
+        x0, v0 = jax.jvp(self.model.stick_position, (before,), (rates,))
+        x1, v1 = jax.jvp(self.model.stick_position, (after,), (end_rates,))
+        slow = jnp.abs(r0) <= self.threshold
         need, end_need = self._need(forcing, zero, before, slow), self._need(forcing, h, after, slow)
         normal = None
         if self.model.varying:
-            normal = NormalForces(
-                *self._normal(forcing, zero, before, rates), *self._normal(forcing, h, after, end_rates)
-            )
-        step = Step(t, h, *velocities[0], *velocities[1], *positions[0], *positions[1], need, end_need, normal)
+            n0, rate0 = self._normal(forcing, zero, before, rates)
+            normal = NormalForces(n0, rate0, *self._normal(forcing, h, after, end_rates))
+        step = Step(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
         return step, rates, end_rates
 
     def contact(self, forcing: object, t: FloatArray, y: State) -> tuple[FloatArray, BoolArray]:
@@ -112,6 +108,12 @@ class ContactsField(eqx.Module):
 
     def _friction(self, forcing: object, tau: FloatArray, y: State) -> FrictionAt:
         return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)
+
+    def _velocity(self, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
+        """The relative velocities and their slopes, where the state changes with `rates`."""
+        return jax.jvp(
+            lambda tau, y: self.model.relative_velocity(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates)
+        )
 
     def _need(self, forcing: object, tau: FloatArray, y: State, slow: BoolArray) -> FloatArray:
         """Friction that keeps the relative velocities of the `slow` contacts constant, over the largest friction."""
