@@ -88,7 +88,7 @@ class SwitchedSystem(WithContacts):
 
     For several contacts declare their number, ``contacts = 2``. `friction` is then an array (contacts,), and
     `relative_velocity` returns as many numbers; `static_ratio` may be an array too. Their forces must act as those of
-    masses do: friction in any contact slows the sliding there. `simulate` with `Exact` follows such a system.
+    masses do: friction in any contact slows the sliding there.
 
     Their normal forces, if they depend on time or state, are returned by `normal_forces`; `friction` is then in N (or
     N m), to be multiplied by the friction coefficient. Where a normal force is zero or negative its contact is open: no

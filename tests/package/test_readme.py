@@ -25,7 +25,7 @@ DOCUMENTS = {
     "docs/howto/save.md": 2,
     "docs/howto/sliding_block.md": 1,
     "docs/limits.md": 2,
-    "docs/regularized.md": 2,
+    "docs/regularized.md": 3,
     "docs/sensitivity.md": 2,
     "docs/statistics.md": 4,
     "docs/sweeps.md": 3,

@@ -74,7 +74,8 @@ class Regularized(eqx.Module):
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more
       (`Switch.creep`).
     - `minimum_duration`: shortest time below the threshold that counts as a stick, s; by default ten times the time in
-      which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps.
+      which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps. Of
+      several contacts it may be an array (contacts,), as the threshold; all at once stick for the longest of them.
     - `adjoint`: how diffrax differentiates adaptive steps: ``RecursiveCheckpointAdjoint()`` by default, for reverse
       mode (``grad``); ``ForwardMode()`` for ``jvp`` and ``jacfwd``; ``DirectAdjoint()`` for both, slower. Fixed steps
       support both modes.
