@@ -19,6 +19,7 @@ from stickslip_jax._compiler import (
     native_loops,
     native_loops_work,
 )
+from stickslip_jax._compiler.known_operations import compilable
 
 X = np.linspace(0.1, 0.9, 8)
 LARGE = 1 << 12  # loops over less become native without being asked to
@@ -175,3 +176,30 @@ print("done")
 def test_results_and_arguments_that_nobody_reads_do_no_harm():
     done = subprocess.run([sys.executable, "-c", DROPPING], capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
+
+
+def test_of_functions_that_hold_a_users_only_what_is_known_is_native():
+    """XLA cannot sort in a native loop, nor add up thousands of numbers; their derivatives have other operations."""
+
+    def loop(inside):
+        return native_loop(lambda x: lax.scan(lambda y, _: (inside(y), y), x, None, length=4), known_only=True)
+
+    cases = {
+        "arithmetic": (jnp.cos, X, True),
+        "sorted": (lambda y: jnp.sort(y) * 0.5, X, False),
+        "solved": (lambda y: jnp.linalg.solve(jnp.eye(8) + 0.1, y), X, False),
+        "branches": (lambda y: lax.cond(y[0] > 0, jnp.sin, jnp.sort, y), X, False),
+        "large": (lambda y: y / jnp.sum(y), np.linspace(0.1, 0.9, LARGE), False),
+    }
+    for name, (inside, x, native) in cases.items():
+        assert compilable(jax.make_jaxpr(inside)(x).jaxpr) == native, name
+        right = lax.scan(lambda y, _, inside=inside: (inside(y), y), jnp.asarray(x), None, length=4)
+        for found, expected in zip(loop(inside)(jnp.asarray(x)), right, strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-13)
+
+
+def test_what_a_native_loop_encloses_may_be_traced():
+    def total(factor):
+        return native_loop(lambda x: lax.fori_loop(0, 3, lambda _, y: factor * y, x), known_only=True)(1.5)
+
+    np.testing.assert_allclose(jax.vmap(total)(jnp.array([2.0, 3.0])), [12.0, 40.5])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._systems.user_system_checks import check_motion
 
 MASS = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
 TRACE = "must be written so that JAX can trace it, but it asks for the value of a number that is not known"
@@ -148,6 +149,23 @@ class SlowVelocity(Blocks):
         return y[3] - base.velocity if y[3] > -1e9 else y[3]
 
 
+class SlowTimeOfTwo(SlowTime):
+    contacts = 2
+
+    def forces(self, friction, y):
+        return friction[0], friction[1]
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity, y[3] - base.velocity
+
+
+class SlowRatesOfTwo(SlowTimeOfTwo):
+    shortest_time = None
+
+    def forces(self, friction, y):
+        return friction[0] * math.sqrt(self.stiffness), friction[1]
+
+
 class Table(eqx.Module):
     high: float
 
@@ -168,6 +186,14 @@ CODE = {
         lambda: jax.grad(lambda k: run(SlowTime(k)).stick_time)(1.0),
         "The property shortest_time of SlowTime",
     ),
+    "a time of several contacts": (
+        lambda: ss.simulate(SlowTimeOfTwo(), ss.Constant(0.3), t1=2.0),
+        "The property shortest_time of SlowTimeOfTwo",
+    ),
+    "rates of several contacts": (
+        lambda: ss.simulate(SlowRatesOfTwo(), ss.Constant(0.3), t1=2.0),
+        "The method rates of SlowRatesOfTwo",
+    ),
     "a relative velocity": (lambda: run(SlowVelocity()), "The method relative_velocity of SlowVelocity"),
 }
 
@@ -178,3 +204,23 @@ def test_what_cannot_be_traced(name):
     with pytest.raises(ValueError, match=f"^{where} {TRACE}.*jax.numpy.sqrt") as told:
         make()
     assert "\n" not in str(told.value)
+
+
+class Power(Blocks):
+    """Its rates are affine in friction for one exponent only, and smooth for one factor only."""
+
+    exponent: float = 1.0
+    jump: float = 0.0
+
+    def forces(self, friction, y):
+        return self.jump * jnp.sign(y[1]), jnp.sign(friction) * jnp.abs(friction) ** self.exponent
+
+
+def test_numbers_of_systems_like_one_that_was_tried_are_looked_at():
+    """The methods of a class are tried once, its numbers always."""
+    for _ in range(2):
+        check_motion(Power(), (0.0, 0.1, 0.2, 0.0))
+        check_motion(Power(stiffness=2.0), (0.0, 0.1, 0.2, 0.3))
+        for system, message in ((Power(exponent=2.0), "must be affine in friction"), (Power(jump=0.3), "jumps from")):
+            with pytest.raises(ValueError, match=f"rates of a Power .*{message}"):
+                check_motion(system, (0.0, 0.1, 0.2, 0.0))
