@@ -78,7 +78,7 @@ class _SeenAt:
         self._record, self._t, self._now = record, t, now
 
     @property
-    def __class__(self) -> type:  # it is one of these to isinstance, as methods that take numbers too ask
+    def __class__(self) -> type:  # pyright: ignore[reportIncompatibleMethodOverride] - isinstance asks for it
         return type(self._record)
 
     def value(self, t: Any) -> Any:
