@@ -49,8 +49,8 @@ def provenance(system: object, base: object, method: object, t1: float) -> dict[
     return {"system": _brief(system), "base": _brief(base), "t1": t1, **method_attributes(method)}
 
 
-def method_attributes(method: object) -> dict[str, str | float]:
-    """Attributes that state the method and its criterion of a stick, in SI units."""
+def method_attributes(method: object) -> dict[str, object]:
+    """Attributes that state the method and its criterion of a stick, in SI units: numbers, or arrays (contacts,)."""
     if isinstance(method, Exact):
         return {"method": "exact"} if method.step is None else {"method": "exact", "time_step": float(method.step)}
     if not isinstance(method, Regularized):
@@ -61,7 +61,8 @@ def method_attributes(method: object) -> dict[str, str | float]:
         "stick_minimum_duration": method.minimum_duration,
         "time_step": method.step,
     }
-    known = {name: float(number) for name, number in numbers.items() if number is not None}
+    known = {name: np.asarray(number, float) for name, number in numbers.items() if number is not None}
+    known = {name: number if number.ndim else float(number) for name, number in known.items()}
     return {"method": "regularised", "shape": method.shape, **known}
 
 

@@ -196,11 +196,6 @@ class FileConfig(Section):
                 f"initial_state in [run] must hold {2 * size} numbers, the positions and then the velocities of {size} "
                 f"masses, but {len(state)} were given."
             )
-        if run.width is not None:
-            raise ValueError(
-                f"width in [run] must be left out, because model in [system] is {self.system.title}, which is followed "
-                f"exactly only, but {run.width} was given."
-            )
         return self
 
     def to_toml(self) -> str:

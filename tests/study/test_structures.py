@@ -182,11 +182,20 @@ def test_figures(tmp_path):
     assert set(study.files) == set(RESULT_FILES)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["masses on each other", "normal force that jumps", "forces", "block_row"])
-def test_study_of_a_structure_is_its_ensemble(tmp_path, case):
+@pytest.mark.parametrize(
+    ("case", "more", "method"),
+    [
+        ("diagonals", "width = 1e-3\nstep = 0.01\n", ss.Regularized(1e-3, step=0.01)),
+        *(
+            pytest.param(case, "", ss.Exact(), marks=pytest.mark.slow)
+            for case in ("masses on each other", "normal force that jumps", "forces", "block_row")
+        ),
+    ],
+)
+def test_study_of_a_structure_is_its_ensemble(tmp_path, case, more, method):
     text, system = SYSTEMS[case]
-    config = read_config(config_file(tmp_path, f"{text}[base]\nspeed = 0.3\n{RUN}"), {"out": str(tmp_path / "r")})
+    text = f"{text}[base]\nspeed = 0.3\n{RUN}{more}"
+    config = read_config(config_file(tmp_path, text), {"out": str(tmp_path / "r")})
     study = run_study(config.model_copy(update={"output": config.output.model_copy(update={"figures": False})}))
     many = ss.simulate_ensemble(
         system,
@@ -197,6 +206,7 @@ def test_study_of_a_structure_is_its_ensemble(tmp_path, case):
         keep="sticks",
         chunk=64,
         threads=1,
+        method=method,
     )
     for name in ("start", "end", "position", "ending"):
         found, expected = (getattr(one.require_sticks(), name) for one in (study.ensemble, many))

@@ -123,10 +123,6 @@ BAD_STRUCTURES = {
         HEAD + CONTACT + "[run]\ninitial_state = [0, { low = 1, high = 0 }, 0, 0]",
         ["in [run.initial_state[1]], high must be above low"],
     ),
-    "regularised friction": (
-        HEAD + CONTACT + "[run]\nwidth = 1e-3",
-        ["width in [run] must be left out, because model in [system] is LinearStructure", "0.001"],
-    ),
     "start of a mass on a spring": (
         HEAD + CONTACT + "[run]\ninitial_position = 0.0",
         ["initial_position in [run] of the model LinearStructure", "belongs in [run] of the model MassSpring"],

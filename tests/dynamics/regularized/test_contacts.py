@@ -241,8 +241,10 @@ def test_derivatives_of_adaptive_steps():
     assert float(jax.grad(end)(0.2)) == pytest.approx(float(difference), rel=1e-4)
 
 
-def test_samples_are_single_runs():
-    """Each sample of an ensemble with uncertain friction is its single run, each contact and all at once."""
+def test_samples_are_single_runs(tmp_path):
+    """Each sample of an ensemble with uncertain friction is its single run, each contact and all at once; and the
+    thresholds of each contact come back from a file.
+    """
     uncertain = ss.LinearStructure(
         [1.0, 1.0], [[2.2, -1.2], [-1.2, 2.2]],
         contacts=(ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(ss.Uniform(0.2, 0.4))),
@@ -256,6 +258,12 @@ def test_samples_are_single_runs():
     counted = ss.simulate_ensemble(uncertain.of_contact(1), law, **drawn, **how)
     for name in ("start", "end", "position", "ending"):
         np.testing.assert_array_equal(getattr(counted.sticks, name), getattr(many.of_contact(1).sticks, name))
+    counted.save(tmp_path / "many.nc")
+    loaded = ss.load(tmp_path / "many.nc")
+    np.testing.assert_array_equal(loaded.sticks.start, counted.sticks.start)
+    for name in ("threshold", "minimum_duration"):
+        np.testing.assert_array_equal(getattr(loaded.method, name), getattr(counted.method, name))
+    assert counted.to_xarray().attrs["stick_threshold"].shape == (2,)
     for sample in (0, 17):
         system, base, y0 = many.realization(sample)
         one = ss.simulate(system, base, y0=y0, **how)
