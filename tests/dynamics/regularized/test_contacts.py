@@ -27,6 +27,8 @@ MU, NORMAL = np.array([0.2, 0.3, 0.25]), np.array([5.0, 2.0, 1.0])
 START = (0.5, -0.2, 0.1, 0.0, 0.3, -0.4)
 FLOOR = ss.Harmonic(0.8, 1.1)
 
+ADAPTIVE = pytest.param({"rtol": 1e-8}, id="adaptive", marks=pytest.mark.slow)  # which take long to compile
+
 
 def chain(mu=0.3):
     contacts = tuple(ss.Contact.of_mass(i, 3, 1.0, ss.Coulomb(mu)) for i in range(3))
@@ -105,7 +107,7 @@ def shown(one, number):
     return np.asarray(sticks.start)[mask], np.asarray(sticks.end)[mask]
 
 
-@pytest.mark.parametrize("how", [{"step": 1e-3}, {"rtol": 1e-8}], ids=["fixed", "adaptive"])
+@pytest.mark.parametrize("how", [pytest.param({"step": 1e-3}, id="fixed"), ADAPTIVE])
 def test_three_blocks_converge_to_the_exact_events(how):
     """With order 1: errors of all events and positions halve with the width, to a tenth."""
 
@@ -148,14 +150,17 @@ def test_fixed_steps_follow_the_equations(shape):
     assert errors[1] < errors[0] / 6
 
 
-@pytest.mark.parametrize("shape", ["linear", "tanh"])
+@pytest.mark.parametrize("shape", ["linear", pytest.param("tanh", marks=pytest.mark.slow)])
 def test_adaptive_steps_follow_the_equations(shape):
     method = ss.Regularized(WIDTH, shape, rtol=1e-9)
     one = ss.simulate(stack(), FLOOR, t1=T1, y0=START, method=method)
     np.testing.assert_allclose(jnp.stack(one.final_state), radau_of_stack(shape), atol=2e-8)
 
 
-@pytest.mark.parametrize(("how", "error"), [({"step": 2e-3}, 2e-5), ({"rtol": 1e-9}, 2e-8)])
+@pytest.mark.parametrize(
+    ("how", "error"),
+    [({"step": 2e-3}, 2e-5), pytest.param({"rtol": 1e-9}, 2e-8, marks=pytest.mark.slow)],
+)
 def test_equations_of_ones_own(how, error):
     one = ss.simulate(Stack(), FLOOR, t1=T1, y0=START, method=ss.Regularized(WIDTH, **how))
     assert int(one.status) == ss.Status.FINISHED
@@ -177,7 +182,7 @@ def test_sticks_are_those_of_the_exact_engine():
         np.testing.assert_array_equal(one.sticks.ending[:count], other.sticks.ending[:count])
 
 
-@pytest.mark.parametrize("how", [{"step": 2e-3}, {"rtol": 1e-8}], ids=["fixed", "adaptive"])
+@pytest.mark.parametrize("how", [pytest.param({"step": 2e-3}, id="fixed"), ADAPTIVE])
 def test_a_clutch_that_is_opened_and_closed(how):
     """Its stick ends where the force jumps to zero, and begins where it is closed at rest; open, nothing sticks.
 
@@ -197,7 +202,7 @@ def test_a_clutch_that_is_opened_and_closed(how):
     np.testing.assert_allclose(one.final_state[2:], [1.0, 1.0], atol=1e-4)
 
 
-@pytest.mark.parametrize("shape", ["linear", "arctan"])
+@pytest.mark.parametrize("shape", ["linear", pytest.param("arctan", marks=pytest.mark.slow)])
 def test_one_contact_of_a_list_is_the_mass_alone(shape):
     """Two programs for one motion: the scalar balance of one contact, and that of a list with one entry."""
     law = ss.PoissonSwitching(speed=1.0, rate=1.0).sample(jax.random.key(0), 20.0)
@@ -277,6 +282,7 @@ def test_samples_are_single_runs(tmp_path):
             assert float(single.stick_time) == pytest.approx(float(ensemble.totals.stick_time[sample]), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_adaptive_samples_of_one_contact_are_single_runs():
     law = ss.PoissonSwitching(speed=0.3, rate=1.0)
     how = {"t1": 3.0, "method": ss.Regularized(1e-2)}
