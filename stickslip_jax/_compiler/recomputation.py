@@ -33,7 +33,7 @@ _FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "
 _CHEAP = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
           "lt", "max", "min", "mul", "ne", "or", "round", "select_n", "shift_left", "shift_right_arithmetic",
           "shift_right_logical", "sign", "square", "sub", "xor", "reduce_and", "reduce_max", "reduce_min", "reduce_or",
-         "reduce_sum")  # fmt: skip
+          "reduce_sum")  # fmt: skip
 _COSTLY = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
            "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
 _COSTS = {name: cost for names, cost in ((_FREE, 0), (_CHEAP, 1), (_COSTLY, 10)) for name in names}

@@ -55,7 +55,7 @@ def block_row(
     _checks.positive("mass", mass, "kg")
     for name, value in (("between", between), ("to_ground", to_ground), ("damping", damping)):
         _not_negative(name, value)
-    stiffness = to_ground * np.eye(number) + between * _row_of_springs(np.ones(number - 1))
+    stiffness = to_ground * np.eye(number) + between * row_of_springs(np.ones(number - 1))
     contacts = tuple(Contact.of_mass(i, number, normal_force, friction) for i in range(number))
     is_damped = _checks.is_traced(damping) or damping != 0
     ones = np.ones(number)
@@ -96,24 +96,27 @@ def storeys_on_bearing(
         raise _checks.refused("stiffness", "hold positive numbers", stiffness)
     _not_negative("bearing_stiffness", bearing_stiffness)
     _checks.positive("gravity", gravity, "m/s^2")
-    matrix = _row_of_springs(springs)
+    matrix = row_of_springs(springs)
     matrix[0, 0] += float(bearing_stiffness)
     dampers = None
     if damping is not None:
         values = _of_storeys("damping", damping, len(masses))
         if not np.all(values >= 0):
             raise _checks.refused("damping", "hold numbers of zero or more", damping)
-        dampers = _row_of_springs(values)
+        dampers = row_of_springs(values)
     weight = float(gravity) * float(np.sum(masses))
     return LinearStructure(masses, matrix, dampers, (Contact.of_mass(0, len(masses), weight, friction),))
 
 
-def _row_of_springs(stiffness: np.ndarray) -> np.ndarray:
-    """The stiffness matrix of springs between neighbours in a row."""
-    matrix = np.zeros((len(stiffness) + 1,) * 2)
-    for i, value in enumerate(stiffness):
-        matrix[i : i + 2, i : i + 2] += value * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    return matrix
+def row_of_springs(stiffness: Any) -> Any:
+    """The stiffness matrix of springs between neighbours in a row, from an array (springs,)."""
+    differences = differences_in_row(stiffness.shape[0] + 1)
+    return differences.T @ (stiffness[:, None] * differences)
+
+
+def differences_in_row(size: int) -> np.ndarray:
+    """Of each number and the next one, as a matrix (size - 1, size)."""
+    return np.diff(np.eye(size), axis=0)
 
 
 def _of_storeys(name: str, values: Any, masses: int) -> np.ndarray:

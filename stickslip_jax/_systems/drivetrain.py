@@ -10,6 +10,7 @@ from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._fields import Checked, Quantity
 from .._types import AnyArray, Number
+from .builders import differences_in_row, row_of_springs
 from .contact import Contact, entries_of
 from .friction import Coulomb, FrictionLaw
 from .normal_force import NormalForce, NormalForceQuantity
@@ -90,7 +91,7 @@ def drivetrain(
     row = _inertias(inertia)
     size = row.shape[0]
     disks = [
-        *_disks("clutches", clutches, _differences(size), "one between each inertia and the next"),
+        *_disks("clutches", clutches, differences_in_row(size), "one between each inertia and the next"),
         *_disks("brakes", brakes, np.eye(size), "one for each inertia"),
     ]
     if not disks:
@@ -173,9 +174,8 @@ def _row(
     size = inertia.shape[0]
     torque = entries_of(torque)
     check_forces("torque", torque, size)
-    differences = _differences(size)
     springs, dampers = (
-        None if values is None else differences.T @ (_numbers(name, values, size - 1)[:, None] * differences)
+        None if values is None else row_of_springs(_numbers(name, values, size - 1))
         for name, values in (("stiffness", stiffness), ("damping", damping))
     )
     if drag is not None:
@@ -183,11 +183,6 @@ def _row(
         dampers = drags if dampers is None else dampers + drags[:, None] * np.eye(size)
     springs = np.zeros(size) if springs is None else springs
     return LinearStructure(inertia, springs, dampers, contacts, torque, uncoupled=uncoupled, rotates=True)
-
-
-def _differences(size: int) -> np.ndarray:
-    """Of each number and the next one, as a matrix (size - 1, size)."""
-    return np.diff(np.eye(size), axis=0)
 
 
 def _inertias(values: Any) -> Any:

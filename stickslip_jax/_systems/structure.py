@@ -143,7 +143,7 @@ class LinearStructure(WithContacts):
 
     @property
     def fastest(self) -> FloatScalar:
-        """The highest natural angular frequency or decay rate, rad/s, of the structure without friction.
+        """The highest natural angular frequency or rate of decay or growth, rad/s, of the structure without friction.
 
         Sticks only constrain it, which raises none of them. A scale, without derivatives: masses without springs have
         equal eigenvalues, which have none.
@@ -152,7 +152,7 @@ class LinearStructure(WithContacts):
         mass, stiffness, damping = without_derivatives((self.mass, self.stiffness, self.damping))
         squared = _largest_eigenvalue(mass, stiffness)
         decay = 0.0 if damping is None else _largest_eigenvalue(mass, damping)
-        return jnp.maximum(jnp.maximum(jnp.sqrt(jnp.maximum(squared, 0)), decay), lowest)
+        return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         signals = [force for force in self.force or () if isinstance(force, Signal)]
@@ -228,7 +228,7 @@ def _inverse_times(mass: Any, matrix: FloatArray) -> FloatArray:
 
 
 def _largest_eigenvalue(mass: Any, matrix: Any) -> FloatScalar:
-    """Of ``matrix x = lambda mass x``, by Cholesky's decomposition of the mass."""
+    """Of ``matrix x = lambda mass x`` the largest size, by Cholesky's decomposition of the mass."""
     root = jnp.linalg.cholesky(_matrix(mass))
     half = jax.scipy.linalg.solve_triangular(root, _matrix(matrix), lower=True)
-    return jnp.linalg.eigvalsh(jax.scipy.linalg.solve_triangular(root, half.T, lower=True))[-1]
+    return jnp.max(jnp.abs(jnp.linalg.eigvalsh(jax.scipy.linalg.solve_triangular(root, half.T, lower=True))))

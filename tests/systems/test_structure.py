@@ -135,6 +135,23 @@ def test_the_fastest_motion():
     assert float(pair(damping=[100.0, 1.0]).fastest) == pytest.approx(100.0, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "rates"),
+    [([-4.0], None, (2.0, -2.0)), ([0.0], [-3.0], (3.0, 0.0)), ([-4.0], [-3.0], (4.0, -1.0)), ([-4.0], [3.0], (1, -4))],
+)
+def test_a_motion_that_grows(stiffness, damping, rates):
+    """Negative springs and dampers: against the two exponentials, by their largest size, over 20 s."""
+    system = ss.LinearStructure([1.0], stiffness, damping, (ss.Contact.of_mass(0, 1, 1.0, ss.Coulomb(0.3)),))
+    assert float(system.fastest) == pytest.approx(max(np.sqrt(-stiffness[0]), abs((damping or [0.0])[0])), rel=1e-12)
+    one = ss.simulate(system, ss.Constant(0.0), t1=20.0, y0=(0.5, 1.0))
+    fast, slow = rates
+    # x'' = (fast + slow) x' - fast slow x - 0.3: beside its fixed point, or without a spring beside a steady drift.
+    start = [0.5 + 0.3 / (fast * slow), 1.0] if stiffness[0] else [0.0, 1.0 - 0.3 / fast]
+    of_fast, of_slow = np.linalg.solve([[1.0, 1.0], rates], start)
+    expected = of_fast * fast * np.exp(20 * fast) + of_slow * slow * np.exp(20 * slow)
+    assert float(one.final_state[1]) == pytest.approx(expected, rel=1e-12)
+
+
 LAW = ss.PoissonSwitching(1.0, 1.0)
 SMOOTHED = ss.Regularized(1e-3, step=0.01, threshold=1e-3, minimum_duration=0.01)
 ONE = {"base": ss.Constant(0.2), "t1": 1.0}
