@@ -111,7 +111,7 @@ class _Tried:
         with contextlib.suppress(TypeError):
             self._kinds[self._kind(system, y)] = None
             if len(self._kinds) > self._most:
-                del self._kinds[next(iter(self._kinds))]
+                self._kinds.pop(next(iter(self._kinds)), None)  # another thread may have been first
 
     @staticmethod
     def _kind(system: Any, y: tuple[Array, ...]) -> tuple[Any, ...]:
