@@ -16,8 +16,10 @@ from .setups import (
     ENSEMBLES,
     INTERVALS,
     LAW,
+    ONE_TRAJECTORY,
     RANDOM_PHASE,
     REGULARIZED,
+    SPEED,
     START,
     T1,
     TWO_BLOCKS,
@@ -170,6 +172,18 @@ def _blocks(blocks: int, threads: int, sizes: Sizes) -> Run:
     return run
 
 
+def _one_trajectory(how: str, sizes: Sizes) -> Run:
+    """A user's system on a square wave, its friction another in each round."""
+    base = ss.SquareWave(speed=SPEED, period=4.0)
+
+    def stick_time(mu: Any) -> Any:
+        return ss.simulate(derivatives.HardeningSpring(mu), base, t1=sizes.blocks_t1, y0=START).stick_time
+
+    ways = {"as it is called": stick_time, "under jax.jit": jax.jit(stick_time)}
+    call = ways.get(how) or jax.jit(jax.value_and_grad(stick_time))
+    return _once(lambda number: call(0.8 + 0.01 * number))
+
+
 def _motor_cart(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
     """The paper's 20,000 runs: 10,000 at mu = 0.2 and at mu = 0.5, every one followed for 2 s."""
 
@@ -274,6 +288,8 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
     for name, function in COMPOSED.items():
         found[f"vmapped: {name}"] = partial(_composed, function)
     found["vmapped: harmonic base"] = _composed_harmonic
+    for name in ONE_TRAJECTORY:
+        found[f"one trajectory: {name}"] = partial(_one_trajectory, name)
     for name, what in SENSITIVITY.items():
         found[f"sensitivity: {name}"] = partial(_sensitivity, *what)
     found["exact"] = partial(_regularized, 40_000, None)

@@ -52,6 +52,9 @@ ENSEMBLES: dict[str, Callable[[Sizes], tuple[Any, Any, Any]]] = {
 }
 """System, law and initial state."""
 
+ONE_TRAJECTORY = ("under jax.jit", "value and gradient, under jax.jit", "as it is called")
+"""Ways to simulate one."""
+
 BELT = ss.Constant(0.2)
 TWO_BLOCKS = ss.LinearStructure(
     (1.0, 1.0), ((2.2, -1.2), (-1.2, 2.2)),

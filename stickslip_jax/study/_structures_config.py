@@ -112,7 +112,7 @@ class StructureSection(Section):
     @property
     def size(self) -> int:
         """The number of its masses."""
-        raise NotImplementedError
+        raise NotImplementedError("each kind has its own")
 
 
 def _check_counted(contact: object, contacts: int) -> None:
