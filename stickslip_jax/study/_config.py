@@ -111,7 +111,9 @@ class StructurePointConfig(PointConfig):
     initial_state: list[Start] | None = Field(
         default=None, description=f"positions (m), then velocities (m/s), each a number {_OR_RANDOM}; not given: zeros"
     )
-    solver: _Solver | None = Field(default=None, description="Tsit5, Dopri5 or Dopri8; not given: what is exact")
+    solver: _Solver | None = Field(
+        default=None, description="Tsit5, Dopri5 or Dopri8; not given: power series, or Dopri8"
+    )
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
         return None if self.initial_state is None else tuple(map(start_value, self.initial_state))
