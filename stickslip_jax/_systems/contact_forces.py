@@ -13,18 +13,15 @@ asked again. What has broken and is driven back by the others is held again by a
 settled among all that have broken before the rest are asked.
 """
 
-from functools import reduce
-from operator import add
 from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from jax import lax
 
+from .._numerics.small_matrices import linear_solve, times
 from .._types import BoolArray, BoolScalar, FloatArray, IntArray
 from .switched_model import Question
 
-WRITTEN_OUT = 8
-"""Masses and contacts, up to which elimination is written out: vectorised over lanes, unlike a call of a library."""
 _PASSES = 3  # for each contact: how often one may break, or be held again
 
 
@@ -75,36 +72,6 @@ def holding(gain: Gain, sticks: BoolArray) -> FloatArray:
     both = sticks[:, None] & sticks[None, :]
     one = jnp.eye(len(sticks), dtype=gain.dtype)
     return jnp.where(both, linear_solve(jnp.where(both, gain, one), one), 0)
-
-
-def times(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """The product with `values` (columns, ...)."""
-    if len(values) > WRITTEN_OUT:
-        return matrix @ values
-    # XLA fuses sums of few terms with what surrounds them.
-    if values.ndim == 1:
-        return reduce(add, (matrix[:, j] * values[j] for j in range(len(values))))
-    return reduce(add, (matrix[:, j, None] * values[None, j] for j in range(len(values))))
-
-
-def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots.
-
-    `target`: (size,), or (size, sides) for as many solutions.
-    """
-    size = len(target)
-    if size > WRITTEN_OUT:
-        return jnp.linalg.solve(matrix, target)
-    rows = [[matrix[i, j] for j in range(size)] + [target[i]] for i in range(size)]
-    for k in range(size):
-        for i in range(k + 1, size):
-            factor = rows[i][k] / rows[k][k]
-            rows[i][k + 1 :] = [a - factor * b for a, b in zip(rows[i][k + 1 :], rows[k][k + 1 :], strict=True)]
-    solution: list[FloatArray] = []
-    for k in reversed(range(size)):
-        known = sum((rows[k][k + 1 + j] * value for j, value in enumerate(solution)), jnp.zeros_like(target[0]))
-        solution.insert(0, (rows[k][size] - known) / rows[k][k])
-    return jnp.stack(solution)
 
 
 class Limits(NamedTuple):

@@ -12,8 +12,9 @@ from jax.tree_util import Partial
 
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import relative_error, runge_kutta_step
+from .._numerics.small_matrices import linear_solve
 from .._types import Array, BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
-from .contact_forces import Gain, Limits, acceleration, linear_solve, settled, solved
+from .contact_forces import Gain, Limits, acceleration, settled, solved
 from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
 
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact

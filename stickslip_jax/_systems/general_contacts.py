@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes
+from .._numerics.small_matrices import is_positive_definite, linear_solve
 from .._types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
 from .contact_forces import Limits, Uncoupled
 from .contacts_model import ContactsModel, Instant
@@ -73,7 +74,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         rows = jnp.stack(gradients, axis=-1)  # (contacts, states)
         both = beyond[:, None] & beyond[None, :]
         matrix = jnp.where(both, rows @ rows.T, jnp.eye(len(own), dtype=t.dtype))
-        shift = rows.T @ jnp.where(beyond, jnp.linalg.solve(matrix, jnp.where(beyond, velocity, 0)), 0)
+        shift = rows.T @ jnp.where(beyond, linear_solve(matrix, jnp.where(beyond, velocity, 0)), 0)
         end, image = (tuple(value - k * shift[i] for i, value in enumerate(y)) for k in (1, 2))
         here, there = (super(GeneralContactsModel, self).rates(forcing, tau, state, sign) for state in (end, image))
         passed = jnp.any(beyond)
@@ -118,8 +119,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         y = super().at_base_velocity(forcing, y, resting)
         gain = self.instant(forcing, jnp.zeros_like(y[0]), y).gain
         assert not isinstance(gain, Uncoupled)
-        is_unique = jnp.linalg.eigvalsh((gain + gain.T) / 2)[0] > 0
-        return jnp.where(is_unique, y[0], jnp.nan), *y[1:]
+        return jnp.where(is_positive_definite((gain + gain.T) / 2), y[0], jnp.nan), *y[1:]
 
     def _at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> tuple[FloatScalar, State, UsersBase]:
         t, base = self._base_at(forcing, tau)

@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,9 +14,10 @@ from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._fields import with_fields
 from .._numerics.primal import without_derivatives
+from .._numerics.small_matrices import WRITTEN_OUT, largest_eigenvalue, linear_solve
 from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .contact import Contact, entries_of, numbers_of
-from .contact_forces import WRITTEN_OUT, Uncoupled
+from .contact_forces import Uncoupled
 from .normal_force import NormalForce, largest_of, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
@@ -150,8 +150,8 @@ class LinearStructure(WithContacts):
         """
         lowest = 1e-3 * jnp.sqrt(jnp.finfo(float).tiny)
         mass, stiffness, damping = without_derivatives((self.mass, self.stiffness, self.damping))
-        squared = _largest_eigenvalue(mass, stiffness)
-        decay = 0.0 if damping is None else _largest_eigenvalue(mass, damping)
+        squared = largest_eigenvalue(_inverse_times(mass, _matrix(stiffness)))
+        decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
         return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
@@ -224,11 +224,4 @@ def _matrix(values: Any) -> FloatArray:
 
 def _inverse_times(mass: Any, matrix: FloatArray) -> FloatArray:
     mass = jnp.asarray(mass, float)
-    return matrix / mass[:, None] if mass.ndim == 1 else jnp.linalg.solve(mass, matrix)
-
-
-def _largest_eigenvalue(mass: Any, matrix: Any) -> FloatScalar:
-    """Of ``matrix x = lambda mass x`` the largest size, by Cholesky's decomposition of the mass."""
-    root = jnp.linalg.cholesky(_matrix(mass))
-    half = jax.scipy.linalg.solve_triangular(root, _matrix(matrix), lower=True)
-    return jnp.max(jnp.abs(jnp.linalg.eigvalsh(jax.scipy.linalg.solve_triangular(root, half.T, lower=True))))
+    return matrix / mass[:, None] if mass.ndim == 1 else linear_solve(mass, matrix)

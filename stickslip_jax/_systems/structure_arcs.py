@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._excitation.smooth import Harmonic, SumOfHarmonics
+from .._numerics.small_matrices import WRITTEN_OUT, times
 from .._types import FloatArray, FloatScalar, State
-from .contact_forces import WRITTEN_OUT, acceleration, holding, solved, times
+from .contact_forces import acceleration, holding, solved
 from .contacts_model import InMode
 from .normal_force import power_series_of, rates_at
 from .structure_model import Matrices, StructureForcing, StructureModel

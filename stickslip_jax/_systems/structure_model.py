@@ -8,8 +8,9 @@ import numpy as np
 
 from .._excitation.segments import Segment, added
 from .._excitation.smooth import Signal
+from .._numerics.small_matrices import linear_solve, times
 from .._types import DType, FloatArray, FloatScalar, Number, State
-from .contact_forces import Gain, Limits, linear_solve, times
+from .contact_forces import Gain, Limits
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
 from .normal_force import is_function, size_of, values_at

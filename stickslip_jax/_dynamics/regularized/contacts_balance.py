@@ -17,7 +17,7 @@ from jax import lax
 
 from ..._numerics.own_derivative import OwnDerivative
 from ..._numerics.primal import without_derivatives
-from ..._systems.contact_forces import linear_solve, times
+from ..._numerics.small_matrices import linear_solve, times
 from ..._types import BoolScalar, FloatArray, FloatScalar, IntArray
 
 _MOST = 40  # iterations; three are usual

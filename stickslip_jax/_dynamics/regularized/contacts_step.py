@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..._numerics.primal import without_derivatives
-from ..._systems.contact_forces import times
+from ..._numerics.small_matrices import times
 from ..._systems.contacts_model import ContactsModel
 from ..._systems.switched_model import State
 from ..._types import FloatArray, FloatScalar
