@@ -28,6 +28,7 @@ FIGURES = {
     "uncertain": 2,
     "calibration": 2,
     "scaling": 2,
+    "structures": 5,
 }
 """And how many figures each draws."""
 PRINTED = {
@@ -135,6 +136,18 @@ PRINTED = {
         r"batches done by a third run: 0",
         r"mu = 1\.6: samples for rates 0\.3, 0\.6, 1\.2, 2\.4 \(foretold\): 2100 .*1500 .*1300 .*1000 ",
         r"numbers of two processes that are those of one thread: 36 of 36",
+    ),
+    "structures": (
+        # The numbers of an independent integration from event to event, at a relative tolerance of 1e-12.
+        r"clutch 1 sticks: 0\.7916623592 to 0\.8311085061 s, 0\.9068501928 to 1\.0002958599 s",
+        r"clutch 2 sticks: 0\.7096214747 to 1\.5",
+        r"clutch 3 sticks: 1\.1439674925 to 1\.5",
+        r"angular momentum is kept within 1e-9 kg m\^2/s: True",
+        r"never further apart than 2 mm: True",
+        r"fixed: .* by lsim the same within 1e-8 m: True",
+        r"floating: .* by lsim the same within 1e-8 m: True",
+        r"all runs finished: True",
+        r"falls from each friction coefficient to the next: True",
     ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""
