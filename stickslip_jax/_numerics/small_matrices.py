@@ -6,10 +6,15 @@ each on thousands of matrices, waits for itself for ever (`test_small_matrices.p
 
 from functools import reduce
 from operator import add
+from typing import TypeAlias
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
+from .. import _checks
 from .._types import BoolScalar, FloatArray, FloatScalar, IntArray
 from .primal import without_derivatives
 
@@ -17,9 +22,64 @@ WRITTEN_OUT = 8
 """Sizes of matrices, up to which their algebra is written out: vectorised over lanes, unlike a call of a library."""
 
 
-def times(matrix: FloatArray, values: FloatArray) -> FloatArray:
+_MOST_BANDS = 5  # of a matrix that is stored by its bands
+
+
+class Banded(eqx.Module):
+    """A matrix (rows, columns) by the diagonals in which it has numbers other than zero.
+
+    `bands`: (offsets, rows), the entries ``(i, i + offset)`` for each of the `offsets`; zero outside the matrix.
+    """
+
+    bands: FloatArray
+    offsets: tuple[int, ...] = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+
+    def __matmul__(self, values: FloatArray) -> FloatArray:
+        """The product with `values` (columns,)."""
+        rows = self.bands.shape[1]
+        before = max(0, -min(self.offsets))
+        behind = max(0, rows + max(self.offsets) - self.columns)
+        padded = values
+        if before or behind:
+            padded = jnp.concatenate([jnp.zeros(before, values.dtype), values, jnp.zeros(behind, values.dtype)])
+        starts = [before + offset for offset in self.offsets]
+        return reduce(add, (band * padded[at : at + rows] for band, at in zip(self.bands, starts, strict=True)))
+
+
+Matrix: TypeAlias = FloatArray | Banded
+
+
+def by_bands(matrix: FloatArray) -> Matrix:
+    """A large `matrix` with few bands as `Banded`, where its numbers are known; else as it is."""
+    if _checks.is_traced(matrix) or max(matrix.shape) <= WRITTEN_OUT:
+        return matrix
+    numbers = np.asarray(matrix)
+    offsets = np.unique(np.subtract(*np.nonzero(numbers)[::-1]))
+    if not 0 < len(offsets) <= _MOST_BANDS:
+        return matrix
+    row = np.arange(len(numbers))
+    column = row + offsets[:, None]
+    inside = (column >= 0) & (column < numbers.shape[1])
+    bands = np.where(inside, numbers[row, np.where(inside, column, 0)], 0)
+    return Banded(jnp.asarray(bands), tuple(map(int, offsets)), numbers.shape[1])
+
+
+def dense(matrix: Matrix) -> FloatArray:
+    """All entries of a matrix, (rows, columns)."""
+    if not isinstance(matrix, Banded):
+        return matrix
+    return jax.vmap(lambda unit: matrix @ unit, out_axes=1)(jnp.eye(matrix.columns, dtype=matrix.bands.dtype))
+
+
+def magnitudes(matrix: Matrix) -> Matrix:
+    """The absolute values of all entries."""
+    return jax.tree.map(jnp.abs, matrix)
+
+
+def times(matrix: Matrix, values: FloatArray) -> FloatArray:
     """The product with `values` (columns, ...)."""
-    if len(values) > WRITTEN_OUT:
+    if isinstance(matrix, Banded) or len(values) > WRITTEN_OUT:
         return matrix @ values
     # XLA fuses sums of few terms with what surrounds them.
     if values.ndim == 1:
@@ -50,7 +110,7 @@ def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
 def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     """The largest size of an eigenvalue, where all are real: Gelfand's formula.
 
-    The size of ``matrix**n`` to the power 1/n, n = 2^40: off by the logarithm of the condition of the eigenvectors
+    The size of ``matrix**n`` to the power 1/n, n = 2^24: off by the logarithm of the condition of the eigenvectors
     over n.
     """
 
@@ -60,10 +120,12 @@ def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
         power, logarithm, weight = state
         size = jnp.max(jnp.abs(power))
         scaled = power / jnp.where(size > 0, size, 1)
-        return scaled @ scaled, logarithm + weight * jnp.log(jnp.where(size > 0, size, 1)), weight / 2
+        # Not a dot product, which XLA (jaxlib 0.10.2) refuses in some loops.
+        squared = jnp.sum(scaled[:, :, None] * scaled[None, :, :], axis=1)
+        return squared, logarithm + weight * jnp.log(jnp.where(size > 0, size, 1)), weight / 2
 
     one = jnp.ones((), matrix.dtype)
-    _, logarithm, _ = lax.fori_loop(0, 41, square, (matrix, jnp.zeros_like(one), one))
+    _, logarithm, _ = lax.fori_loop(0, 25, square, (matrix, jnp.zeros_like(one), one))
     return jnp.where(jnp.any(matrix != 0), jnp.exp(logarithm), 0)
 
 

@@ -14,7 +14,7 @@ from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._fields import with_fields
 from .._numerics.primal import without_derivatives
-from .._numerics.small_matrices import WRITTEN_OUT, largest_eigenvalue, linear_solve
+from .._numerics.small_matrices import WRITTEN_OUT, dense, largest_eigenvalue, linear_solve
 from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import Uncoupled
@@ -135,7 +135,7 @@ class LinearStructure(WithContacts):
     def ready(self) -> "LinearStructure":
         if type(self) is not LinearStructure:  # a user's subclass may have methods of its own
             return self
-        return with_fields(self, ReadyStructure, known=self.matrices)
+        return with_fields(self, ReadyStructure, known=self.matrices.by_bands())
 
     @property
     def compiles_natively(self) -> bool:
@@ -182,7 +182,7 @@ class LinearStructure(WithContacts):
             if normal is None:
                 return None, None
             held.append(contact.friction.static * normal)
-        gain = jnp.sum(of.directions.T * of.by_force, axis=0)
+        gain = jnp.sum(dense(of.directions).T * dense(of.by_force), axis=0)
         deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
         return deceleration * self._clocks, deceleration
 
@@ -190,8 +190,9 @@ class LinearStructure(WithContacts):
     def _clocks(self) -> FloatArray:
         """The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring."""
         of = self.matrices
-        pull = jnp.sum(of.directions.T * (of.stiffness @ of.by_force), axis=0)
-        squared = pull / jnp.sum(of.directions.T * of.by_force, axis=0)
+        directions, by_force = dense(of.directions), dense(of.by_force)
+        pull = jnp.sum(directions.T * (dense(of.stiffness) @ by_force), axis=0)
+        squared = pull / jnp.sum(directions.T * by_force, axis=0)
         swings = squared > SOFT**2
         return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
 

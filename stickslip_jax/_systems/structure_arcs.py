@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._excitation.smooth import Harmonic, SumOfHarmonics
-from .._numerics.small_matrices import WRITTEN_OUT, times
+from .._numerics.small_matrices import WRITTEN_OUT, dense, times
 from .._types import FloatArray, FloatScalar, State
 from .contact_forces import acceleration, holding, solved
 from .contacts_model import InMode
 from .normal_force import power_series_of, rates_at
-from .structure_model import Matrices, StructureForcing, StructureModel
+from .structure_model import Matrices, StructureForcing, StructureModel, in_dtype
 
 # Terms that reach round-off in the longest steps allowed, a tenth of the shortest period: a term is at most r^k / k!,
 # r = 0.63 without damping, and with it 1.02 (where the decay rate is as high as the frequency).
@@ -36,7 +36,7 @@ class ArcsModel(StructureModel):
         sources = self._sources(held, forcing, y, sign, terms)
         stiffness, damping, in_terms = of.stiffness, of.damping, len(y[0]) > WRITTEN_OUT
         if not in_terms:  # few masses: to hold the matrices costs less than to hold each term of the series
-            stiffness, damping = held(stiffness), None if damping is None else held(damping)
+            stiffness, damping = held(dense(stiffness)), None if damping is None else held(dense(damping))
         x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
         for k, source in enumerate(sources):
             pull = times(stiffness, x[k])
@@ -115,7 +115,7 @@ class ArcsModel(StructureModel):
         if self.structure.force is None:
             return load
         applied = rates_at(self.structure.force, forcing.t + tau, forcing.load_slope)
-        return load + times(self.matrices.inverse_mass.astype(load.dtype), applied)
+        return load + times(in_dtype(self.matrices.inverse_mass, load.dtype), applied)
 
 
 class _Held(NamedTuple):

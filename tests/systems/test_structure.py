@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._numerics.small_matrices import Banded
 
 DRY = ss.Coulomb(0.3)
 PAIR = np.array([[2.0, -1.0], [-1.0, 2.0]])
@@ -198,3 +199,27 @@ def test_numbers_that_jax_traces():
     many = jax.jit(jax.vmap(end))(jnp.array([1.0, 2.0]), jnp.array([1.0, 3.0]))
     alone = [float(end(1.0, 1.0)), float(end(2.0, 3.0))]
     assert np.allclose(many, alone, rtol=1e-12, atol=0)
+
+
+@pytest.mark.slow
+def test_ensembles_of_a_chain_move_it_by_bands():
+    """As single trajectories, which use whole matrices; with dampers between the blocks, too."""
+    blocks = 12
+    row = ss.block_row(
+        blocks, mass=1.0, between=2.0, to_ground=1.0, normal_force=1.0, friction=ss.Coulomb(0.4, mu_static=0.5)
+    )
+    damped = ss.LinearStructure(row.mass, row.stiffness, 0.05 * row.stiffness, row.contacts)
+    starts = np.random.default_rng(0).uniform(-1, 1, (20, blocks))
+    for chain in (row, damped):
+        assert isinstance(chain.ready().matrices.stiffness, Banded)
+        y0 = (*starts.T, *np.zeros(blocks))
+        many = ss.simulate_contacts(
+            chain, ss.Constant(0.2), t1=10.0, samples=20, key=jax.random.key(0), y0=y0, keep="totals"
+        )
+
+        def times(start, chain=chain):
+            y0 = (*start, *np.zeros(blocks))
+            return ss.simulate(chain, ss.Constant(0.2), t1=10.0, y0=y0).stick_time
+
+        found = np.stack([many.of_contact(i).totals.stick_time for i in range(blocks)], axis=1)
+        np.testing.assert_allclose(found, jax.vmap(times)(starts), atol=1e-9)
