@@ -110,7 +110,7 @@ def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
 def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     """The largest size of an eigenvalue, where all are real: Gelfand's formula.
 
-    The size of ``matrix**n`` to the power 1/n, n = 2^24: off by the logarithm of the condition of the eigenvectors
+    The size of ``matrix**n`` to the power 1/n, n = 2^40: off by the logarithm of the condition of the eigenvectors
     over n.
     """
 
@@ -125,7 +125,7 @@ def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
         return squared, logarithm + weight * jnp.log(jnp.where(size > 0, size, 1)), weight / 2
 
     one = jnp.ones((), matrix.dtype)
-    _, logarithm, _ = lax.fori_loop(0, 25, square, (matrix, jnp.zeros_like(one), one))
+    _, logarithm, _ = lax.fori_loop(0, 41, square, (matrix, jnp.zeros_like(one), one))
     return jnp.where(jnp.any(matrix != 0), jnp.exp(logarithm), 0)
 
 
