@@ -20,8 +20,6 @@ from .primal import without_derivatives
 
 WRITTEN_OUT = 8
 """Sizes of matrices, up to which their algebra is written out: vectorised over lanes, unlike a call of a library."""
-
-
 _MOST_BANDS = 5  # of a matrix that is stored by its bands
 
 
@@ -50,9 +48,9 @@ class Banded(eqx.Module):
 Matrix: TypeAlias = FloatArray | Banded
 
 
-def by_bands(matrix: FloatArray) -> Matrix:
+def by_bands(matrix: Matrix) -> Matrix:
     """A large `matrix` with few bands as `Banded`, where its numbers are known; else as it is."""
-    if _checks.is_traced(matrix) or max(matrix.shape) <= WRITTEN_OUT:
+    if isinstance(matrix, Banded) or _checks.is_traced(matrix) or max(matrix.shape) <= WRITTEN_OUT:
         return matrix
     numbers = np.asarray(matrix)
     offsets = np.unique(np.subtract(*np.nonzero(numbers)[::-1]))

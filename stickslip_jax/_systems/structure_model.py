@@ -36,11 +36,11 @@ class Matrices(NamedTuple):
     fastest: FloatScalar
 
     def by_bands(self) -> "Matrices":
-        """The same, large matrices with few bands by these: in chains, a tenth of the operations or less."""
-        names = "inverse_mass", "stiffness", "damping", "directions", "by_force"
-        return self._replace(
-            **{name: by_bands(getattr(self, name)) for name in names if getattr(self, name) is not None}
-        )
+        """The same, large matrices with few bands by these: of ten blocks in a row, 28 of the 100 stiffnesses."""
+        products = {
+            name: by_bands(getattr(self, name)) for name in ("inverse_mass", "stiffness", "directions", "by_force")
+        }
+        return self._replace(damping=None if self.damping is None else by_bands(self.damping), **products)
 
 
 class StructureForcing(NamedTuple):

@@ -289,7 +289,7 @@ def test_motion_that_ceases_to_be_unique_is_told():
         ss.Harmonic(0.3, 4.0), t1=5.0, y0=START,
     )  # fmt: skip
     assert int(one.status) == ss.Status.NOT_FINITE
-    assert 1 <= float(one.time_reached) < 5
+    assert 1 <= float(one.time_reached) < 1 + Blocks().shortest_time / 48  # a step
 
 
 def test_what_is_not_there_for_several_contacts_is_told():
