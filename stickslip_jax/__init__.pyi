@@ -3,7 +3,7 @@
 Type checkers read this file; `__init__.py` reads it too, and loads a name when it is asked for.
 """
 
-from . import design as design, papers as papers, plot as plot, study as study
+from . import design as design, nonlinear as nonlinear, papers as papers, plot as plot, study as study
 from ._types import InitialState as InitialState
 from ._uncertainty.copula import GaussianCopula as GaussianCopula
 from ._uncertainty.families import (

@@ -54,6 +54,11 @@ class Motion(eqx.Module):
         """Duration of a recorded motion, s; infinity for one that is not recorded, or whose times are traced."""
         return math.inf
 
+    @property
+    def repeats_after(self) -> Scalar | tuple[Scalar, ...] | None:
+        """After what time (s) it repeats itself, or each of its parts: 0 for what never changes, None for not known."""
+        return None
+
     def realized_until(self, t1: Scalar) -> "Motion":
         """This motion, which is not random, as `simulate` follows it up to `t1` (s)."""
         return self

@@ -132,7 +132,11 @@ class PiecewiseConstantLaw(SegmentLaw):
     is_piecewise_constant = True
     takes_jumps = False
     has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
-    rests_on: ClassVar = {"all_intervals": ("next_interval",), "has_exponential_gaps": ("draw", "next_interval")}
+    rests_on: ClassVar = {
+        "all_intervals": ("next_interval",),
+        "has_exponential_gaps": ("draw", "next_interval"),
+        "repeats_after": ("begin", "draw", "next_interval"),
+    }
     only_with: ClassVar = {"next_segment": ("next_interval",)}
 
     @property

@@ -43,6 +43,10 @@ class Constant(PiecewiseConstantLaw):
     def capacity(self, t1: Scalar) -> int:
         return 1
 
+    @property
+    def repeats_after(self) -> Scalar:
+        return 0.0
+
 
 class SquareWave(PiecewiseConstantLaw):
     """A square wave: ``-speed`` in the first half of each period, ``+speed`` in the second.
@@ -72,6 +76,10 @@ class SquareWave(PiecewiseConstantLaw):
 
     def capacity(self, t1: Scalar) -> int:
         return math.ceil(2 * largest(t1) / smallest(self.period)) + 1
+
+    @property
+    def repeats_after(self) -> Scalar:
+        return self.period
 
 
 class PoissonSwitching(PiecewiseConstantLaw):

@@ -46,6 +46,7 @@ class Signal(Checked, Motion):
         "curvature": ("value", "rate"),
         "integral": ("value",),
         "shortest_period": ("value", "tones"),
+        "repeats_after": ("value", "tones"),
         "is_harmonic": ("value", "rate", "curvature", "integral"),
     }
 
@@ -179,6 +180,10 @@ class Harmonic(_Tones):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
+    @property
+    def repeats_after(self) -> Scalar:
+        return 2 * math.pi / self.angular_frequency
+
 
 class SumOfHarmonics(_Tones):
     """A sum of harmonics, ``offset + sum_j amplitudes[j] cos(angular_frequencies[j] t + phases[j])``.
@@ -225,6 +230,10 @@ class SumOfHarmonics(_Tones):
         fastest = jnp.max(frequencies) if _checks.is_traced(frequencies) else float(np.max(np.asarray(frequencies)))
         return 2 * math.pi / fastest
 
+    @property
+    def repeats_after(self) -> tuple[Scalar, ...]:
+        return tuple(2 * math.pi / self.angular_frequencies[i] for i in range(len(self.angular_frequencies)))
+
 
 class UserMotion(Signal):
     """A user-defined base motion: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
@@ -252,6 +261,10 @@ class UserMotion(Signal):
     def shortest_period(self) -> Scalar | None:
         return getattr(self.motion, "shortest_period", None)
 
+    @property
+    def repeats_after(self) -> Scalar | None:
+        return getattr(self.motion, "period", None)
+
 
 class _Constant(eqx.Module):
     """An object that is no pytree, as a pytree without leaves."""
@@ -267,3 +280,7 @@ class _Constant(eqx.Module):
     @property
     def shortest_period(self) -> Scalar | None:
         return getattr(self.held, "shortest_period", None)
+
+    @property
+    def period(self) -> Scalar | None:
+        return getattr(self.held, "period", None)

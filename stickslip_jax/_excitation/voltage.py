@@ -37,3 +37,7 @@ class SourceVoltage(Signal):
     @property
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
+
+    @property
+    def repeats_after(self) -> Scalar:
+        return 2 * math.pi / self.angular_frequency

@@ -47,6 +47,7 @@ ROWS = (
     "_ensemble",
     "_sensitivity",
     "_sweep",
+    "nonlinear",
     "plot",
     "design",
     "papers",

@@ -1,0 +1,154 @@
+"""The equations of a periodic orbit as a function of its state, its period and a parameter, for continuation."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._dynamics.common.method import Exact
+from .._dynamics.switched.path import StepPath
+from .._excitation.excitation import motion_of
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._status import Status
+from .._sweep.setting import Setting
+from .._types import AnyArray, Array, FloatArray
+from .._uncertainty.numbers import Path, with_numbers
+from ._cycle import Cycle, as_arrays
+from ._modes import Mode, modes_between
+from ._period import drive_period
+
+_MOST_DOUBLINGS = 5
+
+
+class Evaluated(NamedTuple):
+    """The equations at one point: their `value` (size,), the `matrix` of derivatives (size, size + 1); the `duration`
+    (s) and the `modes` of the orbit, and the number of `coordinates`.
+    """
+
+    value: np.ndarray
+    matrix: np.ndarray
+    duration: float
+    modes: tuple[Mode, ...]
+    coordinates: int
+
+
+class Plane(NamedTuple):
+    """Where an orbit that nothing drives begins: on the plane through `point` across `normal`."""
+
+    point: Array
+    normal: Array
+
+
+class Equations:
+    """Of unknowns (coordinates, then the period if nothing drives the system, then the parameter): the state comes
+    back, and without a drive it begins on a `Plane`.
+    """
+
+    def __init__(self, setting: Setting, path: Path, driven: bool, periods: int, drive: float | None, dtype: Any):
+        self._setting, self._path, self.driven, self._periods, self._drive = setting, path, driven, periods, drive
+        self._dtype, self.itemsize = dtype, np.dtype(dtype).itemsize
+        self.names = tuple(coordinate.name for coordinate in setting.system.coordinates)
+        assert isinstance(setting.method, Exact)
+        self.steps = setting.method.max_steps
+        self._capacity = self._room(setting)
+
+    def _room(self, setting: Setting) -> int | None:
+        law = setting.law
+        if not isinstance(law, PiecewiseConstantLaw) or not self.driven:
+            return None
+        period = drive_period(setting.system, motion_of(law), self._drive)
+        assert period is not None
+        return law.checked_capacity(self._periods * period) + 1
+
+    @property
+    def size(self) -> int:
+        """The number of equations."""
+        return len(self.names) + (not self.driven)
+
+    def at(self, unknowns: np.ndarray, plane: Plane | None) -> Evaluated | None:
+        """The equations at a point; None where the motion cannot be followed there."""
+        found = self._evaluated(unknowns, plane)
+        for _ in range(_MOST_DOUBLINGS):
+            if int(found.status) != int(Status.OUT_OF_STEPS) or self.steps is None:
+                break
+            self.steps *= 2
+            found = self._evaluated(unknowns, plane)
+        if int(found.status) != int(Status.FINISHED):
+            return None
+        value, matrix = np.asarray(found.value), np.asarray(found.matrix)
+        if not (np.all(np.isfinite(value)) and np.all(np.isfinite(matrix))):
+            return None
+        duration = float(found.duration)
+        modes = modes_between(np.asarray(found.times), np.asarray(found.signs), duration)
+        return Evaluated(value, matrix, duration, modes, len(self.names))
+
+    def _evaluated(self, unknowns: np.ndarray, plane: Plane | None) -> "_Raw":
+        found = _evaluate(
+            as_arrays(self._setting, self._dtype), jnp.asarray(unknowns, self._dtype), plane, path=self._path,
+            driven=self.driven, periods=self._periods, drive=self._drive, steps=self.steps, capacity=self._capacity,
+        )  # fmt: skip
+        return jax.tree.map(np.asarray, found)
+
+    def plane(self, point: np.ndarray, normal: np.ndarray) -> Plane:
+        """The plane through `point` across `normal`."""
+        return Plane(jnp.asarray(point, self._dtype), jnp.asarray(normal, self._dtype))
+
+    def state_after(self, unknowns: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """The state of an orbit that nothing drives at a `time` (s) after its begin, and its rates there."""
+        moved, size = np.array(unknowns, float), len(self.names)
+        moved[size] = time
+        found = self.at(moved, self.plane(unknowns[:size], np.ones(size)))
+        assert found is not None
+        return unknowns[:size] + found.value[:size], found.matrix[:size, size]
+
+
+class _Raw(NamedTuple):
+    """The equations as they are computed, with the time and the signs at the begin of each loop step."""
+
+    value: AnyArray
+    matrix: AnyArray
+    times: AnyArray
+    signs: AnyArray
+    status: AnyArray
+    duration: AnyArray
+
+
+@eqx.filter_jit
+def _evaluate(
+    setting: Setting, unknowns: FloatArray, plane: Plane | None, *, path: Path, driven: bool, periods: int,
+    drive: float | None, steps: int | None, capacity: int | None,
+) -> _Raw:  # fmt: skip
+    coordinates = len(setting.system.coordinates)
+    dtype = unknowns.dtype
+
+    def function(unknowns: FloatArray):
+        y, parameter = unknowns[:coordinates], unknowns[-1]
+        changed = with_numbers(setting, (path,), [parameter])
+        motion = motion_of(changed.law)
+        if driven:
+            period = drive_period(changed.system, motion, drive)
+            assert period is not None
+            duration = periods * jnp.asarray(period, dtype)
+        else:
+            duration = unknowns[coordinates]
+        if capacity is not None and isinstance(motion, PiecewiseConstantLaw):
+            base = motion.sample(None, duration, capacity=capacity)
+        else:
+            base = motion.realized_until(duration)
+        method = Exact(setting.method.step, steps, setting.method.solver)
+        cycle = Cycle(changed.system, base, duration, method)
+        run = cycle.by_steps(y)
+        assert isinstance(run.path, StepPath)
+        value = jnp.stack(run.final_state) - y
+        if plane is not None:
+            value = jnp.append(value, jnp.sum(plane.normal * (y - plane.point)))
+        return value, (run.path.beginnings.t, run.path.beginnings.sign, run.status, duration)
+
+    def along(direction: FloatArray):
+        return jax.jvp(function, (unknowns,), (direction,), has_aux=True)
+
+    unit = jnp.eye(len(unknowns), dtype=dtype)
+    value, matrix, (times, signs, status, duration) = jax.vmap(along, out_axes=(None, 1, None))(unit)
+    return _Raw(value, matrix, times, signs, status, duration)

@@ -1,0 +1,326 @@
+"""Periodic orbits followed along a parameter, by pseudo-arclength (Keller 1977), and what happens on the way."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from .. import _checks
+from .._conventions import Entries, labeled_dataset, variable
+from .._dynamics.common.validation import working_dtype
+from .._sweep.setting import Setting, label_and_unit, setter_of
+from .._uncertainty.numbers import number_at
+from ._branch_function import Equations
+from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description
+from ._modes import sequence, stick_count
+from ._orbits import PeriodicOrbit
+from ._period import has_known_period
+
+if TYPE_CHECKING:
+    import xarray
+
+_TOLERANCE = {8: 1e-10, 4: 1e-4}
+_ITERATIONS = 10
+_FEW = 4  # iterations after which the next step may be longer
+_SHORTEST = 1e-9  # step, relative to the first
+_LONGEST = 4.0
+_LOCATE = 60
+_LOCATED = 1e-10
+_FARTHEST = 1.0
+_LEAST_COSINE = 0.5
+_LOOKS = (2.0, 10.0, 50.0, 250.0, 1250.0)  # steps, by which the way from a corner is found
+
+
+class OrbitBranch(NamedTuple):
+    """A branch of periodic orbits.
+
+    - `points`: a data set with the dimension "point": the parameter, the numbers of the state where the orbit begins
+      (of one that nothing drives, in the middle of its longest slip), ``period`` (s), ``multiplier_real`` and
+      ``multiplier_imag`` with the further dimension "multiplier", ``is_stable``, ``stick_count`` and ``stick_fraction``
+      of one period (mean over the contacts), and ``modes``, the signs of the relative velocities in turn.
+    - `events`: what happens on the way, in order (`BranchEvent`).
+    - `ending`: why the branch ends, in words.
+    """
+
+    points: "xarray.Dataset"
+    events: tuple[BranchEvent, ...]
+    ending: str
+
+
+def continue_orbit(
+    orbit: PeriodicOrbit,
+    parameter: str,
+    *,
+    until: float,
+    step: float = 0.02,
+    most: int = 500,
+    periods: int = 1,
+) -> OrbitBranch:
+    """Follow a periodic orbit along a parameter, round folds, and say what happens on the way.
+
+    Args:
+        orbit: A `periodic_orbit` that has converged.
+        parameter: Its name, as `sensitivity` uses it.
+        until: The branch ends where the parameter reaches this value, or its value at the begin again after a fold.
+        step: The first step, as a share of the way to `until`; later ones are chosen by how Newton's method converges.
+        most: The largest number of points.
+        periods: As given to `periodic_orbit`.
+
+    Returns:
+        The branch. Where the sequence of sticks and slips changes, the event is located and the branch goes on with the
+        new one; where no orbit is found beyond, it ends, and the event says with what.
+
+    Raises:
+        ValueError: For arguments that do not fit, and for an orbit that has not converged.
+        ImportError: Without the extra ``study``.
+    """
+    setting, equations, scale, begun = _problem(orbit, parameter, until, step, periods)
+    most = _checks.whole_number("most", most)
+    branch = _Branch(equations, scale, parameter, begun, float(until), step)
+    branch.follow(most)
+    return OrbitBranch(_labeled(branch, setting), tuple(branch.events), branch.ending)
+
+
+def _problem(
+    orbit: PeriodicOrbit, parameter: str, until: float, step: float, periods: int
+) -> tuple[Setting, Equations, np.ndarray, np.ndarray]:
+    """The checked arguments: the setting, its equations, the scales of the unknowns, and where the branch begins."""
+    if not isinstance(orbit, PeriodicOrbit) or not bool(np.all(np.asarray(orbit.converged))):
+        shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else _checks.show(orbit)
+        raise ValueError(f"Argument orbit must be a periodic_orbit that has converged, but {shown} was given.")
+    periods = _checks.whole_number("periods", periods)
+    _checks.bounded("step", step, above=0, below=1)
+    _checks.bounded("until", until)
+    state = np.asarray(orbit.state, float)
+    setting = Setting(orbit.system, orbit.base, tuple(state.tolist()), orbit.method)
+    setter = setter_of(setting, (parameter,))
+    path = setter.paths.get(parameter)
+    if path is None or path[0] == "y0":
+        raise ValueError(
+            f"Argument parameter must name a number of the system or of what drives it, but {_checks.show(parameter)} "
+            "was given."
+        )
+    value = float(number_at(setting, path))
+    if float(until) == value:
+        raise ValueError(f"Argument until must differ from the {parameter} of the orbit, but both are {value:g}.")
+    setter((float(until),))
+    dtype = np.dtype(working_dtype(stacklevel=5))
+    drive = (
+        float(orbit.period) / periods if orbit.is_driven and not has_known_period(orbit.system, orbit.base) else None
+    )
+    one, names = orbit.simulation, [coordinate.name for coordinate in orbit.system.coordinates]
+    sizes = np.array([float(one.maximum(name) - one.minimum(name)) for name in names])
+    free = [] if orbit.is_driven else [float(orbit.period)]
+    scale = np.array([*np.maximum(sizes, max(1e-3 * np.max(sizes), 1e-12)), *free, abs(until - value)])
+    equations = Equations(setting, path, orbit.is_driven, periods, drive, dtype)
+    return setting, equations, scale, np.array([*state, *free, value])
+
+
+class _Branch:
+    """A branch as it grows: its `points` and `events`, and in the end its `ending`."""
+
+    def __init__(
+        self, equations: Equations, scale: np.ndarray, parameter: str, begun: np.ndarray, until: float, step: float
+    ):
+        self.points: list[Point] = []
+        self.events: list[BranchEvent] = []
+        self.ending = ""
+        self.equations = equations
+        self.parameter, self._scale, self._step = parameter, scale, step
+        self._range = (begun[-1], until)
+        self._tolerance = _TOLERANCE[equations.itemsize]
+        self._begun = begun
+
+    def follow(self, most: int) -> None:
+        """Grow until the parameter leaves its range, the branch ends, or there are `most` points."""
+        toward = np.zeros(len(self._begun))
+        toward[-1] = np.sign(self._range[1] - self._range[0])
+        first = self._moved(self._begun)
+        last = None if first is None else self._corrected(first, toward, toward)
+        if last is None:
+            self._end("Newton's method did not converge at the first point")
+            return
+        self.points.append(last)
+        length = self._step
+        while len(self.points) < most:
+            last = self.points[-1]
+            found = self._corrected(last.unknowns / self._scale + length * last.tangent, last.tangent, last.tangent)
+            if found is None or not self._is_next(last, found, length):
+                length /= 2
+                if length < _SHORTEST * self._step:
+                    self._end(f"no orbit was found beyond: {description(last.found.modes)}")
+                    return
+                continue
+            if not min(self._range) <= found.unknowns[-1] <= max(self._range):
+                self._land(last, found)
+                return
+            self.points.append(self._rebased(self._noted(last, found, length)))
+            length = min(length * (2 if found.iterations <= _FEW else 1), _LONGEST * self._step)
+        self.ending = f"{most} points were found; ask for more with the argument most"
+
+    def _end(self, why: str) -> None:
+        value = self.points[-1].unknowns[-1] if self.points else self._begun[-1]
+        self.ending = why
+        self.events.append(BranchEvent("end", float(value), max(len(self.points) - 1, 0), why))
+
+    def _land(self, last: Point, found: Point) -> None:
+        """The last point, where the parameter is at the end of its range that it passed."""
+        end = min(max(found.unknowns[-1], min(self._range)), max(self._range))
+        share = (end - last.unknowns[-1]) / (found.unknowns[-1] - last.unknowns[-1])
+        guess = (last.unknowns + share * (found.unknowns - last.unknowns)) / self._scale
+        guess[-1] = end / self._scale[-1]
+        fixed = np.zeros(len(guess))
+        fixed[-1] = 1.0
+        landed = self._corrected(guess, fixed, last.tangent)
+        if landed is not None:
+            self.points.append(self._noted(last, landed, None))
+        self.ending = f"{self.parameter} reached {end:g}"
+
+    def _is_next(self, last: Point, found: Point, length: float) -> bool:
+        """Whether `found` is the next point of the same branch, and not one of another that is near."""
+        moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
+        return bool(moved <= 4 * length and abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE)
+
+    def _corrected(self, guess: np.ndarray, along: np.ndarray, before: np.ndarray) -> Point | None:
+        """The point of the branch in the plane through `guess` (scaled) across `along`; None where Newton's method
+        finds none. Its tangent points as the one `before`.
+        """
+        scaled, plane = guess.copy(), self._plane
+        for iteration in range(_ITERATIONS):
+            found = self.equations.at(scaled * self._scale, plane)
+            if found is None:
+                return None
+            rows = found.matrix * self._scale
+            whole = np.vstack([rows / self._rows[:, None], along])
+            sides = np.append(found.value / self._rows, np.dot(along, scaled - guess))
+            if np.max(np.abs(sides)) <= self._tolerance:
+                tangent = np.linalg.svd(rows / self._rows[:, None])[2][-1]
+                tangent *= 1 if self._orientation(tangent, before) >= 0 else -1
+                return Point(scaled * self._scale, found, tangent, iteration)
+            try:
+                change = np.linalg.solve(whole, -sides)
+            except np.linalg.LinAlgError:
+                return None
+            scaled = scaled + change
+            if np.max(np.abs(change)) > _FARTHEST:
+                return None
+        return None
+
+    def _orientation(self, tangent: np.ndarray, before: np.ndarray) -> float:
+        """Positive if two tangents point along the branch in one direction, whatever state the orbit begins in."""
+        return float(np.dot(tangent, before))
+
+    @property
+    def _rows(self) -> np.ndarray:
+        """The scales of the equations."""
+        size = len(self.equations.names)
+        return np.append(self._scale[:size], [1.0] * (self.equations.size - size))
+
+    def _moved(self, unknowns: np.ndarray) -> np.ndarray | None:
+        """The unknowns (scaled) of the same orbit, where nothing drives it from the middle of its longest slip on."""
+        self._plane = None
+        if self.equations.driven:
+            return unknowns / self._scale
+        size = len(self.equations.names)
+        self._plane = self.equations.plane(unknowns[:size], np.ones(size))
+        found = self.equations.at(unknowns, self._plane)
+        if found is None:
+            return None
+        slips = [mode for mode in found.modes if any(mode.signs)]
+        longest = max(slips or found.modes, key=lambda mode: mode.end - mode.start)
+        state, rates = self.equations.state_after(unknowns, (longest.start + longest.end) / 2)
+        self._plane = self.equations.plane(state, rates / np.max(np.abs(rates) / self._scale[:size]))
+        return np.append(state, unknowns[size:]) / self._scale
+
+    def _rebased(self, point: Point) -> Point:
+        """The same point where its begin has come near an event: from the middle of its longest slip on."""
+        if self.equations.driven or point.is_far_from_events:
+            return point
+        plane = self._plane
+        guess = self._moved(point.unknowns)
+        if guess is not None:
+            parameter = np.zeros(len(guess))
+            parameter[-1] = 1.0
+            found = self._corrected(guess, parameter, parameter * np.sign(point.tangent[-1] or 1.0))
+            if found is not None:
+                return found
+        self._plane = plane
+        return point
+
+    def _noted(self, last: Point, found: Point, length: float | None) -> Point:
+        """Note what happened between two points, each located by halving the step. Returns `found`, its tangent away
+        from `last`: where the sequence of modes changes, the branch may turn round in a corner.
+        """
+
+        def locate(change: Change) -> Point:
+            return found if length is None else self._located(last, found, length, change.is_before)
+
+        change = change_of_modes(last, found)
+        if change is not None:
+            corner, found = locate(change), found if length is None else self._away(found, length)
+            turns = last.tangent[-1] * found.tangent[-1] < 0
+            self._add(change, corner, "; the branch turns round there" if turns else "")
+            last, length = corner if np.dot(corner.tangent, found.tangent) > 0 else corner.turned(), None
+        for change in changes(last, found, self.equations.driven):
+            self._add(change, locate(change))
+        return found
+
+    def _away(self, found: Point, length: float) -> Point:
+        """`found` with the tangent that leads away from where the sequence of modes became what it is there."""
+        order = sequence(found.found.modes)
+        for factor in _LOOKS:
+            there = []
+            for point in (found, found.turned()):
+                guess = found.unknowns / self._scale + factor * length * point.tangent
+                ahead = self._corrected(guess, point.tangent, point.tangent)
+                if ahead is not None and sequence(ahead.found.modes) == order:
+                    there.append(point)
+            if len(there) == 1:
+                return there[0]
+        return found
+
+    def _add(self, change: Change, located: Point, more: str = "") -> None:
+        value = float(located.unknowns[-1])
+        self.events.append(BranchEvent(change.kind, value, len(self.points) - 1, change.text + more))
+
+    def _located(self, last: Point, found: Point, length: float, is_before: Callable[[Point], bool]) -> Point:
+        low, high, best = 0.0, length, found
+        for _ in range(_LOCATE):
+            if high - low <= _LOCATED * length:
+                break
+            middle = (low + high) / 2
+            point = self._corrected(last.unknowns / self._scale + middle * last.tangent, last.tangent, last.tangent)
+            if point is None or is_before(point):
+                low = middle
+            else:
+                high, best = middle, point
+        return best
+
+
+def _labeled(branch: _Branch, setting: Setting) -> "xarray.Dataset":
+    points, driven, size = branch.points, branch.equations.driven, len(setting.system.coordinates)
+    label, unit = label_and_unit(setting, branch.parameter)
+    values = np.array([point.unknowns for point in points]).reshape(len(points), -1)
+    multipliers = np.array([point.multipliers for point in points]).reshape(len(points), size)
+    many = ("point", "multiplier")
+    variables: Entries = {
+        "period": variable("point", [point.found.duration for point in points], "period of the orbit", "s"),
+        "multiplier_real": variable(many, np.real(multipliers), "Floquet multiplier, real part"),
+        "multiplier_imag": variable(many, np.imag(multipliers), "Floquet multiplier, imaginary part"),
+        "is_stable": variable("point", [point.is_stable(driven) for point in points], "whether the orbit is stable"),
+        "stick_count": variable(
+            "point", [stick_count(point.found.modes) for point in points], "number of sticks in one period"
+        ),
+        "stick_fraction": variable(
+            "point", [point.stick_fraction for point in points], "share of the period in sticks, mean over contacts"
+        ),
+        "modes": variable(
+            "point", [point.sequence_text for point in points], "signs of the relative velocities, mode after mode"
+        ),
+    }
+    for number, coordinate in enumerate(setting.system.coordinates):
+        name = coordinate.name.replace(" ", "_")
+        variables[name] = variable(
+            "point", values[:, number], f"{coordinate.name} where the orbit begins", coordinate.unit
+        )
+    return labeled_dataset(variables, {branch.parameter: variable("point", values[:, -1], label, unit)}, {})

@@ -1,0 +1,92 @@
+"""One period of a system and of what drives it."""
+
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._dynamics.common.method import Exact
+from .._dynamics.common.path import Run
+from .._dynamics.common.segments import SegmentLaws
+from .._dynamics.common.validation import Arguments
+from .._dynamics.engine_choice import BySteps, engine_for
+from .._dynamics.switched.run import lane_at_start, steps_for
+from .._excitation.excitation import BaseMotion, excitation_of
+from .._numerics.known import NotKnown
+from .._simulation.call import simulate
+from .._simulation.result import Simulation
+from .._systems.system import System
+from .._types import DType, FloatArray, Scalar
+
+T = TypeVar("T")
+
+
+class Cycle(eqx.Module):
+    """A system and what drives it, for one `duration` (s), after which the drive repeats itself.
+
+    Of many cases, arrays have a first axis (cases,).
+    """
+
+    system: System
+    base: BaseMotion
+    duration: Scalar
+    method: Exact
+
+    def after(self, y: FloatArray) -> Simulation:
+        """The motion of one case over one period from the state `y`, (coordinates,)."""
+        start = tuple(y[i] for i in range(y.shape[0]))
+        return simulate(self.system, self.base, t1=self.duration, y0=start, method=self.method)
+
+    def end(self, y: FloatArray) -> FloatArray:
+        """The state after one period, (coordinates,)."""
+        return jnp.stack(self.after(y).final_state)
+
+    def by_steps(self, y: FloatArray) -> Run:
+        """The same motion in time steps, also where it is known over whole intervals of the base."""
+        start = tuple(y[i] for i in range(y.shape[0]))
+        return BySteps(Arguments(self.system, self.base, self.method, self.duration)).follow(start, y.dtype)[1]
+
+    def lasting(self, duration: Scalar) -> "Cycle":
+        """The same with another duration (s)."""
+        return Cycle(self.system, self.base, duration, self.method)
+
+    def rates(self, y: FloatArray) -> FloatArray:
+        """The rates of the state at the begin of the period, per second."""
+        excitation = excitation_of(self.base)
+        step = Arguments(self.system, self.base, self.method, self.duration).checked_step()[1]
+        key_data, dtype = jnp.zeros(2, jnp.uint32), y.dtype
+        start = tuple(y[i] for i in range(y.shape[0]))
+        lane = lane_at_start(self.system, excitation, key_data, start, jnp.asarray(step, dtype), self.method.solver, ())
+        model = self.system.switched_model(excitation.signal, self.method.solver)
+        segments = SegmentLaws.of(self.system, excitation).segments(lane.segment_states)
+        forcing = model.forcing(jnp.zeros((), dtype), segments)
+        return jnp.stack(model.numbers(model.rates(forcing, jnp.zeros((), dtype), lane.y, lane.sign)))
+
+
+def steps_in(
+    system: System, base: BaseMotion, method: Exact, duration: Scalar, *, by_steps: bool = False
+) -> int | None:
+    """How many time steps `duration` (s) needs; None where `method` says it, no steps are taken, or it is not known.
+
+    `by_steps`: time steps also where the motion is known over whole intervals of the base.
+    """
+    arguments = Arguments(system, base, method, duration)
+    if method.max_steps is not None or not (by_steps or isinstance(engine_for(arguments), BySteps)):
+        return None
+    try:
+        excitation, step = arguments.checked_step()
+        return steps_for(system, excitation, duration, step)
+    except NotKnown:
+        return None
+
+
+def as_arrays(tree: T, dtype: DType) -> T:
+    """`tree` with arrays in place of its numbers: what differs in them only is compiled once."""
+
+    def converted(leaf: Any) -> Any:
+        is_array = isinstance(leaf, (jax.Array, np.ndarray)) and jnp.issubdtype(leaf.dtype, jnp.floating)
+        return jnp.asarray(leaf, dtype) if isinstance(leaf, float) or is_array else leaf
+
+    return jax.tree.map(converted, tree)

@@ -1,0 +1,280 @@
+"""States at events: where a stick or a slip begins, or a coordinate passes a value."""
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .. import _checks
+from .._conventions import Entries
+from .._dynamics.common.method import EXACT, Exact
+from .._dynamics.common.path import Run
+from .._dynamics.switched.path import StepPath
+from .._dynamics.switched.run import Beginnings, state_in_step
+from .._excitation.excitation import BaseMotion
+from .._fields import Checked, Quantity
+from .._status import Status
+from .._systems.switched_model import SwitchedModel
+from .._systems.system import System
+from .._types import Array, BoolArray, FloatArray, IntArray, Scalar
+from ._cases import Cases, Over, cases_of
+from ._cycle import Cycle
+from ._following import in_blocks
+from ._labeled import dataset_of, on_grid, outcome_of, states_of
+from ._warnings import warn_of_missing, warn_of_unfinished
+
+if TYPE_CHECKING:
+    import xarray
+
+EVENT = "event"
+ModeEvent = Literal["stick_start", "stick_end", "slip_forward", "slip_backward"]
+_MOST_IN_PERIOD = 16  # passages of a coordinate through a value
+_NEWTON = 24
+_MOST_PERIODS = 20  # for each event asked for
+
+
+class Crossing(Checked):
+    """A coordinate that passes a value.
+
+    Args:
+        coordinate: Its name, such as "position".
+        value: In its unit.
+        direction: 1 where it becomes larger, -1 where it becomes smaller, 0 for both.
+
+    Raises:
+        ValueError: For a value that is not finite, and for another direction.
+    """
+
+    coordinate: str = eqx.field(static=True)
+    value: Annotated[Scalar, Quantity("", "in the unit of the coordinate")] = 0.0
+    direction: int = eqx.field(static=True, default=1)
+
+    def check_relations(self) -> None:
+        _checks.text("coordinate", self.coordinate)
+        if self.direction not in (-1, 0, 1):
+            raise _checks.refused("direction", "be 1, -1 or 0", self.direction)
+
+
+class _Buffer(NamedTuple):
+    """Events of one case: the `number` of all, and the times and states (events, ...) of those kept."""
+
+    number: IntArray
+    times: FloatArray
+    states: FloatArray
+
+
+class _Carry(NamedTuple):
+    y: FloatArray
+    sign: FloatArray  # at the end of the last period; NaN before the first
+    status: IntArray
+    near_grazing_count: IntArray
+    buffer: _Buffer
+
+
+class _Found(NamedTuple):
+    buffer: _Buffer
+    status: Array
+    near_grazing_count: Array
+
+
+def event_section(
+    system: System,
+    base: BaseMotion,
+    of: ModeEvent | Crossing,
+    *,
+    contact: int = 0,
+    y0: Any = None,
+    over: Over | None = None,
+    transient: int = 200,
+    kept: int = 100,
+    period: Scalar | None = None,
+    method: Exact = EXACT,
+    progress: bool | None = None,
+) -> "xarray.Dataset":
+    """States at events of one kind, after a transient: for many starts and parameters at once.
+
+    Args:
+        system: As in `stroboscopic_section`.
+        base: As in `stroboscopic_section`; also one that nothing changes.
+        of: "stick_start" or "stick_end"; "slip_forward" or "slip_backward", where a slip with positive or negative
+            relative velocity begins, out of a stick or of a slip the other way; or a `Crossing` of a coordinate.
+        contact: Whose sticks and slips, from 0, for a system with several.
+        y0: As in `stroboscopic_section`.
+        over: As in `stroboscopic_section`.
+        transient: Number of events before the first that is kept.
+        kept: Number of events kept.
+        period: As in `stroboscopic_section`; where nothing drives the system, none is needed.
+        method: `Exact`.
+        progress: As in `simulate_ensemble`.
+
+    Returns:
+        ``time`` (s) and the numbers of the state at each event, with dimensions of the parameters, "start" if there are
+        several, and "event", its number; NaN for events that were not found within twenty periods for each that is
+        asked for. Of each case ``event_count``, how many were found, with those before the first kept, ``status`` and
+        ``near_grazing_count``. Warns (RuntimeWarning) of cases with too few events, and of those not followed to the
+        end. A coordinate that passes the value and comes back within one time step is missed.
+
+    Raises:
+        ValueError: For arguments that do not fit; for a base that is random or has no period.
+        ImportError: Without the extra ``study``.
+    """
+    transient = _checks.whole_number("transient", transient, minimum=0)
+    kept = _checks.whole_number("kept", kept)
+    cases = cases_of(system, base, y0, over, period, method, for_events=True)
+    event = _checked_event(cases.system, of, contact)
+    most = _MOST_PERIODS * (transient + kept)
+
+    def run(cycle: Cycle, starts: Array) -> _Found:
+        counts = (jnp.asarray(number, jnp.int32) for number in (transient, most))
+        return _find(cycle, starts, *counts, kept=kept, event=event)
+
+    found = in_blocks(cases, run, lambda found: found.status, progress)
+    warn_of_unfinished(found.status, stacklevel=3)
+    missing = (found.buffer.number < transient + kept) & (found.status == int(Status.FINISHED))
+    warn_of_missing(int(np.sum(missing)), len(missing), most, stacklevel=3)
+    return _labeled(cases, found, transient)
+
+
+class _Event(NamedTuple):
+    """What is looked for: a mode of a contact that begins or ends, or a coordinate, by number, that passes a value."""
+
+    mode: ModeEvent | None
+    contact: int
+    coordinate: int
+    value: float
+    direction: int
+
+
+def _checked_event(system: System, of: object, contact: object) -> _Event:
+    names = [coordinate.name for coordinate in system.coordinates]
+    if isinstance(of, Crossing):
+        _checks.chosen("of.coordinate", of.coordinate, names)
+        return _Event(None, 0, names.index(of.coordinate), float(of.value), of.direction)
+    options = get_args(ModeEvent)
+    if not isinstance(of, str) or of not in options:
+        raise ValueError(
+            f"Argument of must be {_checks.one_of(map(repr, options))}, or a Crossing(coordinate, value), but "
+            f"{_checks.show(of)} was given."
+        )
+    number = _checks.whole_number("contact", contact, minimum=0, maximum=(system.contact_count or 1) - 1)
+    return _Event(of, number, 0, 0.0, 0)  # pyright: ignore[reportArgumentType] - one of the options
+
+
+@eqx.filter_jit
+def _find(cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, event: _Event) -> _Found:
+    cases, size = starts.shape
+    none = jnp.zeros(cases, jnp.int32)
+    times = jnp.full((cases, kept), jnp.nan, starts.dtype)
+    buffer = _Buffer(none, times, jnp.full((cases, kept, size), jnp.nan, starts.dtype))
+    begun = _Carry(starts, jnp.full(cases, jnp.nan, starts.dtype), none, none, buffer)
+
+    def goes_on(state: tuple[IntArray, _Carry]) -> BoolArray:
+        number, carry = state
+        enough = (carry.buffer.number >= transient + kept) | (carry.status != int(Status.FINISHED))
+        return (number < most) & ~jnp.all(enough)
+
+    def one_period(state: tuple[IntArray, _Carry]) -> tuple[IntArray, _Carry]:
+        number, carry = state
+
+        def one(cycle: Cycle, carry: _Carry) -> _Carry:
+            return _over_period(cycle, carry, number, transient, event)
+
+        return number + 1, eqx.filter_vmap(one)(cycle, carry)
+
+    _, carry = lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), begun))
+    return _Found(carry.buffer, carry.status, carry.near_grazing_count)
+
+
+def _over_period(cycle: Cycle, carry: _Carry, number: IntArray, transient: IntArray, event: _Event) -> _Carry:
+    run = cycle.by_steps(carry.y)
+    path = run.path
+    assert isinstance(path, StepPath)
+    begun = path.beginnings
+    sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
+    if event.mode is not None:
+        before = jnp.append(jnp.where(jnp.isnan(carry.sign), sign[0], carry.sign), sign[:-1])
+        happens, times = _begins(event.mode, before, sign), begun.t
+        states = jnp.stack(jax.vmap(lambda y: jnp.stack(path_model(path).numbers(y)))(begun.y))
+    else:
+        happens, times, states = _passages(path, run, event)
+    started = number * cycle.duration
+    rank = carry.buffer.number + jnp.cumsum(happens, dtype=jnp.int32) - 1 - transient
+    place = jnp.where(happens & (rank >= 0), rank, carry.buffer.times.shape[0])
+    finished = carry.status == int(Status.FINISHED)
+    buffer = _Buffer(
+        carry.buffer.number + jnp.where(finished, jnp.sum(happens, dtype=jnp.int32), 0),
+        carry.buffer.times.at[place].set(started + times, mode="drop"),
+        carry.buffer.states.at[place].set(states, mode="drop"),
+    )
+    return _Carry(
+        jnp.where(finished, jnp.stack(run.final_state), jnp.nan),
+        sign[-1],
+        jnp.where(finished, run.status, carry.status),
+        carry.near_grazing_count + run.near_grazing_count,
+        buffer,
+    )
+
+
+def path_model(path: StepPath) -> SwitchedModel:
+    """The model of a path."""
+    return path.system.switched_model(path.excitation.signal, path.solver)
+
+
+def _begins(mode: ModeEvent, before: FloatArray, sign: FloatArray) -> BoolArray:
+    """At the begin of which steps the event is, by the sign of the relative velocity before and from there on."""
+    if mode == "stick_start":
+        return (before != 0) & (sign == 0)
+    if mode == "stick_end":
+        return (before == 0) & (sign != 0)
+    wanted = 1 if mode == "slip_forward" else -1
+    return (before != wanted) & (sign == wanted)
+
+
+def _passages(path: StepPath, run: Run, event: _Event) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Whether, when and in what state a coordinate passes the value, in slots (`_MOST_IN_PERIOD`,)."""
+    model, begun = path_model(path), path.beginnings
+    values = jax.vmap(lambda y: model.numbers(y)[event.coordinate])(begun.y) - event.value
+    after = jnp.append(values[1:], run.final_state[event.coordinate] - event.value)
+    up, down = (values < 0) & (after >= 0), (values > 0) & (after <= 0)
+    passes = up if event.direction > 0 else down if event.direction < 0 else up | down
+    (steps,) = jnp.nonzero(passes, size=_MOST_IN_PERIOD, fill_value=-1)
+    lengths = jnp.append(begun.t[1:], run.time_reached) - begun.t
+
+    def locate(step: IntArray) -> tuple[FloatArray, FloatArray]:
+        here: Beginnings = jax.tree.map(lambda column: column[step], begun)
+        rises = after[step] > values[step]
+
+        def closer(_: IntArray, state: tuple[FloatArray, FloatArray, FloatArray]):
+            low, high, h = state
+            y = state_in_step(model, here, h)
+            rates = model.rates(model.forcing(here.t, here.segments), h, y, here.sign)
+            value = model.numbers(y)[event.coordinate] - event.value
+            rate = model.numbers(rates)[event.coordinate]
+            is_before = (value < 0) == rises
+            low, high = jnp.where(is_before, h, low), jnp.where(is_before, high, h)
+            newton = h - value / jnp.where(rate == 0, 1, rate)
+            inside = (newton >= low) & (newton <= high) & (rate != 0)
+            return low, high, jnp.where(inside, newton, (low + high) / 2)
+
+        zero = jnp.zeros_like(lengths[step])
+        _, _, h = lax.fori_loop(0, _NEWTON, closer, (zero, lengths[step], lengths[step] / 2))
+        return here.t + h, jnp.stack(model.numbers(state_in_step(model, here, h)))
+
+    times, states = jax.vmap(locate)(steps)
+    return steps >= 0, times, states
+
+
+def _labeled(cases: Cases, found: _Found, transient: int) -> "xarray.Dataset":
+    times = np.asarray(found.buffer.times)
+    numbers = np.arange(transient + 1, transient + times.shape[1] + 1)
+    coordinates: Entries = {EVENT: (EVENT, numbers, {"long_name": "number of the event"})}
+    variables: Entries = {
+        "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
+        **states_of(cases, np.asarray(found.buffer.states), (EVENT,), "at the event"),
+        "event_count": on_grid(cases, found.buffer.number, "number of events found"),
+        **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
+    }
+    return dataset_of(cases, variables, coordinates)

@@ -1,0 +1,147 @@
+"""Cases followed from period to period, in blocks over threads."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .._ensemble.progress import progress_bar
+from .._events.sticks import Sticks
+from .._simulation.result import Simulation
+from .._status import Ending, Status
+from .._types import AnyArray, Array, FloatArray, IntArray
+from ._cases import Cases
+from ._cycle import Cycle
+
+_LANES = 512  # cases of a block: their arrays stay in the cache
+_MOST_DOUBLINGS = 6  # of the number of steps in a period, before a case is given up
+
+
+class SticksOfPeriod(NamedTuple):
+    """Of one period, and of each contact of a list: the number of sticks that begin in it, the time in sticks (s), and
+    the longest stick that ends in it or lasts beyond it, from its beginning (s).
+    """
+
+    begun: IntArray
+    time: FloatArray
+    longest: FloatArray
+
+
+class Seen(NamedTuple):
+    """What is seen of each case at the ends of the periods kept: states (cases, periods, coordinates), sticks (cases,
+    periods) or (cases, periods, contacts), and of each case (cases,) the `Status` and how often round-off decided.
+    """
+
+    states: Array
+    sticks: SticksOfPeriod
+    status: Array
+    near_grazing_count: Array
+
+
+def start_age(cycle: Cycle, dtype) -> FloatArray:
+    """How long each contact has been stuck before the first period: 0."""
+    contacts = cycle.system.contact_count if cycle.system.track_count is not None else None
+    return jnp.zeros(() if contacts is None else (contacts,), dtype)
+
+
+def sticks_of_period(one: Simulation, age: FloatArray) -> tuple[SticksOfPeriod, FloatArray]:
+    """The sticks of one period, and how long each contact has been stuck at its end; `age`: at its beginning (s)."""
+    sticks = one.sticks
+
+    def of(held: AnyArray, age: FloatArray) -> tuple[SticksOfPeriod, FloatArray]:
+        return _of_contact(sticks, held, age)
+
+    if sticks.contact is None or not age.ndim:
+        return of(sticks.mask, age)
+    numbers = jnp.arange(age.shape[0])
+    return jax.vmap(lambda number, age: of(sticks.mask & (sticks.contact == number), age))(numbers, age)
+
+
+def _of_contact(sticks: Sticks, held: AnyArray, age: FloatArray) -> tuple[SticksOfPeriod, FloatArray]:
+    goes_on = held & (sticks.start == 0) & (age > 0)
+    duration = jnp.where(held, sticks.end - sticks.start, 0)
+    whole = duration + jnp.where(goes_on, age, 0)
+    lasts = held & (sticks.ending == int(Ending.HORIZON))
+    begun = jnp.sum(held) - jnp.sum(goes_on)
+    return SticksOfPeriod(begun, jnp.sum(duration), jnp.max(whole)), jnp.max(jnp.where(lasts, whole, 0))
+
+
+@eqx.filter_jit
+def _follow(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> Seen:
+    """Cases over `transient` periods, and then over the `kept` ones."""
+
+    def period(carry):
+        def one(cycle, y, age, status, close):
+            after = cycle.after(y)
+            sticks, age = sticks_of_period(after, age)
+            status = jnp.where(status == int(Status.FINISHED), after.status, status)
+            y = jnp.where(status == int(Status.FINISHED), jnp.stack(after.final_state), jnp.nan)
+            return (y, age, status, close + after.near_grazing_count), sticks
+
+        return eqx.filter_vmap(one)(cycle, *carry)
+
+    ages = start_age(cycle, starts.dtype)
+    none = jnp.zeros(len(starts), jnp.int32)
+    begun = (starts, jnp.zeros((len(starts), *ages.shape), starts.dtype), none, none)
+    begun = lax.fori_loop(0, transient, lambda _, carry: period(carry)[0], begun)
+
+    def keep(carry, _):
+        carry, sticks = period(carry)
+        return carry, (carry[0], sticks)
+
+    (_, _, status, close), (states, sticks) = lax.scan(keep, begun, length=kept)
+    states, sticks = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), (states, sticks))
+    return Seen(states, sticks, status, close)
+
+
+def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None) -> Seen:
+    """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
+
+    def run(cycle: Cycle, starts: Array) -> Seen:
+        return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)
+
+    return in_blocks(cases, run, lambda seen: seen.status, progress)
+
+
+def in_blocks(
+    cases: Cases, run: Callable[[Cycle, Array], Any], status_of: Callable[[Any], Array], progress: bool | None
+) -> Any:
+    """`run` over all cases, in blocks over threads; its results joined, arrays of NumPy with a first axis (cases,).
+
+    A block in which steps ran out, as `status_of` its results says, is followed again with twice as many.
+    """
+    threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()  # type: ignore[attr-defined]
+    threads = threads or 1
+    size = min(_LANES, -(-cases.number // threads))
+    blocks = -(-cases.number // size)
+    # The last block repeats its last case, so that all are of one size, and compiled once.
+    numbers = np.minimum(np.arange(blocks * size), cases.number - 1).reshape(blocks, size)
+
+    def one(block: int) -> Any:
+        which = numbers[block]
+        starts = jnp.asarray(cases.starts[which], cases.dtype)
+
+        def tried(doublings: int) -> Any:
+            cycle = cases.with_steps(2**doublings).cycle
+            own = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, cycle)
+            return jax.tree.map(np.asarray, run(own, starts))
+
+        found = tried(0)
+        for doublings in range(1, _MOST_DOUBLINGS + 1):
+            if not np.any(status_of(found) == int(Status.OUT_OF_STEPS)):
+                break
+            found = tried(doublings)
+        return found
+
+    with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(threads) as pool:
+        found = []
+        for part in pool.map(one, range(blocks)):
+            found.append(part)
+            bar.advance(min(size, cases.number - (len(found) - 1) * size))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: cases.number], *found)

@@ -1,0 +1,202 @@
+"""Lyapunov exponents from the exact derivatives of the motion over each period, through its events."""
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .. import _checks
+from .._conventions import Entries, variable
+from .._dynamics.common.method import EXACT, Exact
+from .._excitation.excitation import BaseMotion
+from .._numerics.orthogonal import orthogonal_factors
+from .._status import Status
+from .._systems.system import System
+from .._types import Array, BoolScalar, FloatArray, IntArray, Scalar
+from ._cases import Cases, Over, cases_of
+from ._cycle import Cycle
+from ._following import in_blocks
+from ._labeled import CYCLE, START, dataset_of, dimensions_of, on_grid, outcome_of
+from ._warnings import warn_of_unfinished
+
+if TYPE_CHECKING:
+    import xarray
+
+EXPONENT = "exponent"
+_ALIGNED = 50  # periods of the transient in which the directions turn into those of the exponents
+_CHECKPOINTS = 100  # of the convergence curve, at most
+_ROUND_OFF = 1e3  # units in the last place: what is left of a direction that a stick takes away
+
+
+class Stretched(NamedTuple):
+    """Of each case: the mean logarithm of the stretch of each direction in a period up to each checkpoint, (cases,
+    checkpoints, exponents), the `Status`, and how often round-off decided (cases,).
+    """
+
+    means: Array
+    status: Array
+    near_grazing_count: Array
+
+
+class _Carry(NamedTuple):
+    y: FloatArray
+    directions: FloatArray
+    sums: FloatArray
+    status: IntArray
+    near_grazing_count: IntArray
+
+
+def lyapunov_exponents(
+    system: System,
+    base: BaseMotion,
+    *,
+    y0: Any = None,
+    over: Over | None = None,
+    exponents: int | None = None,
+    transient: int = 200,
+    kept: int = 1000,
+    period: Scalar | None = None,
+    method: Exact = EXACT,
+    progress: bool | None = None,
+) -> "xarray.Dataset":
+    """The Lyapunov exponents of motions, from many starts and over parameters at once.
+
+    The directions are carried through each period by the exact derivative of the motion, its sticks and slips included,
+    and made orthogonal after it (Benettin and others 1980). A stick forgets: motions that differ only in what it makes
+    equal are the same afterwards. The exponent of what it forgets is minus infinity, and the others go on without it.
+
+    Args:
+        system: As in `stroboscopic_section`.
+        base: As in `stroboscopic_section`.
+        y0: As in `stroboscopic_section`.
+        over: As in `stroboscopic_section`; over two parameters the largest exponents are a map.
+        exponents: How many, from the largest on; by default as many as the state has numbers. One alone is fastest.
+        transient: Number of periods before the first that counts; in the last 50 the directions turn.
+        kept: Number of periods that count.
+        period: As in `stroboscopic_section`. Where nothing drives the system, a time after which directions are made
+            orthogonal again.
+        method: `Exact`.
+        progress: As in `simulate_ensemble`.
+
+    Returns:
+        ``lyapunov_exponent`` (1/s) with the dimensions of the parameters, "start" if there are several, and "exponent",
+        from the largest on. ``running_exponent``: the same up to the period "cycle", for a curve of convergence. With
+        several starts ``mean_exponent`` and ``mean_exponent_error``, its standard error over the starts (NaN where one
+        is minus infinity). Of each case ``status`` and ``near_grazing_count``. Warns (RuntimeWarning) of cases that were
+        not followed to the end; they hold NaN.
+
+    Raises:
+        ValueError: For arguments that do not fit; for a base that is random or has no period.
+        ImportError: Without the extra ``study``.
+    """
+    transient = _checks.whole_number("transient", transient, minimum=0)
+    kept = _checks.whole_number("kept", kept)
+    cases = cases_of(system, base, y0, over, period, method)
+    size = len(cases.system.coordinates)
+    number = size if exponents is None else _checks.whole_number("exponents", exponents, maximum=size)
+    every = math.ceil(kept / min(kept, _CHECKPOINTS))
+    checkpoints = math.ceil(kept / every)
+
+    def run(cycle: Cycle, starts: Array) -> Stretched:
+        counts = (jnp.asarray(n, jnp.int32) for n in (max(transient - _ALIGNED, 0), min(transient, _ALIGNED), every))
+        return _stretch(cycle, starts, *counts, checkpoints=checkpoints, number=number)
+
+    found = in_blocks(cases, run, lambda stretched: stretched.status, progress)
+    warn_of_unfinished(found.status, stacklevel=3)
+    return _labeled(cases, found, transient + every * np.arange(1, checkpoints + 1))
+
+
+@eqx.filter_jit
+def _stretch(
+    cycle: Cycle, starts: Array, before: IntArray, aligned: IntArray, every: IntArray, *, checkpoints: int, number: int
+) -> Stretched:
+    cases, size = starts.shape
+    none = jnp.zeros(cases, jnp.int32)
+    unit = jnp.broadcast_to(jnp.eye(size, number, dtype=starts.dtype), (cases, size, number))
+    carry = _Carry(starts, unit, jnp.zeros((cases, number), starts.dtype), none, none)
+
+    def over_periods(one: Any, carry: _Carry, number: IntArray) -> _Carry:
+        return lax.fori_loop(0, number, lambda _, carry: eqx.filter_vmap(one)(cycle, carry), carry)
+
+    carry = over_periods(_moved, carry, before)
+    carry = over_periods(_stretched, carry, aligned)
+    carry = carry._replace(sums=jnp.zeros_like(carry.sums))
+
+    def until_checkpoint(carry: _Carry, _: None) -> tuple[_Carry, Array]:
+        carry = over_periods(_stretched, carry, every)
+        return carry, carry.sums
+
+    carry, sums = lax.scan(until_checkpoint, carry, length=checkpoints)
+    periods = every * jnp.arange(1, checkpoints + 1)
+    means = jnp.moveaxis(sums / periods[:, None, None], 0, 1) / jnp.asarray(cycle.duration)[:, None, None]
+    return Stretched(means, carry.status, carry.near_grazing_count)
+
+
+def _outcome(carry: _Carry, y: FloatArray, status: IntArray, near_grazing_count: IntArray) -> _Carry:
+    finished = int(Status.FINISHED)
+    return carry._replace(
+        y=jnp.where(carry.status == finished, y, jnp.nan),
+        status=jnp.where(carry.status == finished, status, carry.status),
+        near_grazing_count=carry.near_grazing_count + near_grazing_count,
+    )
+
+
+def _moved(cycle: Cycle, carry: _Carry) -> _Carry:
+    after = cycle.after(carry.y)
+    return _outcome(carry, jnp.stack(after.final_state), after.status, after.near_grazing_count)
+
+
+def _stretched(cycle: Cycle, carry: _Carry) -> _Carry:
+    def end(y: FloatArray):
+        after = cycle.after(y)
+        sticks = jnp.any(after.totals.stick_time > 0)
+        return jnp.stack(after.final_state), (sticks, after.status, after.near_grazing_count)
+
+    def along(direction: FloatArray):
+        return jax.jvp(end, (carry.y,), (direction,), has_aux=True)
+
+    y, moved, (sticks, status, close) = jax.vmap(along, in_axes=1, out_axes=(None, 1, None))(carry.directions)
+    directions, logarithms = stretches(moved, sticks)
+    carry = _outcome(carry, y, status, close)
+    bad = jnp.where(carry.status == int(Status.FINISHED), 0, jnp.nan)
+    return carry._replace(directions=directions, sums=carry.sums + logarithms + bad)
+
+
+def stretches(moved: FloatArray, sticks: BoolScalar) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal directions from those that `moved` (coordinates, number), and the logarithm of the stretch of each.
+
+    After a period with `sticks`, directions of which only round-off is left are those that a stick took away.
+    """
+    directions, factors = orthogonal_factors(moved)
+    lengths, whole = jnp.diagonal(factors), jnp.sqrt(jnp.sum(factors * factors, axis=0))
+    gone = sticks & (lengths <= _ROUND_OFF * jnp.finfo(moved.dtype).eps * whole)
+    return directions, jnp.where(gone, -jnp.inf, jnp.log(lengths))
+
+
+def _labeled(cases: Cases, found: Stretched, numbers: np.ndarray) -> "xarray.Dataset":
+    means = np.asarray(found.means)
+    # The stretches of the first directions are the largest only in the long run: equal ones may come in any order.
+    last = -np.sort(-means[:, -1], axis=-1)
+    variables: Entries = {
+        "lyapunov_exponent": on_grid(cases, last, "Lyapunov exponent", "1/s", (EXPONENT,)),
+        "running_exponent": on_grid(cases, means, "Lyapunov exponent up to the period", "1/s", (CYCLE, EXPONENT)),
+        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
+        **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
+    }
+    if dimensions_of(cases)[-1:] == (START,):
+        grid = last.reshape((*cases.shape, -1))
+        own = (*dimensions_of(cases)[:-1], EXPONENT)
+        with np.errstate(invalid="ignore"):
+            mean, starts = np.mean(grid, axis=-2), grid.shape[-2]
+            error = np.std(grid, axis=-2, ddof=1) / np.sqrt(starts) if starts > 1 else np.full(mean.shape, np.nan)
+        variables["mean_exponent"] = variable(own, mean, "mean of the Lyapunov exponent over the starts", "1/s")
+        variables["mean_exponent_error"] = variable(own, error, "standard error of mean_exponent", "1/s")
+    coordinates: Entries = {
+        CYCLE: (CYCLE, numbers, {"long_name": "number of the period"}),
+        EXPONENT: (EXPONENT, np.arange(1, means.shape[-1] + 1), {"long_name": "number of the exponent"}),
+    }
+    return dataset_of(cases, variables, coordinates)

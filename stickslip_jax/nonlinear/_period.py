@@ -1,0 +1,137 @@
+"""The period of what drives a system: its base, and the forces in its fields."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from .. import _checks
+from .._excitation.motion import Motion
+from .._fields import modules_in
+from .._numerics.known import NotKnown, values_of
+from .._types import Scalar
+
+_MOST_CYCLES = 1000  # of the slowest motion until all motions begin anew
+_EQUAL = 1e-9  # relative
+
+
+def repetitions(system: object, base: object) -> list[tuple[str, Any]]:
+    """The class name of each motion that drives the system, and its `Motion.repeats_after`: numbers (s), or arrays
+    (cases,) where numbers of the motion are.
+    """
+    found = [*_outermost(base), *_outermost(system)]
+    return [(type(motion).__name__, motion.repeats_after) for motion in found]
+
+
+def _outermost(tree: object) -> Iterator[Motion]:
+    """The motions in `tree` that hold no other motion."""
+    motions = [module for module in modules_in(tree) if isinstance(module, Motion)]
+    for motion in motions:
+        inside = sum(isinstance(part, Motion) for part in modules_in(motion))
+        if inside == 1:
+            yield motion
+
+
+def drives(periods: list[tuple[str, Any]]) -> bool:
+    """Whether anything of what `repetitions` found changes with time."""
+    return any(period is None for _, period in periods) or _common(periods) is not None
+
+
+def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any, bool]:
+    """The period (s) of what `repetitions` found, (cases,) if its times are, or the one `given`; and whether anything
+    drives the system.
+
+    Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
+    """
+    unknown = [name for name, period in periods if period is None]
+    if given is not None:
+        common = None if unknown else _common(periods)
+        cycles = np.ones(()) if common is None else np.asarray(given / common)
+        if common is not None and not np.all(np.abs(cycles - np.round(cycles)) <= _EQUAL * cycles):
+            raise ValueError(
+                f"Argument period must be a whole number of periods of what drives the system, "
+                f"{float(np.ravel(common)[0]):.9g} s, but {_checks.show(given)} was given."
+            )
+        return given, common is not None or bool(unknown)
+    if unknown:
+        raise ValueError(
+            f"Argument period must be given (s), because none is known of the {unknown[0]} that drives the system; of a "
+            "record, the duration after which it begins anew."
+        )
+    common = _common(periods)
+    if common is None:
+        raise ValueError(
+            "Argument period must be given (s), because nothing that changes with time drives the system; it is then "
+            "the time after which the state is seen again and again. A section by events (event_section) needs none."
+        )
+    return common, True
+
+
+def _common(periods: list[tuple[str, Any]]) -> np.ndarray | None:
+    """The common period; None if nothing changes with time. Raises ValueError where there is none."""
+    parts = [part for _, period in periods for part in (period if isinstance(period, tuple) else (period,))]
+    columns = np.broadcast_arrays(*(np.asarray(part, float) for part in parts)) if parts else []
+    changing = [column for column in columns if np.any(column > 0)]
+    if not changing:
+        return None
+    every = np.stack(changing)
+    slowest = np.max(every, axis=0)
+    common = np.full(slowest.shape, np.nan)
+    for number in range(1, _MOST_CYCLES + 1):
+        cycles = number * slowest / every
+        fits = np.all(np.abs(cycles - np.round(cycles)) <= _EQUAL * cycles, axis=0)
+        common = np.where(np.isnan(common) & fits, number * slowest, common)
+        if not np.any(np.isnan(common)):
+            return common
+    bad = int(np.flatnonzero(np.isnan(np.atleast_1d(common)))[0])
+    shown = ", ".join(f"{np.atleast_1d(column)[bad]:.6g}" for column in every)
+    raise ValueError(
+        f"Argument period must be given (s), because motions with the periods {shown} s drive the system, of which no "
+        f"{_MOST_CYCLES} of the slowest are a common period."
+    )
+
+
+def has_known_period(system: object, base: object) -> bool:
+    """Whether what drives the system has a period that is known without being given."""
+    try:
+        period_of(repetitions(system, base), None)
+    except ValueError:
+        return False
+    return True
+
+
+def drive_period(system: object, base: object, given: Scalar | None) -> Scalar | None:
+    """The period (s) of what drives the system, differentiable; None if nothing changes with time.
+
+    Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
+    """
+    found = repetitions(system, base)
+    parts = [part for _, period in found for part in (period if isinstance(period, tuple) else (period,))]
+    if any(part is None for part in parts):
+        return given if given is not None else period_of(found, None)[0]
+    changing = [part for part in parts if _checks.is_traced(part) or float(part) > 0]
+    if not changing or given is not None:
+        if not any(map(_checks.is_traced, [*parts, given])):
+            period_of(found, given or 1.0)
+        return given if changing else None
+    if len(changing) == 1:
+        return changing[0]
+    try:
+        values = [values_of(part) for part in changing]
+    except NotKnown:
+        raise ValueError(
+            "Argument period must be given (s) under jax.jit, because several motions drive the system."
+        ) from None
+    common = _common([("", value) for value in values])
+    cycles = np.unique(np.round(common / values[0]))
+    if len(cycles) > 1:
+        raise ValueError("Argument period must be given (s): the motions that drive these systems have no common one.")
+    return float(cycles[0]) * changing[0]
+
+
+def checked_period(period: object) -> Scalar | None:
+    """`period`, a positive time (s) or None."""
+    if period is None:
+        return None
+    _checks.positive("period", period, "s")
+    return period  # pyright: ignore[reportReturnType] - checked
