@@ -63,7 +63,7 @@ def systems() -> Iterator[Target]:
     yield fields(ss.Coulomb, mu=(0.5, "not negative field"), mu_static=(0.6, "optional not negative field"))
     yield fields(
         ss.MassSpring, mass=(1.0, "positive field"), stiffness=(4.0, "not negative field"),
-        normal_force=(1.0, "positive field"), friction=(ss.Coulomb(0.5), "friction"),
+        normal_force=(1.0, "positive field | force"), friction=(ss.Coulomb(0.5), "friction"),
         damping=(0.1, "optional not negative field"), force=(None, "optional base"),
     )  # fmt: skip
     cart = {name: (getattr(ss.MotorCart(), name), "field") for name in ("resistance", "inductance", "mu", "cart_mass")
@@ -155,8 +155,8 @@ def numbers_and_methods() -> Iterator[Target]:
     yield fields(
         ss.Regularized, width=(0.1, "positive"), shape=("linear", "never"), step=(None, "optional positive"),
         solver=(None, "optional never"), rtol=(1e-5, "positive"), atol=(None, "optional number or array | any"),
-        max_steps=(None, "optional whole"), threshold=(None, "optional positive"),
-        minimum_duration=(None, "optional not negative"), adjoint=(None, "optional never"),
+        max_steps=(None, "optional whole"), threshold=(None, "optional positive per contact"),
+        minimum_duration=(None, "optional not negative per contact"), adjoint=(None, "optional never"),
     )  # fmt: skip
     yield fields(ss.Quantity, unit=("m", "any"), above=(None, "any"))
     for sampled in (LAW, ss.KanaiTajimi(1.0), ss.SemiMarkovSwitching(ss.Uniform(0.5, 1.0), 1.0)):

@@ -231,6 +231,11 @@ def is_field(value: Any, low: float = -math.inf) -> bool:
     return is_number(value, low) or is_array(value, low) or (_fields.is_distribution(value))
 
 
+def is_of_contacts(value: Any, low: float) -> bool:
+    """An array with a number for each of several contacts."""
+    return isinstance(value, (np.ndarray, jax.Array)) and np.size(value) > 0 and is_array(value, low)
+
+
 _OF_BASES = "sample", "velocity", "value"
 KINDS: dict[str, Callable[[Any], bool]] = {
     "number": is_number,
@@ -239,6 +244,9 @@ KINDS: dict[str, Callable[[Any], bool]] = {
     "field": is_field,
     "positive field": lambda value: is_field(value, 1e-100),
     "not negative field": lambda value: is_field(value, 0.0),
+    "positive per contact": lambda value: is_number(value, 1e-100) or is_of_contacts(value, 1e-100),
+    "not negative per contact": lambda value: is_number(value, 0.0) or is_of_contacts(value, 0.0),
+    "force": lambda value: isinstance(value, (ss.Signal, ss.Recorded, ss.ForceSteps)),
     "array": is_array,
     "start": is_start,
     "number or array": lambda value: is_number(value) or is_array(value),

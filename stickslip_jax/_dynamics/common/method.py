@@ -106,13 +106,8 @@ class Regularized(eqx.Module):
             )
         if self.step is not None:
             _checks.positive("step", self.step, "s")
-        # Of several contacts there may be one for each.
-        if self.threshold is not None:
-            _checks.bounded("threshold", self.threshold, "m/s", above=0, ndim=_ndim(self.threshold))
-        if self.minimum_duration is not None:
-            _checks.bounded(
-                "minimum_duration", self.minimum_duration, "s", at_least=0, ndim=_ndim(self.minimum_duration)
-            )
+        _check_of_contacts("threshold", self.threshold, "m/s", above=0)
+        _check_of_contacts("minimum_duration", self.minimum_duration, "s", at_least=0)
         _checks.positive("rtol", self.rtol)
         if self.atol is not None:
             _checks.numeric("atol", self.atol, ndim=None)
@@ -138,9 +133,14 @@ class Regularized(eqx.Module):
             )
 
 
-def _ndim(value: Any) -> int:
-    """0, or 1 for an array: threshold and duration may be given for each of several contacts."""
-    return 1 if isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) else 0
+def _check_of_contacts(name: str, value: Any, unit: str, **bounds: int) -> None:
+    """Check a number, or an array with one for each of several contacts; None is none. Raises ValueError otherwise."""
+    if value is None:
+        return
+    is_array = isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) > 0
+    _checks.bounded(name, value, unit, ndim=int(is_array), **bounds)
+    if is_array and not np.size(value):
+        raise _checks.refused(name, f"be a number (in {unit}), or one for each contact", value)
 
 
 EXACT = Exact()
