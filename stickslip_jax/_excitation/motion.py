@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
 import equinox as eqx
 
-from .._types import Scalar
+from .._types import Number, Scalar
 
 if TYPE_CHECKING:
     from .random import RandomSignal
@@ -55,7 +55,7 @@ class Motion(eqx.Module):
         return math.inf
 
     @property
-    def repeats_after(self) -> Scalar | tuple[Scalar, ...] | None:
+    def repeats_after(self) -> Number | tuple[Number, ...] | None:
         """After what time (s) it repeats itself, or each of its parts: 0 for what never changes, None for not known."""
         return None
 

@@ -44,7 +44,7 @@ class Constant(PiecewiseConstantLaw):
         return 1
 
     @property
-    def repeats_after(self) -> Scalar:
+    def repeats_after(self) -> Number:
         return 0.0
 
 
@@ -78,7 +78,7 @@ class SquareWave(PiecewiseConstantLaw):
         return math.ceil(2 * largest(t1) / smallest(self.period)) + 1
 
     @property
-    def repeats_after(self) -> Scalar:
+    def repeats_after(self) -> Number:
         return self.period
 
 

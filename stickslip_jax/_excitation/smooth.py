@@ -181,7 +181,7 @@ class Harmonic(_Tones):
         return 2 * math.pi / self.angular_frequency
 
     @property
-    def repeats_after(self) -> Scalar:
+    def repeats_after(self) -> Number:
         return 2 * math.pi / self.angular_frequency
 
 
@@ -231,7 +231,7 @@ class SumOfHarmonics(_Tones):
         return 2 * math.pi / fastest
 
     @property
-    def repeats_after(self) -> tuple[Scalar, ...]:
+    def repeats_after(self) -> tuple[Number, ...]:
         return tuple(2 * math.pi / self.angular_frequencies[i] for i in range(len(self.angular_frequencies)))
 
 
@@ -262,7 +262,7 @@ class UserMotion(Signal):
         return getattr(self.motion, "shortest_period", None)
 
     @property
-    def repeats_after(self) -> Scalar | None:
+    def repeats_after(self) -> Number | None:
         return getattr(self.motion, "period", None)
 
 

@@ -39,5 +39,5 @@ class SourceVoltage(Signal):
         return 2 * math.pi / self.angular_frequency
 
     @property
-    def repeats_after(self) -> Scalar:
+    def repeats_after(self) -> Number:
         return 2 * math.pi / self.angular_frequency

@@ -80,6 +80,14 @@ def _turned(states: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray
     return np.stack(columns, axis=-1)
 
 
+def _scale(turned: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
+    """The range of each column of states (cases, returns, columns); 1 for sines, cosines, and what does not change."""
+    columns = turned.reshape(-1, turned.shape[-1])
+    ranges = np.ptp(columns, axis=0) if len(columns) else np.zeros(columns.shape[1])
+    turns = np.repeat([period is not None for period in periods], [1 if period is None else 2 for period in periods])
+    return np.where((ranges > 0) & ~turns, ranges, 1)
+
+
 def _by_size(labels: np.ndarray, attractors: list[Attractor]) -> tuple[np.ndarray, list[Attractor]]:
     """The same, the attractors that most cases end on first."""
     counts = np.bincount(labels[labels >= 0], minlength=len(attractors))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from scipy.stats import binomtest
@@ -31,6 +32,7 @@ _RECURS = 1e-6
 _TOLERANCE = 1e-3
 _MOST = 50
 _LEVEL = 0.95
+_IRREGULAR = 2000  # returns of an irregular motion, by which others are known
 _SEEN = 4096  # instants of a motion that nothing drives
 _SHOWN = 2048  # points of an attractor in the result, at most
 
@@ -99,7 +101,9 @@ def basins(
     found = recurrence(states, _RECURS, periods)
 
     def points_of(case: int) -> np.ndarray:
-        return states[case] if cases.driven else _curve(cases, states[case, 0], kept, tolerance)
+        if not cases.driven:
+            return _curve(cases, states[case, 0], kept, tolerance)
+        return states[case] if found[case] else _region(cases, case, states[case, -1])
 
     labels, attractors = matched(states, found, stuck, points_of, periods, tolerance, most)
     return _labeled(cases, grid, labels, attractors, np.asarray(seen.status), level)
@@ -128,6 +132,13 @@ def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.n
     return grid, np.stack([mesh.get(name, zeros).reshape(-1) for name in names], axis=1)
 
 
+def _region(cases: Cases, case: int, state: np.ndarray) -> np.ndarray:
+    """Many returns of an irregular motion from one `state` on: the region in which it stays."""
+    own = jax.tree.map(lambda leaf: leaf[[case]] if eqx.is_array(leaf) else leaf, cases.cycle)
+    seen = follow(cases._replace(cycle=own, starts=state[None], shape=()), 0, _IRREGULAR, progress=False)
+    return np.asarray(seen.states)[0]
+
+
 def _curve(cases: Cases, state: np.ndarray, kept: int, tolerance: float) -> np.ndarray:
     """The motion from one `state` on, over as long as was kept, with neighbours nearer than the tolerance."""
     cycle = cases.cycle
@@ -136,7 +147,7 @@ def _curve(cases: Cases, state: np.ndarray, kept: int, tolerance: float) -> np.n
     one = simulate(cases.system, setting.law, t1=t1, y0=tuple(map(float, state)), method=setting.method)
     times = np.unique(np.concatenate([np.linspace(0, t1, _SEEN), np.asarray(one.step_starts)]))
     # Compiled, since a batch of instants is evaluated for each attractor.
-    columns = jax.jit(one.evaluate)(np.resize(times, max(len(times), _SEEN)))
+    columns = eqx.filter_jit(lambda one, times: one.evaluate(times))(one, np.resize(times, max(len(times), _SEEN)))
     curve = np.stack([np.asarray(column)[: len(times)] for column in columns], axis=1)
     return dense(curve, tolerance)
 

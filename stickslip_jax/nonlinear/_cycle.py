@@ -18,7 +18,7 @@ from .._numerics.known import NotKnown
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.system import System
-from .._types import DType, FloatArray, Scalar
+from .._types import DType, FloatArray, Number, Scalar
 
 T = TypeVar("T")
 
@@ -31,7 +31,7 @@ class Cycle(eqx.Module):
 
     system: System
     base: BaseMotion
-    duration: Scalar
+    duration: Number
     method: Exact
 
     def after(self, y: FloatArray) -> Simulation:

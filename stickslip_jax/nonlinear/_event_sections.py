@@ -213,7 +213,7 @@ def _over_period(cycle: Cycle, carry: _Carry, number: IntArray, transient: IntAr
         jnp.where(finished, jnp.stack(run.final_state), jnp.nan),
         sign[-1],
         jnp.where(finished, run.status, carry.status),
-        carry.near_grazing_count + run.near_grazing_count,
+        carry.near_grazing_count + run.near_grazing_count.astype(jnp.int32),
         buffer,
     )
 

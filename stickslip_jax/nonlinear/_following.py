@@ -82,7 +82,7 @@ def _follow(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> S
             sticks, age = sticks_of_period(after, age)
             status = jnp.where(status == int(Status.FINISHED), after.status, status)
             y = jnp.where(status == int(Status.FINISHED), jnp.stack(after.final_state), jnp.nan)
-            return (y, age, status, close + after.near_grazing_count), sticks
+            return (y, age, status, close + after.near_grazing_count.astype(jnp.int32)), sticks
 
         return eqx.filter_vmap(one)(cycle, *carry)
 

@@ -86,8 +86,8 @@ def lyapunov_exponents(
         ``lyapunov_exponent`` (1/s) with the dimensions of the parameters, "start" if there are several, and "exponent",
         from the largest on. ``running_exponent``: the same up to the period "cycle", for a curve of convergence. With
         several starts ``mean_exponent`` and ``mean_exponent_error``, its standard error over the starts (NaN where one
-        is minus infinity). Of each case ``status`` and ``near_grazing_count``. Warns (RuntimeWarning) of cases that were
-        not followed to the end; they hold NaN.
+        is minus infinity). Of each case ``status`` and ``near_grazing_count``. Warns (RuntimeWarning) of cases that
+        were not followed to the end; they hold NaN.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
@@ -141,7 +141,7 @@ def _outcome(carry: _Carry, y: FloatArray, status: IntArray, near_grazing_count:
     return carry._replace(
         y=jnp.where(carry.status == finished, y, jnp.nan),
         status=jnp.where(carry.status == finished, status, carry.status),
-        near_grazing_count=carry.near_grazing_count + near_grazing_count,
+        near_grazing_count=carry.near_grazing_count + near_grazing_count.astype(jnp.int32),
     )
 
 

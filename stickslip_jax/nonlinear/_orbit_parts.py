@@ -12,6 +12,10 @@ from .._excitation.excitation import BaseMotion
 from .._simulation.call import simulate
 from .._systems.system import System
 
+_SPAN = 50  # time scales, in which a motion is looked at; again from its end, so many times
+_MOST_SPANS = 20
+_SEEN = 8001
+
 
 def multipliers_of(matrix: np.ndarray) -> np.ndarray:
     """The eigenvalues of a real matrix, the largest first, exact zeros for what it lacks in rank.
@@ -39,23 +43,23 @@ def guessed_period(system: System, base: BaseMotion, start: Any, method: Exact) 
     """The time in which a motion that begins at `start` last came back to where it then was."""
     if any(_checks.is_traced(value) for value in jax.tree.leaves((system, base, start))):
         raise ValueError(
-            "Argument period must be given under jax.jit, vmap and grad, where nothing changes with time: a guess of the "
-            "orbit's period, s."
+            "Argument period must be given under jax.jit, vmap and grad, where nothing changes with time: a guess of "
+            "the orbit's period, s."
         )
     scales = system.time_scales(Arguments(system, base, method, 1.0).checked_step()[0], method.solver).values()
     known = [float(scale.time) for scale in scales if scale.time is not None and np.isfinite(float(scale.time))]
-    span = 200 * max(known, default=1.0)
-    for _ in range(6):
-        one = simulate(system, base, t1=span, y0=start, method=method)
-        times = np.linspace(0.5 * span, span, 8001)
+    span, y0 = _SPAN * max(known, default=1.0), tuple(map(float, start))
+    times = np.linspace(0, span, _SEEN)
+    for _ in range(_MOST_SPANS):
+        one = simulate(system, base, t1=span, y0=y0, method=method)
         states = np.stack([np.asarray(column) for column in one.evaluate(times)], axis=1)
         found = _last_return(times, states)
         if found is not None:
             return found
-        span *= 2
+        y0 = tuple(map(float, one.final_state))
     raise ValueError(
         "Argument period must be given: a guess of the orbit's period (s), because no motion from y0 was found that "
-        f"comes back to where it was within {span / 4:.4g} s; does it come to rest?"
+        f"comes back to where it was {_MOST_SPANS * span:.4g} s later; does it come to rest?"
     )
 
 

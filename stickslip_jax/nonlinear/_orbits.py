@@ -42,8 +42,8 @@ class PeriodicOrbit(WithMethods):
         system: The argument of `periodic_orbit`.
         base: The argument of `periodic_orbit`.
         method: The method, with the number of steps of one period.
-        is_driven: Whether something that drives the system changes with time. If nothing does, the period was found too,
-            and one multiplier is 1.
+        is_driven: Whether something that drives the system changes with time. If nothing does, the period was found
+            too, and one multiplier is 1.
     """
 
     state: Array
@@ -79,7 +79,7 @@ class PeriodicOrbit(WithMethods):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The parts of the orbit between which a contact begins or ends to stick or changes the direction of its slip."""
+        """The parts of the orbit between which a contact begins or ends to stick, or its slip changes direction."""
         return modes_of(self.system, self.base, self.method, self.period, self.state)
 
 
@@ -97,13 +97,13 @@ def periodic_orbit(
     """The periodic orbit near a state, stable or not: Newton's method on the return map.
 
     The derivative of the map is exact, through every stick and slip, so that convergence is quadratic until a stick or
-    slip appears or vanishes. A pure function: under ``jit``, ``vmap`` and ``grad`` (the orbit's derivatives are those of
-    the implicit function).
+    slip appears or vanishes. A pure function: under ``jit``, ``vmap`` and ``grad`` (the orbit's derivatives are those
+    of the implicit function).
 
     Args:
         system: As in `simulate`, with any number of contacts.
         base: As in `simulate`; a motion that repeats itself.
-        y0: A state near the orbit, at a whole number of periods of the drive, as the last one of a `stroboscopic_section`.
+        y0: A state near the orbit, at a whole number of periods of the drive, as the last of a `stroboscopic_section`.
         periods: After how many periods of the drive the orbit closes.
         period: s. Of the drive, by default that after which all motions that drive the system repeat themselves. Where
             nothing changes with time, a guess of the orbit's period, which is then found too; by default from a

@@ -55,8 +55,8 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
         return given, common is not None or bool(unknown)
     if unknown:
         raise ValueError(
-            f"Argument period must be given (s), because none is known of the {unknown[0]} that drives the system; of a "
-            "record, the duration after which it begins anew."
+            f"Argument period must be given (s), because none is known of the {unknown[0]} that drives the system; of "
+            "a record, the duration after which it begins anew."
         )
     common = _common(periods)
     if common is None:

@@ -29,8 +29,8 @@ def warn_of_missing(missing: int, cases: int, periods: int, stacklevel: int) -> 
     if missing:
         warnings.warn(
             f"In {missing} of {cases} cases fewer events were found in {periods} periods than are asked for: the "
-            "variable event_count says how many. Their places hold NaN; the motion may have come to rest, or never pass "
-            "there.",
+            "variable event_count says how many. Their places hold NaN; the motion may have come to rest, or never "
+            "pass there.",
             RuntimeWarning,
             stacklevel=stacklevel,
         )

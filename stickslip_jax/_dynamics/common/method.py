@@ -106,8 +106,8 @@ class Regularized(eqx.Module):
             )
         if self.step is not None:
             _checks.positive("step", self.step, "s")
-        _check_of_contacts("threshold", self.threshold, "m/s", above=0)
-        _check_of_contacts("minimum_duration", self.minimum_duration, "s", at_least=0)
+        for name, unit, bounds in (("threshold", "m/s", {"above": 0}), ("minimum_duration", "s", {"at_least": 0})):
+            _check_of_contacts(name, getattr(self, name), unit, bounds)
         _checks.positive("rtol", self.rtol)
         if self.atol is not None:
             _checks.numeric("atol", self.atol, ndim=None)
@@ -133,7 +133,7 @@ class Regularized(eqx.Module):
             )
 
 
-def _check_of_contacts(name: str, value: Any, unit: str, **bounds: int) -> None:
+def _check_of_contacts(name: str, value: Any, unit: str, bounds: dict[str, Any]) -> None:
     """Check a number, or an array with one for each of several contacts; None is none. Raises ValueError otherwise."""
     if value is None:
         return

@@ -1,0 +1,153 @@
+"""Orbits followed along a parameter: what happens on the way, against closed forms and other programs' results."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, minimize_scalar
+
+import stickslip_jax as ss
+from stickslip_jax import nonlinear
+from stickslip_jax.nonlinear._modes import Mode, sequence, stick_count
+
+BELT = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.5, mu_static=1.0, stribeck_speed=0.5), damping=0.1)
+LAST_SPEED = 1.836600973
+"""m/s: where the stick-slip cycle ends, to 1e-9 (test_where_the_cycle_ends_by_scipy)."""
+
+
+def _released(speed: float) -> float:
+    """How near a mass that the belt released comes to its velocity again, by scipy: negative if it reaches it."""
+    from scipy.integrate import solve_ivp  # noqa: PLC0415
+
+    def slip(_, y):
+        return y[1], 0.5 + 0.5 * math.exp((y[1] - speed) / 0.5) - y[0] - 0.1 * y[1]
+
+    def fastest(_, y):
+        return slip(0, y)[1]
+
+    fastest.direction = -1
+    start = (1 - 0.1 * speed, speed)
+    done = solve_ivp(slip, (0, 12), start, "DOP853", rtol=1e-12, atol=1e-13, events=fastest)
+    (velocity,) = [y[1] for t, y in zip(done.t_events[0], done.y_events[0], strict=True) if t > 1][:1]
+    return speed - velocity
+
+
+def test_where_the_cycle_ends_by_scipy():
+    assert brentq(_released, 1.8, 1.9, xtol=1e-12) == pytest.approx(LAST_SPEED, abs=2e-9)
+
+
+def test_stick_slip_cycle_ends_where_it_meets_the_unstable_one():
+    orbit = nonlinear.periodic_orbit(BELT, ss.Constant(1.8), y0=(0.5, 1.8))
+    branch = nonlinear.continue_orbit(orbit, "speed", until=1.9, step=0.1)
+    (event,) = branch.events
+    assert event.kind == "stick vanishes"
+    assert "turns round" in event.text
+    assert event.parameter == pytest.approx(LAST_SPEED, abs=2e-9)
+    points = branch.points
+    assert branch.ending == "speed reached 1.8"
+    assert float(points.speed[-1]) == pytest.approx(1.8)
+    before, after = points.isel(point=slice(0, event.point + 1)), points.isel(point=slice(event.point + 1, None))
+    assert set(before.modes.values) == {"- 0"}
+    assert set(after.modes.values) == {"-"}
+    assert np.all(before.is_stable)
+    assert not np.any(after.is_stable)
+    np.testing.assert_allclose(before.multiplier_real, np.tile([1.0, 0.0], (before.sizes["point"], 1)), atol=1e-8)
+    assert np.all(np.diff(before.stick_fraction) < 0)
+    # The unstable cycle of the branch's end is that which Newton's method finds there alone.
+    found = nonlinear.periodic_orbit(BELT, ss.Constant(1.8), y0=(points.position[-1], points.velocity[-1]), period=6.3)
+    assert float(found.period) == pytest.approx(float(points.period[-1]), abs=1e-9)
+
+
+def _stops_from(b: float) -> float:
+    """The friction over force amplitude at which Den Hartog's motion without stops has its first stop.
+
+    Source: Den Hartog, Trans. ASME 53, 1931: the motion is known in closed form; here where its velocity first touches
+    zero within half a period.
+    """
+    gain = 1 / (1 - b * b)
+    lag = math.sin(math.pi / b) / (b * (1 + math.cos(math.pi / b)))
+
+    def fastest(ratio):
+        amplitude = math.sqrt(gain**2 - (lag * ratio) ** 2)
+        phase = math.atan2(lag * ratio / gain, amplitude / gain)
+
+        def velocity(t):
+            own = ratio * math.sin(t) + gain * b * math.sin(phase) * math.cos(t)
+            return own - gain * b * math.sin(b * t + phase)
+
+        times = np.linspace(0, math.pi / b, 2001)[1:-1]
+        best = times[int(np.argmax([velocity(t) for t in times]))]
+        step = times[1] - times[0]
+        found = minimize_scalar(
+            lambda t: -velocity(t), bounds=(max(best - step, 0), best + step), options={"xatol": 1e-12}
+        )
+        # At the turn itself the velocity is zero; what counts there is whether it falls.
+        slope = ratio - amplitude + amplitude / gain
+        return max(-found.fun if found.x > 2 * step else -math.inf, slope)
+
+    return brentq(fastest, 0.01, 0.99 * abs(gain / lag) if abs(gain / lag) < 1 else 0.99, xtol=1e-12)
+
+
+def test_first_stop_of_den_hartog_in_closed_form():
+    b = 0.8
+    gain, lag = 1 / (1 - b * b), math.sin(math.pi / b) / (b * (1 + math.cos(math.pi / b)))
+    assert _stops_from(b) == pytest.approx(gain * b * b / math.sqrt(1 + b**4 * lag * lag), abs=1e-9)
+
+
+@pytest.mark.parametrize("b", [0.8, 0.4])
+def test_stops_of_den_hartog(b):
+    system = ss.MassSpring(1.0, 1.0, 0.1, ss.Coulomb(1.0), force=ss.Harmonic(1.0, b))
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))
+    branch = nonlinear.continue_orbit(orbit, "normal_force", until=0.95, step=0.05)
+    first = branch.events[0]
+    assert first.kind == "stick appears"
+    assert first.parameter == pytest.approx(_stops_from(b), abs=1e-6)
+    assert set(branch.points.modes.values[: first.point + 1]) == {"- +"}
+    assert float(branch.points.normal_force[-1]) == pytest.approx(0.95)
+    # One stop in each half period; at the low frequency first two, as there is a stop on the way too.
+    assert int(branch.points.stick_count[-1]) == 2
+
+
+def test_flip_and_fold_of_a_spring_without_friction_are_none():
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), damping=0.2, force=ss.Harmonic(1.0, 0.7))
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))
+    branch = nonlinear.continue_orbit(orbit, "angular_frequency", until=1.5, step=0.1)
+    assert branch.events == ()
+    period = 2 * np.pi / branch.points.angular_frequency
+    np.testing.assert_allclose(branch.points.period, period, rtol=1e-12)
+    size = np.hypot(branch.points.multiplier_real[:, 0], branch.points.multiplier_imag[:, 0])
+    np.testing.assert_allclose(size, np.exp(-0.1 * period), rtol=1e-9)
+
+
+def test_sequence_of_modes():
+    modes = (Mode((1,), 0, 1), Mode((0,), 1, 2), Mode((-1,), 2, 3), Mode((1,), 3, 4))
+    assert sequence(modes) == ((-1,), (1,), (0,))
+    assert stick_count(modes) == 1
+    assert stick_count((Mode((0,), 0, 1),)) == 1
+    assert stick_count((Mode((0, 1), 0, 1), Mode((0, 0), 1, 2))) == 2
+
+
+BAD = {
+    "orbit": ({"orbit": 3}, "Argument orbit must be a periodic_orbit that has converged, but 3"),
+    "parameter": ({"parameter": "mo"}, "Argument over must name one of"),
+    "the start": ({"parameter": "y0[0]"}, "Argument parameter must name a number of the system"),
+    "a group": ({"parameter": "r"}, "Argument parameter must name a number of the system"),
+    "until": ({"until": 1.0}, "Argument until must differ"),
+    "until out of bounds": ({"until": -1.0}, "normal_force"),
+    "step": ({"step": 0.0}, "Argument step must be positive"),
+    "most": ({"most": 0}, "Argument most must be"),
+}
+
+
+@pytest.fixture(scope="module")
+def orbit():
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.1), damping=0.2, force=ss.Harmonic(1.0, 0.7))
+    return nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))
+
+
+@pytest.mark.parametrize("name", BAD)
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_bad_input_is_told_in_a_sentence(orbit, name):
+    given, said = BAD[name]
+    with pytest.raises(ValueError, match=said):
+        nonlinear.continue_orbit(**({"orbit": orbit, "parameter": "normal_force", "until": 2.0} | given))

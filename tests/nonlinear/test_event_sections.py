@@ -1,0 +1,119 @@
+"""States at events: against the sticks of long simulations."""
+
+import jax
+import numpy as np
+import pytest
+
+import stickslip_jax as ss
+from stickslip_jax import nonlinear
+
+SYSTEM = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9))
+LAW = ss.SquareWave(1.0, 2.6)
+LEINE = ss.MassSpring(1.0, 1.0, 1.0, ss.VelocityWeakening(mu_static=1.0, weakening=3.0))
+
+
+@pytest.fixture(scope="module")
+def one():
+    return ss.simulate(SYSTEM, LAW.sample(None, 60 * 2.6), t1=60 * 2.6, y0=(0.3, -0.2))
+
+
+@pytest.mark.parametrize("event", ["stick_start", "stick_end"])
+def test_sticks_on_a_square_wave(one, event):
+    section = nonlinear.event_section(SYSTEM, LAW, event, y0=(0.3, -0.2), transient=3, kept=10, progress=False)
+    mask = np.asarray(one.sticks.mask)
+    times = np.asarray(one.sticks.start if event == "stick_start" else one.sticks.end)[mask][3:13]
+    np.testing.assert_allclose(section.time, times, atol=1e-9)
+    if event == "stick_start":
+        np.testing.assert_allclose(section.position, np.asarray(one.sticks.position)[mask][3:13], atol=1e-9)
+    np.testing.assert_allclose(np.abs(section.velocity), 1.0, atol=1e-12)
+    np.testing.assert_array_equal(section.event, np.arange(4, 14))
+
+
+def test_of_a_system_that_nothing_drives():
+    starts = np.array([[1.0, 0.2], [0.0, -1.0]])
+    section = nonlinear.event_section(
+        LEINE, ss.Constant(0.2), "stick_start", y0=starts, transient=2, kept=3, progress=False
+    )
+    np.testing.assert_allclose(np.diff(section.time, axis=1), 12.001031294829, atol=1e-10)
+    np.testing.assert_allclose(section.position, -0.541006353870, atol=1e-11)
+    assert section.time.dims == ("start", "event")
+
+
+@pytest.mark.parametrize("direction", [1, -1, 0])
+def test_coordinate_through_a_value(direction):
+    crossing = nonlinear.Crossing("position", 0.25, direction)
+    section = nonlinear.event_section(
+        LEINE, ss.Constant(0.2), crossing, y0=(1.0, 0.2), transient=2, kept=4, progress=False
+    )
+    np.testing.assert_allclose(section.position, 0.25, atol=1e-14)
+    one = ss.simulate(LEINE, ss.Constant(0.2), t1=100.0, y0=(1.0, 0.2))
+    velocity = np.asarray(one.evaluate(section.time.values)[1])
+    np.testing.assert_allclose(section.velocity, velocity, atol=1e-8)
+    if direction:
+        assert np.all(np.sign(velocity) == direction)
+        np.testing.assert_allclose(np.diff(section.time), 12.001031294829, atol=1e-9)
+    else:
+        np.testing.assert_array_equal(np.sign(velocity), np.sign(velocity[0]) * np.array([1, -1, 1, -1]))
+
+
+@pytest.mark.parametrize(("event", "sign"), [("slip_forward", 1), ("slip_backward", -1)])
+def test_direction_of_slips(one, event, sign):
+    section = nonlinear.event_section(SYSTEM, LAW, event, y0=(0.3, -0.2), transient=0, kept=20, progress=False)
+    times, little = section.time.values, 1e-5
+    before, after = (
+        np.asarray(jax.jit(lambda t: one.evaluate(t)[1] - one.base_velocity(t))(times + shift))
+        for shift in (-little, little)
+    )
+    assert np.all(sign * after > 0)
+    assert np.all(sign * before <= 1e-12)
+
+
+def test_contacts_are_told_apart():
+    system = ss.LinearStructure(
+        np.ones(2), np.array([[2.2, -1.2], [-1.2, 2.2]]), None,
+        contacts=(ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(0.8)), ss.Contact.of_mass(1, 2, 1.0, ss.Coulomb(1.0))),
+    )  # fmt: skip
+    base = ss.Harmonic(1.0, 0.4)
+    one = ss.simulate(system, base, t1=60.0)
+    for number in range(2):
+        section = nonlinear.event_section(
+            system, base, "stick_start", contact=number, transient=1, kept=3, progress=False
+        )
+        own = one.of_contact(number).sticks
+        times = np.asarray(own.start)[np.asarray(own.mask)]
+        np.testing.assert_allclose(section.time, times[times > 0][1:4], atol=1e-9)
+
+
+def test_events_that_are_missing_are_told():
+    with pytest.warns(RuntimeWarning, match="In 1 of 2 cases fewer events were found in 60 periods"):
+        section = nonlinear.event_section(
+            SYSTEM, LAW, "stick_start", over={"mu": [0.9, 0.01]}, transient=0, kept=3, progress=False
+        )
+    assert int(section.event_count[1]) == 0
+    assert np.all(np.isnan(section.time[1]))
+    assert np.all(np.isfinite(section.time[0]))
+
+
+BAD = {
+    "event": ({"of": "stick"}, "Argument of must be 'stick_start', 'stick_end', 'slip_forward' or 'slip_backward'"),
+    "coordinate": ({"of": nonlinear.Crossing("speed")}, "Argument of.coordinate must be"),
+    "contact": ({"contact": 1}, "Argument contact must be"),
+    "kept": ({"kept": 0}, "Argument kept must be"),
+    "random": ({"base": ss.PoissonSwitching(1.0, 1.0)}, "Argument base must repeat itself"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_bad_input_is_told_in_a_sentence(name):
+    given, said = BAD[name]
+    with pytest.raises(ValueError, match=said):
+        nonlinear.event_section(**({"system": SYSTEM, "base": LAW, "of": "stick_start"} | given), progress=False)
+
+
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_bad_crossings_are_told():
+    with pytest.raises(ValueError, match="Argument direction must be 1, -1 or 0"):
+        nonlinear.Crossing("position", direction=2)
+    with pytest.raises(ValueError, match="Argument value must be"):
+        nonlinear.Crossing("position", float("nan"))
