@@ -45,10 +45,7 @@ def matched(
     labels = np.full(len(states), -1)
     attractors: list[Attractor] = []
     turned = _turned(states, periods)
-    ranges = (
-        np.ptp(turned[finite].reshape(-1, turned.shape[-1]), axis=0) if np.any(finite) else np.ones(turned.shape[-1])
-    )
-    scale = np.where(ranges > 0, ranges, 1)
+    scale = _scale(turned[finite], periods)
     if np.any(finite & stuck):
         labels[finite & stuck] = 0
         attractors.append(Attractor(states[finite & stuck][:, -1], 1, True))

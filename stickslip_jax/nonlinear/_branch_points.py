@@ -106,9 +106,9 @@ def _unit(multipliers: np.ndarray) -> float:
 
 
 def _rotation(multipliers: np.ndarray) -> float:
-    """Changes its sign where a complex pair passes the unit circle; 1 where there is none."""
+    """Changes its sign where a complex pair passes the unit circle; NaN where there is none."""
     pairs = multipliers[np.imag(multipliers) > 1e-9]
-    return float(np.prod(np.abs(pairs) - 1)) if len(pairs) else 1.0
+    return float(np.prod(np.abs(pairs) - 1)) if len(pairs) else float("nan")
 
 
 _TESTS = (

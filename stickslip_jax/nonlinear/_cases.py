@@ -44,6 +44,12 @@ class Cases(NamedTuple):
         return self.setter.setting.system
 
     @property
+    def may_take_more(self) -> bool:
+        """Whether steps are taken, and their number was not given."""
+        given = self.setter.setting.method
+        return self.cycle.method.max_steps is not None and given.max_steps is None
+
+    @property
     def dtype(self) -> DType:
         """The precision of the simulations."""
         return np.asarray(self.cycle.duration).dtype
@@ -56,8 +62,9 @@ class Cases(NamedTuple):
     def with_steps(self, factor: int) -> "Cases":
         """The same with room for so many times the steps in a period."""
         method = self.cycle.method
-        if method.max_steps is None:
+        if not self.may_take_more:
             return self
+        assert method.max_steps is not None
         more = Exact(method.step, factor * method.max_steps, method.solver)
         return self._replace(cycle=Cycle(self.cycle.system, self.cycle.base, self.cycle.duration, more))
 

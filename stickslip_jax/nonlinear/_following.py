@@ -133,7 +133,7 @@ def in_blocks(
             return jax.tree.map(np.asarray, run(own, starts))
 
         found = tried(0)
-        for doublings in range(1, _MOST_DOUBLINGS + 1):
+        for doublings in range(1, _MOST_DOUBLINGS + 1 if cases.may_take_more else 0):
             if not np.any(status_of(found) == int(Status.OUT_OF_STEPS)):
                 break
             found = tried(doublings)

@@ -69,7 +69,7 @@ def _stops_from(b: float) -> float:
 
     def fastest(ratio):
         amplitude = math.sqrt(gain**2 - (lag * ratio) ** 2)
-        phase = math.atan2(lag * ratio / gain, amplitude / gain)
+        phase = math.atan2(-lag * ratio / gain, amplitude / gain)
 
         def velocity(t):
             own = ratio * math.sin(t) + gain * b * math.sin(phase) * math.cos(t)
