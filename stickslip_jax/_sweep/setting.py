@@ -214,4 +214,6 @@ def _label_and_unit_at(setting: Setting, path: Path) -> tuple[str, str]:
         label = f"{label} of {_label_and_unit_at(setting, tuple(above))[0]}"
     about = described(type(holder)).get(str(last))
     unit = about.unit if isinstance(about, Quantity) else ""
-    return label, "m/s" if unit == SIGNAL_UNIT and path[0] == "law" else unit or "1"
+    if unit == SIGNAL_UNIT:
+        unit = {"law": "m/s", "system": "N"}.get(str(path[0]), unit)
+    return label, unit or "1"

@@ -1,6 +1,7 @@
 """Nonlinear dynamics with sticks: sections, bifurcation diagrams, basins, periodic orbits, Lyapunov exponents."""
 
 from ._basins import basins
+from ._bifurcation import bifurcation_diagram
 from ._branch_points import BranchEvent
 from ._continuation import OrbitBranch, continue_orbit
 from ._event_sections import Crossing, event_section
@@ -16,6 +17,7 @@ __all__ = [
     "OrbitBranch",
     "PeriodicOrbit",
     "basins",
+    "bifurcation_diagram",
     "continue_orbit",
     "event_section",
     "lyapunov_exponents",

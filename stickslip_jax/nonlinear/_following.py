@@ -72,8 +72,7 @@ def _of_contact(sticks: Sticks, held: AnyArray, age: FloatArray) -> tuple[Sticks
     return SticksOfPeriod(begun, jnp.sum(duration), jnp.max(whole)), jnp.max(jnp.where(lasts, whole, 0))
 
 
-@eqx.filter_jit
-def _follow(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> Seen:
+def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> Seen:
     """Cases over `transient` periods, and then over the `kept` ones."""
 
     def period(carry):
@@ -98,6 +97,43 @@ def _follow(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> S
     (_, _, status, close), (states, sticks) = lax.scan(keep, begun, length=kept)
     states, sticks = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), (states, sticks))
     return Seen(states, sticks, status, close)
+
+
+_follow = eqx.filter_jit(_followed)
+
+
+@eqx.filter_jit
+def _follow_along(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> Seen:
+    """As `_followed`, of arrays (values, cases, ...), each value of a parameter from where the one before ended; from
+    `starts` (cases, coordinates) the first, and what was not followed to the end.
+    """
+    arrays, rest = eqx.partition(cycle, eqx.is_array)
+
+    def one_value(y: Array, own: Cycle) -> tuple[Array, Seen]:
+        seen = _followed(eqx.combine(own, rest), y, transient, kept=kept)
+        last = seen.states[:, -1]
+        return jnp.where(jnp.isfinite(last), last, starts), seen
+
+    return lax.scan(one_value, starts, arrays)[1]
+
+
+def follow_along(cases: Cases, transient: int, kept: int, *, descending: bool) -> Seen:
+    """As `follow`, each value of the first parameter from where the one before it ended, in the order of its values.
+
+    `descending`: from the last value to the first.
+    """
+    values = cases.shape[0]
+    order = np.arange(values)[::-1] if descending else np.arange(values)
+    by_value = np.arange(cases.number).reshape(values, -1)[order]
+    starts = jnp.asarray(cases.starts[by_value[0]], cases.dtype)
+
+    def run(cycle: Cycle) -> Seen:
+        own = jax.tree.map(lambda leaf: leaf[by_value] if eqx.is_array(leaf) else leaf, cycle)
+        return _follow_along(own, starts, jnp.asarray(transient, jnp.int32), kept=kept)
+
+    found = _with_enough_steps(cases, run, lambda seen: seen.status)
+    back = np.argsort(order)
+    return jax.tree.map(lambda leaf: leaf[back].reshape(cases.number, *leaf.shape[2:]), found)
 
 
 def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None) -> Seen:
@@ -127,17 +163,11 @@ def in_blocks(
         which = numbers[block]
         starts = jnp.asarray(cases.starts[which], cases.dtype)
 
-        def tried(doublings: int) -> Any:
-            cycle = cases.with_steps(2**doublings).cycle
+        def run_block(cycle: Cycle) -> Any:
             own = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, cycle)
-            return jax.tree.map(np.asarray, run(own, starts))
+            return run(own, starts)
 
-        found = tried(0)
-        for doublings in range(1, _MOST_DOUBLINGS + 1 if cases.may_take_more else 0):
-            if not np.any(status_of(found) == int(Status.OUT_OF_STEPS)):
-                break
-            found = tried(doublings)
-        return found
+        return _with_enough_steps(cases, run_block, status_of)
 
     with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(threads) as pool:
         found = []
@@ -145,3 +175,15 @@ def in_blocks(
             found.append(part)
             bar.advance(min(size, cases.number - (len(found) - 1) * size))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: cases.number], *found)
+
+
+def _with_enough_steps(cases: Cases, run: Callable[[Cycle], Any], status_of: Callable[[Any], AnyArray]) -> Any:
+    """What `run` returns, as arrays of NumPy; run again with twice the steps while these run out, unless their number
+    was given.
+    """
+    found = jax.tree.map(np.asarray, run(cases.cycle))
+    for doublings in range(1, _MOST_DOUBLINGS + 1 if cases.may_take_more else 0):
+        if not np.any(status_of(found) == int(Status.OUT_OF_STEPS)):
+            break
+        found = jax.tree.map(np.asarray, run(cases.with_steps(2**doublings).cycle))
+    return found

@@ -19,7 +19,7 @@ from ._warnings import warn_of_unfinished
 if TYPE_CHECKING:
     import xarray
 
-_RECURS = 1e-6
+RECURS = 1e-6
 CONTACT = "contact"
 
 
@@ -32,7 +32,7 @@ def stroboscopic_section(
     transient: int = 200,
     kept: int = 100,
     period: Scalar | None = None,
-    tolerance: float = _RECURS,
+    tolerance: float = RECURS,
     method: Exact = EXACT,
     progress: bool | None = None,
 ) -> "xarray.Dataset":

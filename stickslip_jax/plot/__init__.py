@@ -14,7 +14,9 @@ All functions are called alike:
 Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
+from ._basins import basins
 from ._bounds import stick_bounds
+from ._branches import orbit_branch
 from ._convergences import convergence
 from ._curves import curve
 from ._energies import energies
@@ -27,21 +29,26 @@ from ._parameter_sweeps import parameter_sweep
 from ._portraits import phase_portrait
 from ._rasters import stick_raster
 from ._saving import save
+from ._sections import bifurcation_diagram, section
 from ._sensitivities import sensitivity_curve, tornado
 from ._stick_fraction_curves import stick_fraction_curve
 from ._stick_maps import stick_map
 
 __all__ = [
+    "basins",
+    "bifurcation_diagram",
     "convergence",
     "curve",
     "energies",
     "histogram",
     "joint_histogram",
     "means_by_order",
+    "orbit_branch",
     "parameter_map",
     "parameter_sweep",
     "phase_portrait",
     "save",
+    "section",
     "sensitivity_curve",
     "stick_bounds",
     "stick_fraction_curve",

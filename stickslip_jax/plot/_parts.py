@@ -3,6 +3,7 @@
 import re
 from contextlib import suppress
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -55,6 +56,11 @@ def wrapped(text: str, letters: int = 40) -> str:
 def quantity_label(name: str, unit: str) -> str:
     """The name of a quantity with its unit, if it has one."""
     return name if unit == "1" else f"{name} ({unit})"
+
+
+def label_of(values: Any) -> str:
+    """The name of a labelled array with its unit."""
+    return quantity_label(str(values.attrs.get("long_name", values.name)), str(values.attrs.get("units", "1")))
 
 
 def unit_after(unit: str) -> str:

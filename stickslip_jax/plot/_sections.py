@@ -1,0 +1,142 @@
+"""Sections of motions, and bifurcation diagrams."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from .. import _checks
+from . import _parts, _style
+from ._labeled import is_labeled
+from ._legends import legend_above
+
+if TYPE_CHECKING:
+    import xarray
+
+_RETURNS = ("cycle", "event")
+_FEW = 2000  # points; more are smaller and paler
+
+
+def section(
+    results: "xarray.Dataset", x: str | None = None, y: str | None = None, *, ax: Axes | None = None
+) -> Axes:  # fmt: skip
+    """Draw the states of a section, one number of the state against another, a point for each return.
+
+    Args:
+        results: Of `stroboscopic_section` or `event_section`, at one point of the parameters:
+            ``results.sel(mu=0.3)``. Starts have colours of their own, up to five.
+        x: The name of a variable; by default the first number of the state.
+        y: Likewise; by default the second.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For results of another kind, and for names that are not in them.
+    """
+    names, returns = _states(results, "results")
+    x, y = x or names[0], y or names[1]
+    columns = [_column(results, name) for name in (x, y)]
+    more = [str(one) for one in columns[0].dims if one not in (returns, "start")]
+    if more:
+        raise ValueError(
+            f"Argument results must be at one point of the parameters, but they have the dimensions {', '.join(more)}; "
+            f"choose with results.isel({more[0]}=0)."
+        )
+    ax = _style.axes_or_new(ax, (5.6, 4.2))
+    several = "start" in columns[0].dims and columns[0].sizes["start"] <= len(_style.SERIES)
+    points = [np.asarray(column.transpose(..., returns)).reshape(-1, column.sizes[returns]) for column in columns]
+    if several:
+        for number, (left, right) in enumerate(zip(*points, strict=True)):
+            _dots(ax, left, right, _style.SERIES[number], f"start {number + 1}" if len(points[0]) > 1 else None)
+        legend_above(ax)
+    else:
+        _dots(ax, points[0].ravel(), points[1].ravel(), _style.MASS, None)
+    ax.set_xlabel(_parts.label_of(columns[0]))
+    ax.set_ylabel(_parts.label_of(columns[1]))
+    return ax
+
+
+def bifurcation_diagram(
+    results: "xarray.Dataset", name: str | None = None, *, along: str | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw what motions settle on over one parameter: a point for each return kept.
+
+    Args:
+        results: Of `bifurcation_diagram` or of a section over one parameter, from one or several starts. With the
+            dimension "direction" the two are drawn in two colours.
+        name: Of the variable to draw; by default the first number of the state. Of variables without returns, such as
+            ``recurrence``, there is one point for each case.
+        along: The parameter on the abscissa; by default the only one.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For results of another kind, and for names that are not in them.
+    """
+    names, _ = _states(results, "results")
+    values = _column(results, name or names[0])
+    parameters = [str(one) for one in values.dims if one not in (*_RETURNS, "start", "direction", "contact")]
+    along = along or (parameters[0] if len(parameters) == 1 else None)
+    if along not in parameters or len(parameters) > 1:
+        raise ValueError(
+            f"Argument results must have one parameter, but {', '.join(parameters) or 'none'} was given; choose of the "
+            "others with results.isel(...)."
+        )
+    ax = _style.axes_or_new(ax, (6.4, 4.2))
+    labels: list[str | None] = [None]
+    if "direction" in values.dims:
+        labels = [str(one) for one in np.asarray(results["direction"])]
+    colors = (_style.MASS,) if len(labels) == 1 else (_style.SERIES[0], _style.SERIES[2])
+    for label, color in zip(labels, colors, strict=True):
+        own = values if label is None else values.sel(direction=label)
+        rows = np.asarray(own.transpose(along, ...)).reshape(own.sizes[along], -1)
+        abscissas = np.repeat(np.asarray(results[along], float), rows.shape[1])
+        _dots(ax, abscissas, rows.ravel(), color, None if label is None else f"followed {label}")
+    ax.set_xlabel(_parts.label_of(results[along]))
+    ax.set_ylabel(_parts.wrapped(_parts.label_of(values)))
+    legend_above(ax)
+    return ax
+
+
+def _dots(ax: Axes, x: np.ndarray, y: np.ndarray, color: str, label: str | None) -> None:
+    known = np.isfinite(x) & np.isfinite(y)
+    many = int(known.sum()) > _FEW
+    size, alpha = (1.5, 0.4) if many else (6, 0.8)
+    ax.scatter(x[known], y[known], s=size, alpha=alpha, lw=0, color=color, rasterized=many)
+    if label is not None:
+        ax.plot([], [], ls="none", marker="o", ms=4, mew=0, color=color, label=label)
+
+
+def _states(results: Any, argument: str) -> tuple[list[str], str | None]:
+    """The names of the numbers of the state, and of the dimension of returns."""
+    if not is_labeled(results) or not hasattr(results, "data_vars"):
+        raise ValueError(
+            f"Argument {argument} must be a Dataset of a section or a bifurcation diagram, but "
+            f"{_checks.show(results)} was given."
+        )
+    returns = next((one for one in _RETURNS if one in results.dims), None)
+    where = ("at the end of the period", "at the event")
+    names = [
+        str(name)
+        for name, values in results.data_vars.items()
+        if str(values.attrs.get("long_name", "")).endswith(where)
+    ]
+    if returns is None or len(names) < 2:
+        raise ValueError(
+            f"Argument {argument} must be a Dataset of a section or a bifurcation diagram, but one with "
+            f"{', '.join(map(str, results.data_vars)) or 'nothing'} was given."
+        )
+    return names, returns
+
+
+def _column(results: Any, name: str) -> Any:
+    if name not in results.data_vars:
+        raise ValueError(
+            f"Argument name must be one of {', '.join(map(str, results.data_vars))}, but {_checks.show(name)} was "
+            "given."
+        )
+    return results[name]
