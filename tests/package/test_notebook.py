@@ -29,6 +29,7 @@ FIGURES = {
     "calibration": 2,
     "scaling": 2,
     "structures": 5,
+    "nonlinear": 5,
 }
 """And how many figures each draws."""
 PRINTED = {
@@ -148,6 +149,17 @@ PRINTED = {
         r"floating: .* by lsim the same within 1e-8 m: True",
         r"all runs finished: True",
         r"falls from each friction coefficient to the next: True",
+    ),
+    "nonlinear": (
+        r"period 12\.001031295 s, multipliers \[1\. 0\.\]",  # Leine and others 1998
+        r"stick vanishes at 1\.83660097\d m/s: .*; the branch turns round there",  # by scipy 1.836600973
+        r"frequency 0\.8: stick appears at 0\.817406",
+        r"frequency 0\.4: stick appears at 0\.143890",
+        r"closed form 0\.817406",
+        r"all finished: True",
+        r"no chaotic motion repeats itself: True",
+        r"2 attractors, shares \[0\.\d+ 0\.\d+\]",
+        r"the unstable cycle: converged True, stable False",
     ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""
