@@ -13,10 +13,10 @@
 # %% [markdown]
 # # Limit cycles, stops, chaos and basins
 #
-# The questions of nonlinear dynamics, asked of masses with dry friction: which cycle does a mass on a belt settle on, and
-# where does that cycle end; how often does a forced mass stop; how does a forced mass on a belt become chaotic; and
-# which starts come to rest. Everything is exact: events to machine precision, derivatives through them, unstable orbits
-# too.
+# The questions of nonlinear dynamics, asked of masses with dry friction: which cycle does a mass on a belt settle on,
+# and where does that cycle end; how often does a forced mass stop; how does a forced mass on a belt become chaotic; and
+# which starts come to rest. Everything is exact: events to machine precision, derivatives through them, unstable
+# orbits too.
 
 # %%
 import os

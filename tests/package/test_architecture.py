@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax import design, plot
+from stickslip_jax import design, nonlinear, plot
 
 PACKAGE = "stickslip_jax"
 ROOT = Path(__file__).parents[2] / PACKAGE
@@ -128,9 +128,11 @@ def test_every_module_has_its_row(parts):
 def test_all_but_the_public_modules_are_private():
     """And no public function or class hides a module of its name."""
     public = {parts for parts in MODULES if not any(part.startswith("_") and part != "__init__" for part in parts)}
-    assert {name_of(parts) for parts in public} == {"__init__", "design", "papers", "plot/__init__", "study/__init__"}
+    assert {name_of(parts) for parts in public} == {
+        "__init__", "design", "nonlinear/__init__", "papers", "plot/__init__", "study/__init__",
+    }  # fmt: skip
     modules = {part for parts in MODULES for part in parts[:1]}
-    for namespace in (ss, plot, design):
+    for namespace in (ss, plot, design, nonlinear):
         assert not {name for name in namespace.__all__ if name in modules}
         assert not [name for name in namespace.__all__ if isinstance(getattr(namespace, name), ModuleType)]
 
@@ -141,7 +143,7 @@ def test_the_stub_names_all_that_is_public():
     found = [alias.name for node in imported for alias in node.names]
     assert [name for name in found if getattr(ss, name) is None] == []
     assert all(alias.asname == alias.name for node in imported for alias in node.names)  # else it is private
-    modules = {"design", "papers", "plot", "study"}
+    modules = {"design", "nonlinear", "papers", "plot", "study"}
     assert len(found) == len({*found})
     assert {*found} == {*ss.__all__} | modules
     assert dir(ss) == sorted({*ss.__all__, *modules, "__version__"})
