@@ -14,8 +14,10 @@ from . import compiled, derivatives
 from .setups import (
     BELT,
     ENSEMBLES,
+    HARMONIC,
     INTERVALS,
     LAW,
+    ON_HARMONIC,
     ONE_TRAJECTORY,
     RANDOM_PHASE,
     REGULARIZED,
@@ -23,12 +25,14 @@ from .setups import (
     START,
     T1,
     TWO_BLOCKS,
+    basin_name,
     chain,
     chain_name,
+    diagram_name,
     starts,
     system,
 )
-from .sizes import FULL, Sizes
+from .sizes import FULL, TINY, Sizes
 
 
 class Work(NamedTuple):
@@ -184,6 +188,36 @@ def _one_trajectory(how: str, sizes: Sizes) -> Run:
     return _once(lambda number: call(0.8 + 0.01 * number))
 
 
+def _diagram(values: int, sizes: Sizes) -> Run:
+    """200 periods of transient and 100 that are kept, for values of the friction coefficient."""
+    transient, kept = 200, 100
+
+    def run(number: int) -> Work:
+        over = {"mu": np.linspace(0.1, 1.0, values) + 1e-4 * number}
+        found = ss.nonlinear.bifurcation_diagram(
+            ON_HARMONIC, HARMONIC, over, transient=transient, kept=kept, progress=False
+        )  # fmt: skip
+        assert not found.status.any()
+        return Work(values * (transient + kept))
+
+    return run
+
+
+def _basins(side: int, sizes: Sizes) -> Run:
+    """40 periods of transient and 8 that are kept, from a grid of starts."""
+    transient, kept = 40, 8
+
+    def run(number: int) -> Work:
+        y0 = {"position": np.linspace(-2, 2, side) + 1e-4 * number, "velocity": np.linspace(-2, 2, side)}
+        found = ss.nonlinear.basins(
+            ON_HARMONIC, HARMONIC, y0=y0, transient=transient, kept=kept, progress=False
+        )  # fmt: skip
+        assert found.basin.all()
+        return Work(side * side * (transient + kept))
+
+    return run
+
+
 def _motor_cart(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
     """The paper's 20,000 runs: 10,000 at mu = 0.2 and at mu = 0.5, every one followed for 2 s."""
 
@@ -288,6 +322,8 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
     for name, function in COMPOSED.items():
         found[f"vmapped: {name}"] = partial(_composed, function)
     found["vmapped: harmonic base"] = _composed_harmonic
+    found |= {diagram_name(size): partial(_diagram, size) for size in (*TINY.diagrams, *FULL.diagrams)}
+    found |= {basin_name(size): partial(_basins, size) for size in (*TINY.basins, *FULL.basins)}
     for name in ONE_TRAJECTORY:
         found[f"one trajectory: {name}"] = partial(_one_trajectory, name)
     for name, what in SENSITIVITY.items():

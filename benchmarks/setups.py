@@ -75,6 +75,21 @@ def chain_name(blocks: int) -> str:
     return f"chain of {blocks} block{'s' * (blocks > 1)}"
 
 
+def diagram_name(values: int) -> str:
+    """What the case of a bifurcation diagram is called."""
+    return f"diagram of {values} values"
+
+
+def basin_name(side: int) -> str:
+    """What the case of a grid of starts is called."""
+    return f"basins of {side} x {side} starts"
+
+
+HARMONIC = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
+ON_HARMONIC = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3), damping=0.05)
+"""The mass and the base of the baseline `scipy_harmonic`."""
+
+
 def starts(number: int, blocks: int, samples: int) -> np.ndarray:
     """Positions (blocks, samples) in m, other ones in every round."""
     return np.random.default_rng(number).uniform(-1, 1, (blocks, samples))

@@ -29,6 +29,11 @@ class Sizes(NamedTuple):
     """Blocks in all samples of a chain."""
     blocks_t1: float
     """Horizon of blocks on a belt."""
+    diagrams: tuple[int, ...]
+    """Values of the parameter of bifurcation diagrams."""
+    basins: tuple[int, ...]
+    """Starts along each side of a grid."""
+    scipy_periods: int
 
 
 FULL = Sizes(
@@ -48,6 +53,9 @@ FULL = Sizes(
     chains=(1, 2, 4, 8, 10, 16, 32, 64),
     chain_blocks=8_192,
     blocks_t1=60.0,
+    diagrams=(200, 400),
+    basins=(150, 300),
+    scipy_periods=30,
 )
 TINY = Sizes(
     samples=1_000,
@@ -66,4 +74,7 @@ TINY = Sizes(
     chains=(10,),
     chain_blocks=80,
     blocks_t1=5.0,
+    diagrams=(8,),
+    basins=(4,),
+    scipy_periods=1,
 )

@@ -36,6 +36,7 @@ def test_where_the_cycle_ends_by_scipy():
     assert brentq(_released, 1.8, 1.9, xtol=1e-12) == pytest.approx(LAST_SPEED, abs=2e-9)
 
 
+@pytest.mark.slow
 def test_stick_slip_cycle_ends_where_it_meets_the_unstable_one():
     orbit = nonlinear.periodic_orbit(BELT, ss.Constant(1.8), y0=(0.5, 1.8))
     branch = nonlinear.continue_orbit(orbit, "speed", until=1.9, step=0.1)

@@ -58,6 +58,7 @@ def test_convergence_is_quadratic():
     assert np.all(orders > 1.6), residuals
 
 
+@pytest.mark.slow
 def test_same_as_after_many_periods():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.4, mu_static=0.6, stribeck_speed=0.5), damping=0.05)
     base = ss.Harmonic(0.8, 0.6)
@@ -140,6 +141,7 @@ def test_orbit_of_several_contacts():
 METHOD = ss.Exact(max_steps=1024)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_period():
     @jax.jit
     def period(speed):

@@ -17,6 +17,7 @@ from benchmarks.baselines import (
     numba_two_blocks,
     scipy_chain,
     scipy_events,
+    scipy_harmonic,
 )
 from benchmarks.baselines.event_driver import switching_velocities
 
@@ -134,3 +135,13 @@ def test_a_chain_by_scipy():
         assert found.count.sum() > 10
         np.testing.assert_array_equal([each.sticks[sample] for each in totals], found.count)
         np.testing.assert_allclose([each.stick_time[sample] for each in totals], found.time, atol=1e-4)
+
+
+@pytest.mark.parametrize("mu", [0.2, 0.5])
+def test_mass_on_a_harmonic_base_by_scipy(mu):
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(mu), damping=scipy_harmonic.DAMPING)
+    base = ss.Harmonic(scipy_harmonic.AMPLITUDE, scipy_harmonic.FREQUENCY)
+    section = ss.nonlinear.stroboscopic_section(system, base, transient=0, kept=12, progress=False)
+    states = scipy_harmonic.simulate(mu, periods=12, tolerance=1e-10)
+    np.testing.assert_allclose(section.position, states[:, 0], atol=1e-7)
+    np.testing.assert_allclose(section.velocity, states[:, 1], atol=1e-7)
