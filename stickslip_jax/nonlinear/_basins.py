@@ -22,7 +22,7 @@ from ._following import follow
 from ._labeled import START, dataset_of, names_of
 from ._recurrence import recurrence
 from ._stroboscopic import checked_numbers
-from ._warnings import warn_of_unfinished
+from ._warnings import warn_of_none, warn_of_unfinished
 
 if TYPE_CHECKING:
     import xarray
@@ -106,6 +106,8 @@ def basins(
         return states[case] if found[case] else _region(cases, case, states[case, -1])
 
     labels, attractors = matched(states, found, stuck, points_of, periods, tolerance, most)
+    none = int(np.sum((labels < 0) & (seen.status == int(Status.FINISHED))))
+    warn_of_none(none, len(labels), most, stacklevel=3)
     return _labeled(cases, grid, labels, attractors, np.asarray(seen.status), level)
 
 
@@ -134,7 +136,7 @@ def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.n
 
 def _region(cases: Cases, case: int, state: np.ndarray) -> np.ndarray:
     """Many returns of an irregular motion from one `state` on: the region in which it stays."""
-    own = jax.tree.map(lambda leaf: leaf[[case]] if eqx.is_array(leaf) else leaf, cases.cycle)
+    own = jax.tree.map(lambda leaf: leaf[case : case + 1] if eqx.is_array(leaf) else leaf, cases.cycle)
     seen = follow(cases._replace(cycle=own, starts=state[None], shape=()), 0, _IRREGULAR, progress=False)
     return np.asarray(seen.states)[0]
 

@@ -15,7 +15,7 @@ from .._status import Status
 from .._sweep.setting import Setting
 from .._types import AnyArray, Array, FloatArray
 from .._uncertainty.numbers import Path, with_numbers
-from ._cycle import Cycle, as_arrays
+from ._cycle import Cycle, as_arrays, without_turns
 from ._modes import Mode, modes_between
 from ._period import drive_period
 
@@ -141,7 +141,7 @@ def _evaluate(
         cycle = Cycle(changed.system, base, duration, method)
         run = cycle.by_steps(y)
         assert isinstance(run.path, StepPath)
-        value = jnp.stack(run.final_state) - y
+        value = without_turns(setting.system, jnp.stack(run.final_state) - y)
         if plane is not None:
             value = jnp.append(value, jnp.sum(plane.normal * (y - plane.point)))
         return value, (run.path.beginnings.t, run.path.beginnings.sign, run.status, duration)

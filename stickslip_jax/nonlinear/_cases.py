@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -87,6 +88,7 @@ def cases_of(
     """
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
+    _check_known(system, base, y0, period)
     setting = setting_of(system, base, None, method)
     check_fixed(system=system, base=base)
     check_repeats(base)
@@ -104,6 +106,16 @@ def cases_of(
         begins = np.tile(starts, (len(rows), 1))
     shape = (() if points is None else points.shape) + ((len(starts),) if several else ())
     return Cases(cycle, begins, shape, points, setter, driven)
+
+
+def _check_known(*arguments: object) -> None:
+    """Raise ValueError where JAX traces a number of the arguments."""
+    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(arguments)):
+        raise ValueError(
+            "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
+            "jit, vmap and grad, with many starts in y0 and values of parameters in over. periodic_orbit can be "
+            "transformed."
+        )
 
 
 def _starts(system: System, y0: Any) -> np.ndarray:

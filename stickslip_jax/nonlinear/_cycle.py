@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from .._dynamics.common.method import Exact
 from .._dynamics.common.path import Run
@@ -43,6 +44,10 @@ class Cycle(eqx.Module):
         """The state after one period, (coordinates,)."""
         return jnp.stack(self.after(y).final_state)
 
+    def change(self, y: FloatArray) -> FloatArray:
+        """How far the state is from `y` after one period, without whole turns of angles, (coordinates,)."""
+        return without_turns(self.system, self.end(y) - y)
+
     def by_steps(self, y: FloatArray) -> Run:
         """The same motion in time steps, also where it is known over whole intervals of the base."""
         start = tuple(y[i] for i in range(y.shape[0]))
@@ -63,6 +68,15 @@ class Cycle(eqx.Module):
         segments = SegmentLaws.of(self.system, excitation).segments(lane.segment_states)
         forcing = model.forcing(jnp.zeros((), dtype), segments)
         return jnp.stack(model.numbers(model.rates(forcing, jnp.zeros((), dtype), lane.y, lane.sign)))
+
+
+def without_turns(system: System, change: FloatArray) -> FloatArray:
+    """A change of the state without the whole turns of its angles, (coordinates,)."""
+    periods = [coordinate.period or np.inf for coordinate in system.coordinates]
+    if not np.any(np.isfinite(periods)):
+        return change
+    turn = jnp.asarray(np.where(np.isfinite(periods), periods, 0), change.dtype)
+    return change - turn * lax.stop_gradient(jnp.round(change / jnp.where(turn > 0, turn, jnp.inf)))
 
 
 def steps_in(

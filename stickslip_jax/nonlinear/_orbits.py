@@ -165,7 +165,7 @@ def _search(
     """The state, the period and the monodromy matrix of the orbit near `guess`, and the residuals."""
     length = len(guess)
     if driven:
-        state, found = root_of(lambda y: cycle.end(y) - y, _size, guess, tolerance, iterations)
+        state, found = root_of(cycle.change, _size, guess, tolerance, iterations)
         return state, jnp.asarray(cycle.duration), found.matrix + jnp.eye(length, dtype=guess.dtype), found.residuals
     # Nothing drives it: the period is found too, and the state on the plane through `guess` across the motion there.
     unit, reference = lax.stop_gradient((jnp.asarray(cycle.duration), guess))
@@ -173,7 +173,7 @@ def _search(
 
     def change(z: FloatArray) -> FloatArray:
         y = z[:length]
-        return jnp.append(cycle.lasting(z[length] * unit).end(y) - y, jnp.sum(ahead * (y - reference)))
+        return jnp.append(cycle.lasting(z[length] * unit).change(y), jnp.sum(ahead * (y - reference)))
 
     def size(z: FloatArray, residual: FloatArray) -> FloatScalar:
         return _size(z[:length], residual[:length])

@@ -34,3 +34,14 @@ def warn_of_missing(missing: int, cases: int, periods: int, stacklevel: int) -> 
             RuntimeWarning,
             stacklevel=stacklevel,
         )
+
+
+def warn_of_none(number: int, starts: int, most: int, stacklevel: int) -> None:
+    """Warn (RuntimeWarning) of starts on no attractor."""
+    if number:
+        warnings.warn(
+            f"{number} of {starts} starts belong to none of the {most} attractors that were looked for: basin is 0 "
+            "there. Their motions may need a longer transient, or a larger tolerance or most.",
+            RuntimeWarning,
+            stacklevel=stacklevel,
+        )

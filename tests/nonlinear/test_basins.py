@@ -96,6 +96,27 @@ def test_motions_that_ended_early_belong_to_none():
     assert np.sum(labels == -1) == 2
 
 
+def test_starts_on_no_attractor_are_told():
+    # Without friction, damping and force every start has a circle of its own.
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0))
+    with pytest.warns(RuntimeWarning, match="3 of 5 starts belong to none of the 2 attractors"):
+        found = nonlinear.basins(
+            system, ss.Harmonic(0.0, 1.0), y0={"position": np.arange(5.0)}, transient=1, kept=4, most=2, progress=False
+        )
+    assert np.sum(found.basin == 0) == 3
+
+
+def test_irregular_motions_are_known_by_their_region():
+    # Chaos (test_lyapunov.py): two starts, one attractor.
+    system = ss.MassSpring(
+        1.0, 1.0, 1.0, ss.VelocityWeakening(1.0, 3.0), damping=1e-3, force=ss.Harmonic(0.6, 1.91)
+    )  # fmt: skip
+    starts = np.array([[0.0, 0.0], [0.5, 0.1], [-0.3, 0.2]])
+    found = nonlinear.basins(system, ss.Constant(0.3), y0=starts, transient=100, kept=32, progress=False)
+    np.testing.assert_array_equal(found.basin, 1)
+    np.testing.assert_array_equal(found.recurrence, [0])
+
+
 def test_curves_have_near_neighbours():
     curve = np.stack([np.cos(np.linspace(0, 6, 20)), np.sin(np.linspace(0, 6, 20))], axis=1)
     more = dense(curve, 1e-2)

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
 from stickslip_jax._numerics.orthogonal import orthogonal_factors, solution
+from stickslip_jax.nonlinear._cycle import without_turns
 from stickslip_jax.nonlinear._orbit_parts import multipliers_of
 
 LEINE = ss.MassSpring(1.0, 1.0, 1.0, ss.VelocityWeakening(mu_static=1.0, weakening=3.0))
@@ -136,6 +137,13 @@ def test_orbit_of_several_contacts():
     np.testing.assert_allclose(orbit.simulation.final_state, orbit.state, atol=1e-10)
     assert all(len(mode.signs) == 2 for mode in orbit.modes)
     assert np.sum(orbit.multipliers == 0) >= 1
+
+
+def test_whole_turns_of_angles_do_not_count():
+    change = without_turns(ss.MotorCart(), jnp.array([4 * jnp.pi + 0.01, 7.0, -9.0]))
+    np.testing.assert_allclose(change, [0.01, 7.0, -9.0], atol=1e-14)
+    back = jax.jacfwd(lambda change: without_turns(ss.MotorCart(), change))(jnp.array([6.0, 7.0, -9.0]))
+    np.testing.assert_array_equal(back, np.eye(3))
 
 
 METHOD = ss.Exact(max_steps=1024)

@@ -3,6 +3,7 @@
 import math
 import warnings
 
+import jax
 import numpy as np
 import pytest
 
@@ -185,3 +186,8 @@ def test_bad_input_is_told_in_a_sentence(name):
     given, said = BAD[name]
     with pytest.raises(ValueError, match=said):
         nonlinear.stroboscopic_section(**({"system": DAMPED, "base": HARMONIC} | given), progress=False)
+
+
+def test_traced_arguments_are_refused():
+    with pytest.raises(ValueError, match="Sections, diagrams, basins and exponents need numbers, but JAX is tracing"):
+        jax.jit(lambda x: nonlinear.stroboscopic_section(DAMPED, HARMONIC, y0=(x, 0.0)).position.values)(0.1)
