@@ -76,8 +76,8 @@ def basins(
     Returns:
         ``basin``: the number of the attractor that each start ends on, from 1, the largest basin first, 0 if none was
         found; with the dimensions of the grid, or "start". Of each attractor ``share`` with ``share_low`` and
-        ``share_high``, an interval of Wilson for starts that are a random sample; ``recurrence`` (periods, 0: none was
-        found; of a motion that nothing drives 1 if it is at rest), ``is_stuck``, and points of it,
+        ``share_high``, an interval of Wilson for starts that are a random sample; ``recurrence`` (periods; 0: none was
+        found, as of cycles that nothing drives), ``is_stuck``, and points of it,
         ``attractor_position`` and so on, NaN where it has fewer. Also ``status`` of each start. Warns (RuntimeWarning)
         of starts that were not followed to the end or that belong to no attractor.
 

@@ -8,7 +8,7 @@ from jax import lax
 
 from .. import _checks
 from .._dynamics.common.method import EXACT, Exact
-from .._dynamics.common.validation import check_fixed, state_of, working_dtype
+from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
 from .._excitation.excitation import BaseMotion, motion_of
 from .._methods import WithMethods
 from .._simulation.call import simulate
@@ -146,6 +146,8 @@ def periodic_orbit(
         duration = period if period is not None else guessed_period(system, base, start, method)
     else:
         duration = periods * duration
+    if driven:
+        Arguments(system, motion, method, duration).check_length()
     steps = steps_in(system, motion, method, duration)
     if steps is not None:
         method = Exact(method.step, (1 if driven else _STEPS) * steps, method.solver)
