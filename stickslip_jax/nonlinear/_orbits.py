@@ -167,7 +167,11 @@ def _search(
     """The state, the period and the monodromy matrix of the orbit near `guess`, and the residuals."""
     length = len(guess)
     if driven:
-        state, found = root_of(cycle.change, _size, guess, tolerance, iterations)
+
+        def change_of(y: FloatArray) -> FloatArray:  # `lax.custom_root` hashes its function: no method of a module
+            return cycle.change(y)
+
+        state, found = root_of(change_of, _size, guess, tolerance, iterations)
         return state, jnp.asarray(cycle.duration), found.matrix + jnp.eye(length, dtype=guess.dtype), found.residuals
     # Nothing drives it: the period is found too, and the state on the plane through `guess` across the motion there.
     unit, reference = lax.stop_gradient((jnp.asarray(cycle.duration), guess))
