@@ -19,12 +19,12 @@ _MARKERS = {
 }  # fmt: skip
 
 
-def orbit_branch(branch: "OrbitBranch", name: str = "period", *, ax: Axes | None = None) -> Axes:
+def orbit_branch(result: "OrbitBranch", name: str = "period", *, ax: Axes | None = None) -> Axes:
     """Draw a number of periodic orbits along a branch: lines where they are stable, dashes where they are not.
 
     Args:
-        branch: Of `nonlinear.continue_orbit`.
-        name: Of the variable of ``branch.points`` to draw.
+        result: The branch, of `nonlinear.continue_orbit`.
+        name: Of the variable of ``result.points`` to draw.
         ax: Where to draw; by default the axes of a new figure.
 
     Returns:
@@ -33,9 +33,9 @@ def orbit_branch(branch: "OrbitBranch", name: str = "period", *, ax: Axes | None
     Raises:
         ValueError: For anything else, and for a name that is not among the variables.
     """
-    points: Any = getattr(branch, "points", None)
+    points: Any = getattr(result, "points", None)
     if not hasattr(points, "data_vars") or "is_stable" not in points:
-        raise ValueError(f"Argument branch must be that of continue_orbit, but {_checks.show(branch)} was given.")
+        raise ValueError(f"Argument result must be that of continue_orbit, but {_checks.show(result)} was given.")
     known = [str(one) for one, values in points.data_vars.items() if values.dims == ("point",) and one != "modes"]
     _checks.chosen("name", name, known)
     ax = _style.axes_or_new(ax, (5.6, 4.2))
@@ -48,7 +48,7 @@ def orbit_branch(branch: "OrbitBranch", name: str = "period", *, ax: Axes | None
         style, label = ("-", "stable") if stable[begin] else ("--", "unstable")
         new = label not in ax.get_legend_handles_labels()[1]
         ax.plot(x[begin:last], y[begin:last], style, color=_style.MASS, lw=1.3, label=label if new else None)
-    for event in branch.events:
+    for event in result.events:
         near = min(event.point + 1, len(x) - 1)
         color = _style.STICK if event.kind.startswith("stick") else _style.BASE
         ax.plot(event.parameter, y[near], ls="none", marker=_MARKERS[event.kind], ms=6, color=color, label=event.kind)

@@ -115,7 +115,7 @@ def test_branch_is_dashed_where_unstable():
             "Argument results must have one parameter, but mu, speed was given",
         ),
         (lambda: plot.basins(xr.Dataset()), "Argument results must be a Dataset of basins"),
-        (lambda: plot.orbit_branch(3), "Argument branch must be that of continue_orbit"),
+        (lambda: plot.orbit_branch(3), "Argument result must be that of continue_orbit"),
     ],
 )
 @pytest.mark.usefixtures("annotations_unchecked")
