@@ -1,6 +1,5 @@
 """Cases followed from period to period, in blocks over threads."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from jax import lax
 
 from .._ensemble.progress import progress_bar
 from .._events.sticks import Sticks
+from .._processor import cores
 from .._simulation.result import Simulation
 from .._status import Ending, Status
 from .._types import AnyArray, Array, FloatArray, IntArray
@@ -152,8 +152,7 @@ def in_blocks(
 
     A block in which steps ran out, as `status_of` its results says, is followed again with twice as many.
     """
-    threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()  # type: ignore[attr-defined]
-    threads = threads or 1
+    threads = cores()
     size = min(_LANES, -(-cases.number // threads))
     blocks = -(-cases.number // size)
     # The last block repeats its last case, so that all are of one size, and compiled once.
