@@ -105,6 +105,8 @@ def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
     return jnp.stack(solution)
 
 
+# Compiled once: outside jit, as where an ensemble begins, JAX would compile its loop anew in every call.
+@jax.jit
 def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     """The largest size of an eigenvalue, where all are real: Gelfand's formula.
 
@@ -127,6 +129,7 @@ def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     return jnp.where(jnp.any(matrix != 0), jnp.exp(logarithm), 0)
 
 
+@jax.jit
 def is_positive_definite(matrix: FloatArray) -> BoolScalar:
     """Whether a symmetric matrix is: all pivots are positive."""
     pivots = jnp.diagonal(_cleared(matrix))
