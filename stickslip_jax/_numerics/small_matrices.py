@@ -2,6 +2,9 @@
 
 Nothing here calls LAPACK: with jaxlib 0.10, a program for the CPU in which several of its functions may run at once,
 each on thousands of matrices, waits for itself for ever (`test_small_matrices.py`).
+
+What has a loop is compiled by `jax.jit`, and so once: where it is called outside a program, as when an ensemble begins,
+JAX would compile the loop anew in every call.
 """
 
 from functools import reduce
@@ -105,7 +108,6 @@ def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
     return jnp.stack(solution)
 
 
-# Compiled once: outside jit, as where an ensemble begins, JAX would compile its loop anew in every call.
 @jax.jit
 def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     """The largest size of an eigenvalue, where all are real: Gelfand's formula.
@@ -136,6 +138,7 @@ def is_positive_definite(matrix: FloatArray) -> BoolScalar:
     return jnp.all(pivots > 0)
 
 
+@jax.jit
 def _solution_of_many(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The derivative is that of the solution, not of the elimination, of which reverse mode would store each step."""
 

@@ -164,3 +164,21 @@ def test_no_library_of_linear_algebra(build, method):
         return ss.simulate(build(stiffness), ss.Constant(0.1), t1=1.0, method=method).final_state[0]
 
     assert not calls_a_library(final, 1.0)
+
+
+@pytest.mark.parametrize("size", [2, WRITTEN_OUT + 1])
+def test_what_has_a_loop_is_compiled_once(size, caplog):
+    """Outside a program too, where an ensemble begins: a loop that is compiled anew took seconds of each call."""
+    matrix = jnp.eye(size) * 2
+
+    def compiled(shift):
+        caplog.clear()
+        with jax.log_compiles(), caplog.at_level("WARNING"):
+            linear_solve(matrix + shift, jnp.ones(size))
+            largest_eigenvalue(matrix + shift)
+            is_positive_definite(matrix + shift)
+        return [record.message for record in caplog.records if "Finished XLA compilation" in record.message]
+
+    jax.clear_caches()
+    assert compiled(0.0)
+    assert compiled(0.5) == []
