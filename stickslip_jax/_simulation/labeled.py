@@ -35,18 +35,23 @@ def dataset_of(
     sticks: Sticks, slips: Slips, position: Coordinate, totals: Entries, attributes: Mapping[str, object]
 ) -> "xarray.Dataset":
     """The sticks and slips of one trajectory with units and long names, with `totals`; see `Simulation.to_xarray`."""
-    from .. import __version__  # noqa: PLC0415 - the package imports this module
-
     mask = np.asarray(slips.mask)
     columns = (np.asarray(column)[mask] for column in (slips.start, slips.end, slips.censored))
     variables = {**stick_variables(*_in_order(sticks), position), **slip_variables(*columns), **totals}
-    source = {"source": f"stickslip_jax {__version__}", "stickslip_jax_version": __version__}
-    return labeled_dataset(variables, {}, {**source, **attributes})
+    return labeled_dataset(variables, {}, {**source(), **attributes})
 
 
-def provenance(system: object, base: object, method: object, t1: float) -> dict[str, object]:
-    """Attributes that say what was simulated and how. Numbers are in SI units."""
-    return {"system": _brief(system), "base": _brief(base), "t1": t1, **method_attributes(method)}
+def source() -> dict[str, object]:
+    """Attributes that say which program made a data set."""
+    from .. import __version__  # noqa: PLC0415 - the package imports this module
+
+    return {"source": f"stickslip_jax {__version__}", "stickslip_jax_version": __version__}
+
+
+def provenance(system: object, base: object, method: object, t1: float | None = None) -> dict[str, object]:
+    """Attributes that say what was simulated and how, and for how long. Numbers are in SI units."""
+    horizon = {} if t1 is None else {"t1": t1}
+    return {"system": _brief(system), "base": _brief(base), **horizon, **method_attributes(method)}
 
 
 def method_attributes(method: object) -> dict[str, object]:

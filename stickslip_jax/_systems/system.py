@@ -46,6 +46,11 @@ class Coordinate(NamedTuple):
         return self.name if self.unit == "1" else f"{self.name} in {self.unit}"
 
     @property
+    def variable(self) -> str:
+        """Its name as that of a variable in a data set: "angular_velocity"."""
+        return self.name.replace(" ", "_")
+
+    @property
     def label(self) -> str:
         """Label of an axis: "position $x$ (m)"."""
         return self.labeled("")

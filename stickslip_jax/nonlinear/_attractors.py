@@ -78,9 +78,15 @@ def _turned(states: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray
 
 
 def _scale(turned: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
-    """The range of each column of states (cases, returns, columns); 1 for sines, cosines, and what does not change."""
+    """The range of each column of states (cases, returns, columns); 1 for sines, cosines, and what does not change.
+
+    Without the twentieth of the states at either end, if anything is left: a few motions that run away do not count.
+    """
     columns = turned.reshape(-1, turned.shape[-1])
-    ranges = np.ptp(columns, axis=0) if len(columns) else np.zeros(columns.shape[1])
+    if not len(columns):
+        return np.ones(columns.shape[1])
+    inner, whole = np.ptp(np.percentile(columns, [5, 95], axis=0), axis=0), np.ptp(columns, axis=0)
+    ranges = np.where(inner > 0, inner, whole)
     turns = np.repeat([period is not None for period in periods], [1 if period is None else 2 for period in periods])
     return np.where((ranges > 0) & ~turns, ranges, 1)
 

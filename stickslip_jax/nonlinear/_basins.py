@@ -21,14 +21,13 @@ from ._cases import Cases, cases_of
 from ._following import follow
 from ._labeled import START, dataset_of, names_of
 from ._recurrence import recurrence
-from ._stroboscopic import checked_numbers
+from ._stroboscopic import RECURS, checked_numbers
 from ._warnings import warn_of_none, warn_of_unfinished
 
 if TYPE_CHECKING:
     import xarray
 
 ATTRACTOR, POINT = "attractor", "point"
-_RECURS = 1e-6
 _TOLERANCE = 1e-3
 _MOST = 50
 _LEVEL = 0.95
@@ -98,7 +97,7 @@ def basins(
     times = np.asarray(seen.sticks.time).reshape(len(states), kept, -1)
     lasting = np.asarray(cases.cycle.duration)[:, None, None]
     stuck = np.all(times >= lasting * (1 - 1e-9), axis=(1, 2))
-    found = recurrence(states, _RECURS, periods)
+    found = recurrence(states, np.asarray(seen.sizes), RECURS, periods)
 
     def points_of(case: int) -> np.ndarray:
         if not cases.driven:

@@ -15,9 +15,9 @@ from .._status import Status
 from .._sweep.setting import Setting
 from .._types import AnyArray, Array, FloatArray
 from .._uncertainty.numbers import Path, with_numbers
-from ._cycle import Cycle, as_arrays, without_turns
+from ._cycle import Cycle, as_arrays, steps_in, without_turns
 from ._modes import Mode, modes_between
-from ._period import drive_period
+from ._period import drive_period, has_known_period
 
 _MOST_DOUBLINGS = 5
 
@@ -46,21 +46,24 @@ class Equations:
     back, and without a drive it begins on a `Plane`.
     """
 
-    def __init__(self, setting: Setting, path: Path, driven: bool, periods: int, drive: float | None, dtype: Any):
-        self._setting, self._path, self.driven, self._periods, self._drive = setting, path, driven, periods, drive
-        self._dtype, self.itemsize = dtype, np.dtype(dtype).itemsize
-        self.names = tuple(coordinate.name for coordinate in setting.system.coordinates)
+    def __init__(self, setting: Setting, path: Path, driven: bool, duration: float, dtype: Any):
+        """`duration`: of the orbit where the branch begins, s: so many periods of the drive, or one that was given."""
         assert isinstance(setting.method, Exact)
-        self.steps = setting.method.max_steps
-        self._capacity = self._room(setting)
-
-    def _room(self, setting: Setting) -> int | None:
-        law = setting.law
-        if not isinstance(law, PiecewiseConstantLaw) or not self.driven:
-            return None
-        period = drive_period(setting.system, motion_of(law), self._drive)
-        assert period is not None
-        return law.checked_capacity(self._periods * period) + 1
+        self._path, self.driven, self._dtype, self.itemsize = path, driven, dtype, np.dtype(dtype).itemsize
+        self._setting = as_arrays(setting, dtype)
+        self.names = tuple(coordinate.name for coordinate in setting.system.coordinates)
+        motion = motion_of(setting.law)
+        known = has_known_period(setting.system, motion)
+        self._drive = None if known or not driven else duration
+        drive = drive_period(setting.system, motion, self._drive)
+        self._periods = 1 if drive is None or not driven else round(duration / float(drive))
+        realized = motion.realized_until(duration)
+        self.steps = steps_in(setting.system, realized, setting.method, duration, by_steps=True)
+        if self.steps is None:
+            self.steps = setting.method.max_steps
+        self._capacity = None
+        if driven and isinstance(motion, PiecewiseConstantLaw):
+            self._capacity = motion.checked_capacity(duration) + 1
 
     @property
     def size(self) -> int:
@@ -86,7 +89,7 @@ class Equations:
 
     def _evaluated(self, unknowns: np.ndarray, plane: Plane | None) -> "_Raw":
         found = _evaluate(
-            as_arrays(self._setting, self._dtype), jnp.asarray(unknowns, self._dtype), plane, path=self._path,
+            self._setting, jnp.asarray(unknowns, self._dtype), plane, path=self._path,
             driven=self.driven, periods=self._periods, drive=self._drive, steps=self.steps, capacity=self._capacity,
         )  # fmt: skip
         return jax.tree.map(np.asarray, found)

@@ -11,14 +11,14 @@ import numpy as np
 from .. import _checks
 from .._dynamics.common.method import Exact
 from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
-from .._excitation.excitation import BaseMotion, excitation_of, motion_of
+from .._excitation.excitation import BaseMotion, motion_of
 from .._sweep.checking import check_points
 from .._sweep.points import Points, points_of
 from .._sweep.setting import Setter, setter_of, setting_of
 from .._systems.system import System
 from .._types import DType, Scalar
 from .._uncertainty.numbers import with_numbers
-from ._cycle import Cycle, as_arrays, steps_in
+from ._cycle import Cycle, as_arrays, slowest_time, steps_in
 from ._period import checked_period, drives, period_of, repetitions
 
 Over = Mapping[str, Any]
@@ -148,7 +148,7 @@ def _cycles(
     numbers = np.stack([columns[path] for path in paths], axis=1) if paths else np.zeros((len(rows), 0))
     found = repetitions(of_all.system, motion_of(of_all.law))
     if for_events and period is None and not drives(found):
-        period = _slowest(setter)
+        period = slowest_time(setter.setting.system, setter.setting.law)
     duration, driven = period_of(found, period)
     Arguments(setter.setting.system, setter.setting.law, method, float(np.max(duration))).check_length()
     durations = jnp.broadcast_to(jnp.asarray(duration, dtype), (len(rows),))
@@ -166,10 +166,3 @@ def _cycles(
     if most[-1] is not None:
         method = Exact(method.step, most[-1], method.solver)
     return Cycle(every, base, durations, method), np.asarray(begins), driven
-
-
-def _slowest(setter: Setter) -> float:
-    """The slowest known time scale of the system, s."""
-    setting = setter.setting
-    scales = setting.system.time_scales(excitation_of(setting.law), None).values()
-    return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < np.inf), default=1.0)

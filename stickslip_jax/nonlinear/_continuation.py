@@ -8,26 +8,27 @@ import numpy as np
 from .. import _checks
 from .._conventions import Entries, labeled_dataset, variable
 from .._dynamics.common.validation import working_dtype
+from .._simulation.labeled import provenance, source
 from .._sweep.setting import Setting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
+from ._labeled import apart
 from ._branch_function import Equations
 from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description
 from ._modes import sequence, stick_count
-from ._orbits import PeriodicOrbit
-from ._period import has_known_period
+from ._orbits import TOLERANCE, PeriodicOrbit
 
 if TYPE_CHECKING:
     import xarray
 
-_TOLERANCE = {8: 1e-10, 4: 1e-4}
-_ITERATIONS = 10
+_ITERATIONS = 40  # near grazing, where the map has the slope of a square root, Newton's method converges slowly
 _FEW = 4  # iterations after which the next step may be longer
 _SHORTEST = 1e-9  # step, relative to the first
-_LONGEST = 4.0
-_LOCATE = 60
-_LOCATED = 1e-10
-_FARTHEST = 1.0
-_LEAST_COSINE = 0.5
+_LONGEST = 4.0  # likewise
+_LOCATED = 1e-10  # of the way between two points
+_MIDDLES = (0.5, 0.4, 0.6, 0.25, 0.75)  # of what is left of it
+_MOST_CHANGES = 20  # of the sequence of modes between two points
+_FARTHEST = 1.0  # change in one iteration, scaled
+_LEAST_COSINE = 0.5  # between the tangents of neighbours
 _LOOKS = (2.0, 10.0, 50.0, 250.0, 1250.0)  # steps, by which the way from a corner is found
 
 
@@ -54,7 +55,6 @@ def continue_orbit(
     until: float,
     step: float = 0.02,
     most: int = 500,
-    periods: int = 1,
 ) -> OrbitBranch:
     """Follow a periodic orbit along a parameter, round folds, and say what happens on the way.
 
@@ -64,7 +64,6 @@ def continue_orbit(
         until: The branch ends where the parameter reaches this value, or its value at the begin again after a fold.
         step: The first step, as a share of the way to `until`; later ones are chosen by how Newton's method converges.
         most: The largest number of points.
-        periods: As given to `periodic_orbit`.
 
     Returns:
         The branch. Where the sequence of sticks and slips changes, the event is located and the branch goes on with the
@@ -74,7 +73,7 @@ def continue_orbit(
         ValueError: For arguments that do not fit, and for an orbit that has not converged.
         ImportError: Without the extra ``study``.
     """
-    setting, equations, scale, begun = _problem(orbit, parameter, until, step, periods)
+    setting, equations, scale, begun = _problem(orbit, parameter, until, step)
     most = _checks.whole_number("most", most)
     branch = _Branch(equations, scale, parameter, begun, float(until), step)
     branch.follow(most)
@@ -82,13 +81,12 @@ def continue_orbit(
 
 
 def _problem(
-    orbit: PeriodicOrbit, parameter: str, until: float, step: float, periods: int
+    orbit: PeriodicOrbit, parameter: str, until: float, step: float
 ) -> tuple[Setting, Equations, np.ndarray, np.ndarray]:
     """The checked arguments: the setting, its equations, the scales of the unknowns, and where the branch begins."""
     if not isinstance(orbit, PeriodicOrbit) or not bool(np.all(np.asarray(orbit.converged))):
         shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else _checks.show(orbit)
         raise ValueError(f"Argument orbit must be a periodic_orbit that has converged, but {shown} was given.")
-    periods = _checks.whole_number("periods", periods)
     _checks.bounded("step", step, above=0, below=1)
     _checks.bounded("until", until)
     state = np.asarray(orbit.state, float)
@@ -105,14 +103,11 @@ def _problem(
         raise ValueError(f"Argument until must differ from the {parameter} of the orbit, but both are {value:g}.")
     setter((float(until),))
     dtype = np.dtype(working_dtype(stacklevel=5))
-    drive = (
-        float(orbit.period) / periods if orbit.is_driven and not has_known_period(orbit.system, orbit.base) else None
-    )
     one, names = orbit.simulation, [coordinate.name for coordinate in orbit.system.coordinates]
     sizes = np.array([float(one.maximum(name) - one.minimum(name)) for name in names])
     free = [] if orbit.is_driven else [float(orbit.period)]
     scale = np.array([*np.maximum(sizes, max(1e-3 * np.max(sizes), 1e-12)), *free, abs(until - value)])
-    equations = Equations(setting, path, orbit.is_driven, periods, drive, dtype)
+    equations = Equations(setting, path, orbit.is_driven, float(orbit.period), dtype)
     return setting, equations, scale, np.array([*state, *free, value])
 
 
@@ -128,7 +123,7 @@ class _Branch:
         self.equations = equations
         self.parameter, self._scale, self._step = parameter, scale, step
         self._range = (begun[-1], until)
-        self._tolerance = _TOLERANCE[equations.itemsize]
+        self._tolerance = TOLERANCE[equations.itemsize]
         self._begun = begun
 
     def follow(self, most: int) -> None:
@@ -145,16 +140,18 @@ class _Branch:
         while len(self.points) < most:
             last = self.points[-1]
             found = self._corrected(last.unknowns / self._scale + length * last.tangent, last.tangent, last.tangent)
-            if found is None or not self._is_next(last, found, length):
+            is_next = found is not None and self._is_next(last, found, length)
+            if is_next and not min(self._range) <= found.unknowns[-1] <= max(self._range):
+                if self._land(last, found):
+                    return
+                is_next = False
+            if found is None or not is_next:
                 length /= 2
                 if length < _SHORTEST * self._step:
                     self._end(f"no orbit was found beyond: {description(last.found.modes)}")
                     return
                 continue
-            if not min(self._range) <= found.unknowns[-1] <= max(self._range):
-                self._land(last, found)
-                return
-            self.points.append(self._rebased(self._noted(last, found, length)))
+            self.points.append(self._rebased(self._noted(last, found)))
             length = min(length * (2 if found.iterations <= _FEW else 1), _LONGEST * self._step)
         self.ending = f"{most} points were found; ask for more with the argument most"
 
@@ -163,8 +160,8 @@ class _Branch:
         self.ending = why
         self.events.append(BranchEvent("end", float(value), max(len(self.points) - 1, 0), why))
 
-    def _land(self, last: Point, found: Point) -> None:
-        """The last point, where the parameter is at the end of its range that it passed."""
+    def _land(self, last: Point, found: Point) -> bool:
+        """The last point, where the parameter is at the end of its range that it passed; whether it was found."""
         end = min(max(found.unknowns[-1], min(self._range)), max(self._range))
         share = (end - last.unknowns[-1]) / (found.unknowns[-1] - last.unknowns[-1])
         guess = (last.unknowns + share * (found.unknowns - last.unknowns)) / self._scale
@@ -172,9 +169,11 @@ class _Branch:
         fixed = np.zeros(len(guess))
         fixed[-1] = 1.0
         landed = self._corrected(guess, fixed, last.tangent)
-        if landed is not None:
-            self.points.append(self._noted(last, landed, None))
+        if landed is None:
+            return False
+        self.points.append(self._noted(last, landed))
         self.ending = f"{self.parameter} reached {end:g}"
+        return True
 
     def _is_next(self, last: Point, found: Point, length: float) -> bool:
         """Whether `found` is the next point of the same branch, and not one of another that is near."""
@@ -185,30 +184,30 @@ class _Branch:
         """The point of the branch in the plane through `guess` (scaled) across `along`; None where Newton's method
         finds none. Its tangent points as the one `before`.
         """
-        scaled, plane = guess.copy(), self._plane
+        scaled, best, smallest = guess.copy(), None, self._tolerance
         for iteration in range(_ITERATIONS):
-            found = self.equations.at(scaled * self._scale, plane)
+            found = self.equations.at(scaled * self._scale, self._plane)
             if found is None:
-                return None
-            rows = found.matrix * self._scale
-            whole = np.vstack([rows / self._rows[:, None], along])
+                return best
+            rows = found.matrix * self._scale / self._rows[:, None]
             sides = np.append(found.value / self._rows, np.dot(along, scaled - guess))
-            if np.max(np.abs(sides)) <= self._tolerance:
-                tangent = np.linalg.svd(rows / self._rows[:, None])[2][-1]
-                tangent *= 1 if self._orientation(tangent, before) >= 0 else -1
-                return Point(scaled * self._scale, found, tangent, iteration)
+            error = np.max(np.abs(sides))
+            if error <= smallest:
+                tangent = np.linalg.svd(rows)[2][-1]
+                tangent *= 1 if np.dot(tangent, before) >= 0 else -1
+                best = Point(scaled * self._scale, found, tangent, best.iterations if best else iteration)
+                # On until round-off: where a multiplier is nearly 1, the orbit is far less exact than its residual.
+                smallest = error / 2
+            elif best is not None:
+                return best
             try:
-                change = np.linalg.solve(whole, -sides)
+                change = np.linalg.solve(np.vstack([rows, along]), -sides)
             except np.linalg.LinAlgError:
-                return None
+                return best
             scaled = scaled + change
             if np.max(np.abs(change)) > _FARTHEST:
-                return None
-        return None
-
-    def _orientation(self, tangent: np.ndarray, before: np.ndarray) -> float:
-        """Positive if two tangents point along the branch in one direction, whatever state the orbit begins in."""
-        return float(np.dot(tangent, before))
+                return best
+        return best
 
     @property
     def _rows(self) -> np.ndarray:
@@ -247,23 +246,31 @@ class _Branch:
         self._plane = plane
         return point
 
-    def _noted(self, last: Point, found: Point, length: float | None) -> Point:
-        """Note what happened between two points, each located by halving the step. Returns `found`, its tangent away
-        from `last`: where the sequence of modes changes, the branch may turn round in a corner.
+    def _noted(self, last: Point, found: Point) -> Point:
+        """Note what happened between two points, each event located, the first one first. Returns `found`, its tangent
+        away from `last`: where the sequence of modes changes, the branch may turn round in a corner.
         """
-
-        def locate(change: Change) -> Point:
-            return found if length is None else self._located(last, found, length, change.is_before)
-
-        change = change_of_modes(last, found)
-        if change is not None:
-            corner, found = locate(change), found if length is None else self._away(found, length)
-            turns = last.tangent[-1] * found.tangent[-1] < 0
-            self._add(change, corner, "; the branch turns round there" if turns else "")
-            last, length = corner if np.dot(corner.tangent, found.tangent) > 0 else corner.turned(), None
-        for change in changes(last, found, self.equations.driven):
-            self._add(change, locate(change))
+        begun, number = last, len(self.events)
+        for _ in range(_MOST_CHANGES):
+            change = change_of_modes(last, found)
+            if change is None:
+                break
+            corner, text = self._located(last, found, change.is_before)
+            self._add(change_of_modes(last, corner) or change, corner, text)
+            last = corner
+        if len(self.events) > number:
+            found = self._away(found, float(np.linalg.norm(self._way(begun, found))))
+            if begun.tangent[-1] * found.tangent[-1] < 0:
+                event = self.events[-1]
+                self.events[-1] = event._replace(text=f"{event.text}; the branch turns round there")
+            last = last if np.dot(last.tangent, found.tangent) > 0 else last.turned()
+        for one in changes(last, found, self.equations.driven):
+            self._add(one, *self._located(last, found, one.is_before))
         return found
+
+    def _way(self, last: Point, found: Point) -> np.ndarray:
+        """From one point to the next, scaled."""
+        return (found.unknowns - last.unknowns) / self._scale
 
     def _away(self, found: Point, length: float) -> Point:
         """`found` with the tangent that leads away from where the sequence of modes became what it is there."""
@@ -279,22 +286,37 @@ class _Branch:
                 return there[0]
         return found
 
-    def _add(self, change: Change, located: Point, more: str = "") -> None:
+    def _add(self, change: Change, located: Point, more: str) -> None:
         value = float(located.unknowns[-1])
         self.events.append(BranchEvent(change.kind, value, len(self.points) - 1, change.text + more))
 
-    def _located(self, last: Point, found: Point, length: float, is_before: Callable[[Point], bool]) -> Point:
-        low, high, best = 0.0, length, found
-        for _ in range(_LOCATE):
-            if high - low <= _LOCATED * length:
-                break
-            middle = (low + high) / 2
-            point = self._corrected(last.unknowns / self._scale + middle * last.tangent, last.tangent, last.tangent)
-            if point is None or is_before(point):
-                low = middle
+    def _located(self, last: Point, found: Point, is_before: Callable[[Point], bool]) -> tuple[Point, str]:
+        """The first point after an event between two points, by parts of the way between them; and in words how near it
+        is, where Newton's method does not come nearer.
+        """
+        way = self._way(last, found)
+        low, high, before, after = 0.0, 1.0, last, found
+        while high - low > _LOCATED:
+            tried = (low + part * (high - low) for part in _MIDDLES)
+            middle, point = next(
+                ((middle, point) for middle in tried if (point := self._between(last, way, middle)) is not None),
+                (0.0, None),
+            )
+            if point is None:
+                values = before.unknowns[-1], after.unknowns[-1]
+                return after, f" (between {min(values):.9g} and {max(values):.9g})"
+            if is_before(point):
+                low, before = middle, point
             else:
-                high, best = middle, point
-        return best
+                high, after = middle, point
+        return after, ""
+
+    def _between(self, last: Point, way: np.ndarray, part: float) -> Point | None:
+        """The point of the branch in the plane across `part` of the `way` from one point to the next."""
+        length = np.linalg.norm(way)
+        if length == 0:
+            return None
+        return self._corrected(last.unknowns / self._scale + part * way, way / length, last.tangent)
 
 
 def _labeled(branch: _Branch, setting: Setting) -> "xarray.Dataset":
@@ -319,8 +341,11 @@ def _labeled(branch: _Branch, setting: Setting) -> "xarray.Dataset":
         ),
     }
     for number, coordinate in enumerate(setting.system.coordinates):
-        name = coordinate.name.replace(" ", "_")
+        name = coordinate.variable
         variables[name] = variable(
             "point", values[:, number], f"{coordinate.name} where the orbit begins", coordinate.unit
         )
-    return labeled_dataset(variables, {branch.parameter: variable("point", values[:, -1], label, unit)}, {})
+    return labeled_dataset(
+        apart(variables, [branch.parameter]), {branch.parameter: variable("point", values[:, -1], label, unit)},
+        {**source(), **provenance(setting.system, setting.law, setting.method)},
+    )  # fmt: skip

@@ -18,6 +18,7 @@ from .._excitation.excitation import BaseMotion, excitation_of
 from .._numerics.known import NotKnown
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
+from .._status import Status
 from .._systems.system import System
 from .._types import DType, FloatArray, Number, Scalar
 
@@ -37,12 +38,13 @@ class Cycle(eqx.Module):
 
     def after(self, y: FloatArray) -> Simulation:
         """The motion of one case over one period from the state `y`, (coordinates,)."""
-        start = tuple(y[i] for i in range(y.shape[0]))
-        return simulate(self.system, self.base, t1=self.duration, y0=start, method=self.method)
+        return simulate(self.system, self.base, t1=self.duration, y0=tuple(y), method=self.method)
 
     def end(self, y: FloatArray) -> FloatArray:
-        """The state after one period, (coordinates,)."""
-        return jnp.stack(self.after(y).final_state)
+        """The state after one period, (coordinates,); NaN where that is no time or the motion does not reach it."""
+        after = self.after(y)
+        is_known = (after.status == int(Status.FINISHED)) & (self.duration > 0)
+        return jnp.where(is_known, jnp.stack(after.final_state), jnp.nan)
 
     def change(self, y: FloatArray) -> FloatArray:
         """How far the state is from `y` after one period, without whole turns of angles, (coordinates,)."""
@@ -50,8 +52,7 @@ class Cycle(eqx.Module):
 
     def by_steps(self, y: FloatArray) -> Run:
         """The same motion in time steps, also where it is known over whole intervals of the base."""
-        start = tuple(y[i] for i in range(y.shape[0]))
-        return BySteps(Arguments(self.system, self.base, self.method, self.duration)).follow(start, y.dtype)[1]
+        return BySteps(Arguments(self.system, self.base, self.method, self.duration)).follow(tuple(y), y.dtype)[1]
 
     def lasting(self, duration: Scalar) -> "Cycle":
         """The same with another duration (s)."""
@@ -59,15 +60,14 @@ class Cycle(eqx.Module):
 
     def rates(self, y: FloatArray) -> FloatArray:
         """The rates of the state at the begin of the period, per second."""
-        excitation = excitation_of(self.base)
         step = Arguments(self.system, self.base, self.method, self.duration).checked_step()[1]
-        key_data, dtype = jnp.zeros(2, jnp.uint32), y.dtype
-        start = tuple(y[i] for i in range(y.shape[0]))
-        lane = lane_at_start(self.system, excitation, key_data, start, jnp.asarray(step, dtype), self.method.solver, ())
+        zero, excitation = jnp.zeros((), y.dtype), excitation_of(self.base)
+        lane = lane_at_start(
+            self.system, excitation, jnp.zeros(2, jnp.uint32), tuple(y), step + zero, self.method.solver, ()
+        )
         model = self.system.switched_model(excitation.signal, self.method.solver)
-        segments = SegmentLaws.of(self.system, excitation).segments(lane.segment_states)
-        forcing = model.forcing(jnp.zeros((), dtype), segments)
-        return jnp.stack(model.numbers(model.rates(forcing, jnp.zeros((), dtype), lane.y, lane.sign)))
+        forcing = model.forcing(zero, SegmentLaws.of(self.system, excitation).segments(lane.segment_states))
+        return jnp.stack(model.numbers(model.rates(forcing, zero, lane.y, lane.sign)))
 
 
 def without_turns(system: System, change: FloatArray) -> FloatArray:
@@ -94,6 +94,12 @@ def steps_in(
         return steps_for(system, excitation, duration, step)
     except NotKnown:
         return None
+
+
+def slowest_time(system: System, base: BaseMotion) -> float:
+    """The slowest known time scale of a system, s; 1 where none is known."""
+    scales = system.time_scales(excitation_of(base), None).values()
+    return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < np.inf), default=1.0)
 
 
 def as_arrays(tree: T, dtype: DType) -> T:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 EVENT = "event"
 ModeEvent = Literal["stick_start", "stick_end", "slip_forward", "slip_backward"]
-_MOST_IN_PERIOD = 16  # passages of a coordinate through a value
+_SLOTS = 16  # for passages of a coordinate in one period; more are made where there are more
 _NEWTON = 24
 _MOST_PERIODS = 20  # for each event asked for
 
@@ -41,7 +41,7 @@ class Crossing(Checked):
 
     Args:
         coordinate: Its name, such as "position".
-        value: In its unit.
+        value: In its unit; of an angle, in any turn.
         direction: 1 where it becomes larger, -1 where it becomes smaller, 0 for both.
 
     Raises:
@@ -71,6 +71,7 @@ class _Carry(NamedTuple):
     sign: FloatArray  # at the end of the last period; NaN before the first
     status: IntArray
     near_grazing_count: IntArray
+    most_passages: IntArray  # in one period, of a coordinate through the value
     buffer: _Buffer
 
 
@@ -78,6 +79,7 @@ class _Found(NamedTuple):
     buffer: _Buffer
     status: Array
     near_grazing_count: Array
+    most_passages: Array
 
 
 def event_section(
@@ -128,8 +130,12 @@ def event_section(
     most = _MOST_PERIODS * (transient + kept)
 
     def run(cycle: Cycle, starts: Array) -> _Found:
-        counts = (jnp.asarray(number, jnp.int32) for number in (transient, most))
-        return _find(cycle, starts, *counts, kept=kept, event=event)
+        counts, slots = [jnp.asarray(number, jnp.int32) for number in (transient, most)], _SLOTS
+        while True:
+            found = _find(cycle, starts, *counts, kept=kept, event=event, slots=slots)
+            if (needed := int(jnp.max(found.most_passages))) <= slots:
+                return found
+            slots = 2 * needed
 
     found = in_blocks(cases, run, lambda found: found.status, progress)
     warn_of_unfinished(found.status, stacklevel=3)
@@ -146,13 +152,15 @@ class _Event(NamedTuple):
     coordinate: int
     value: float
     direction: int
+    turn: float | None  # the coordinate's period
 
 
 def _checked_event(system: System, of: object, contact: object) -> _Event:
     names = [coordinate.name for coordinate in system.coordinates]
     if isinstance(of, Crossing):
         _checks.chosen("of.coordinate", of.coordinate, names)
-        return _Event(None, 0, names.index(of.coordinate), float(of.value), of.direction)
+        number = names.index(of.coordinate)
+        return _Event(None, 0, number, float(of.value), of.direction, system.coordinates[number].period)
     options = get_args(ModeEvent)
     if not isinstance(of, str) or of not in options:
         raise ValueError(
@@ -160,16 +168,18 @@ def _checked_event(system: System, of: object, contact: object) -> _Event:
             f"{_checks.show(of)} was given."
         )
     number = _checks.whole_number("contact", contact, minimum=0, maximum=(system.contact_count or 1) - 1)
-    return _Event(of, number, 0, 0.0, 0)  # pyright: ignore[reportArgumentType] - one of the options
+    return _Event(of, number, 0, 0.0, 0, None)  # pyright: ignore[reportArgumentType] - one of the options
 
 
 @eqx.filter_jit
-def _find(cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, event: _Event) -> _Found:
+def _find(
+    cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, event: _Event, slots: int
+) -> _Found:
     cases, size = starts.shape
     none = jnp.zeros(cases, jnp.int32)
     times = jnp.full((cases, kept), jnp.nan, starts.dtype)
     buffer = _Buffer(none, times, jnp.full((cases, kept, size), jnp.nan, starts.dtype))
-    begun = _Carry(starts, jnp.full(cases, jnp.nan, starts.dtype), none, none, buffer)
+    begun = _Carry(starts, jnp.full(cases, jnp.nan, starts.dtype), none, none, none, buffer)
 
     def goes_on(state: tuple[IntArray, _Carry]) -> BoolArray:
         number, carry = state
@@ -180,26 +190,29 @@ def _find(cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, k
         number, carry = state
 
         def one(cycle: Cycle, carry: _Carry) -> _Carry:
-            return _over_period(cycle, carry, number, transient, event)
+            return _over_period(cycle, carry, number, transient, event, slots)
 
         return number + 1, eqx.filter_vmap(one)(cycle, carry)
 
     _, carry = lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), begun))
-    return _Found(carry.buffer, carry.status, carry.near_grazing_count)
+    return _Found(carry.buffer, carry.status, carry.near_grazing_count, carry.most_passages)
 
 
-def _over_period(cycle: Cycle, carry: _Carry, number: IntArray, transient: IntArray, event: _Event) -> _Carry:
+def _over_period(
+    cycle: Cycle, carry: _Carry, number: IntArray, transient: IntArray, event: _Event, slots: int
+) -> _Carry:
     run = cycle.by_steps(carry.y)
     path = run.path
     assert isinstance(path, StepPath)
     begun = path.beginnings
     sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
+    passages = jnp.zeros((), jnp.int32)
     if event.mode is not None:
         before = jnp.append(jnp.where(jnp.isnan(carry.sign), sign[0], carry.sign), sign[:-1])
         happens, times = _begins(event.mode, before, sign), begun.t
         states = jnp.stack(jax.vmap(lambda y: jnp.stack(path_model(path).numbers(y)))(begun.y))
     else:
-        happens, times, states = _passages(path, run, event)
+        happens, times, states, passages = _passages(path, run, event, slots)
     started = number * cycle.duration
     rank = carry.buffer.number + jnp.cumsum(happens, dtype=jnp.int32) - 1 - transient
     place = jnp.where(happens & (rank >= 0), rank, carry.buffer.times.shape[0])
@@ -214,6 +227,7 @@ def _over_period(cycle: Cycle, carry: _Carry, number: IntArray, transient: IntAr
         sign[-1],
         jnp.where(finished, run.status, carry.status),
         carry.near_grazing_count + run.near_grazing_count.astype(jnp.int32),
+        jnp.maximum(carry.most_passages, passages),
         buffer,
     )
 
@@ -233,14 +247,19 @@ def _begins(mode: ModeEvent, before: FloatArray, sign: FloatArray) -> BoolArray:
     return (before != wanted) & (sign == wanted)
 
 
-def _passages(path: StepPath, run: Run, event: _Event) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Whether, when and in what state a coordinate passes the value, in slots (`_MOST_IN_PERIOD`,)."""
+def _passages(
+    path: StepPath, run: Run, event: _Event, slots: int
+) -> tuple[BoolArray, FloatArray, FloatArray, IntArray]:
+    """Whether, when and in what state a coordinate passes the value, in slots, and how often it does."""
     model, begun = path_model(path), path.beginnings
-    values = jax.vmap(lambda y: model.numbers(y)[event.coordinate])(begun.y) - event.value
-    after = jnp.append(values[1:], run.final_state[event.coordinate] - event.value)
+    values = _beyond(jax.vmap(lambda y: model.numbers(y)[event.coordinate])(begun.y), event)
+    after = jnp.append(values[1:], _beyond(run.final_state[event.coordinate], event))
     up, down = (values < 0) & (after >= 0), (values > 0) & (after <= 0)
+    if event.turn is not None:  # half a turn away from the value it changes its sign too
+        near = jnp.abs(after - values) < event.turn / 2
+        up, down = up & near, down & near
     passes = up if event.direction > 0 else down if event.direction < 0 else up | down
-    (steps,) = jnp.nonzero(passes, size=_MOST_IN_PERIOD, fill_value=-1)
+    (steps,) = jnp.nonzero(passes, size=slots, fill_value=-1)
     lengths = jnp.append(begun.t[1:], run.time_reached) - begun.t
 
     def locate(step: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -251,7 +270,7 @@ def _passages(path: StepPath, run: Run, event: _Event) -> tuple[BoolArray, Float
             low, high, h = state
             y = state_in_step(model, here, h)
             rates = model.rates(model.forcing(here.t, here.segments), h, y, here.sign)
-            value = model.numbers(y)[event.coordinate] - event.value
+            value = _beyond(model.numbers(y)[event.coordinate], event)
             rate = model.numbers(rates)[event.coordinate]
             is_before = (value < 0) == rises
             low, high = jnp.where(is_before, h, low), jnp.where(is_before, high, h)
@@ -264,7 +283,13 @@ def _passages(path: StepPath, run: Run, event: _Event) -> tuple[BoolArray, Float
         return here.t + h, jnp.stack(model.numbers(state_in_step(model, here, h)))
 
     times, states = jax.vmap(locate)(steps)
-    return steps >= 0, times, states
+    return steps >= 0, times, states, jnp.sum(passes, dtype=jnp.int32)
+
+
+def _beyond(numbers: FloatArray, event: _Event) -> FloatArray:
+    """How far a coordinate is beyond the value; of an angle, by at most half a turn."""
+    beyond = numbers - event.value
+    return beyond if event.turn is None else beyond - event.turn * jnp.round(beyond / event.turn)
 
 
 def _labeled(cases: Cases, found: _Found, transient: int) -> "xarray.Dataset":

@@ -20,6 +20,7 @@ from ._cases import Cases
 from ._cycle import Cycle
 
 _LANES = 512  # cases of a block: their arrays stay in the cache
+_INSTANTS = (0.1, 0.35, 0.6, 0.85)  # of a period, at which the size of a motion is looked at
 _MOST_DOUBLINGS = 6  # of the number of steps in a period, before a case is given up
 
 
@@ -36,9 +37,13 @@ class SticksOfPeriod(NamedTuple):
 class Seen(NamedTuple):
     """What is seen of each case at the ends of the periods kept: states (cases, periods, coordinates), sticks (cases,
     periods) or (cases, periods, contacts), and of each case (cases,) the `Status` and how often round-off decided.
+
+    `sizes`: the largest size of each number of the state within the periods kept, at a few instants, (cases,
+    coordinates).
     """
 
     states: Array
+    sizes: Array
     sticks: SticksOfPeriod
     status: Array
     near_grazing_count: Array
@@ -81,7 +86,9 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
             sticks, age = sticks_of_period(after, age)
             status = jnp.where(status == int(Status.FINISHED), after.status, status)
             y = jnp.where(status == int(Status.FINISHED), jnp.stack(after.final_state), jnp.nan)
-            return (y, age, status, close + after.near_grazing_count.astype(jnp.int32)), sticks
+            inside = after.evaluate(jnp.asarray(_INSTANTS, y.dtype) * cycle.duration)
+            sizes = jnp.max(jnp.abs(jnp.stack(inside)), axis=1)
+            return (y, age, status, close + after.near_grazing_count.astype(jnp.int32)), (sticks, sizes)
 
         return eqx.filter_vmap(one)(cycle, *carry)
 
@@ -91,12 +98,12 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
     begun = lax.fori_loop(0, transient, lambda _, carry: period(carry)[0], begun)
 
     def keep(carry, _):
-        carry, sticks = period(carry)
-        return carry, (carry[0], sticks)
+        carry, (sticks, sizes) = period(carry)
+        return carry, (carry[0], sticks, sizes)
 
-    (_, _, status, close), (states, sticks) = lax.scan(keep, begun, length=kept)
+    (_, _, status, close), (states, sticks, sizes) = lax.scan(keep, begun, length=kept)
     states, sticks = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), (states, sticks))
-    return Seen(states, sticks, status, close)
+    return Seen(states, jnp.max(sizes, axis=0), sticks, status, close)
 
 
 _follow = eqx.filter_jit(_followed)

@@ -1,11 +1,12 @@
 """Results over cases as labelled arrays: the grid of parameters, then the starts."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .._conventions import Entries, flags, labeled_dataset, variable
-from .._simulation.labeled import provenance
+from .._simulation.labeled import provenance, source
 from .._status import Status
 from .._sweep.setting import label_and_unit
 from ._cases import Cases
@@ -24,7 +25,7 @@ def dimensions_of(cases: Cases) -> tuple[str, ...]:
 
 def names_of(cases: Cases) -> tuple[str, ...]:
     """Names of variables for the numbers of the state."""
-    return tuple(coordinate.name.replace(" ", "_") for coordinate in cases.system.coordinates)
+    return tuple(coordinate.variable for coordinate in cases.system.coordinates)
 
 
 def states_of(cases: Cases, states: np.ndarray, more: tuple[str, ...], where: str) -> Entries:
@@ -61,8 +62,6 @@ def dataset_of(cases: Cases, variables: Entries, coordinates: Entries | None = N
     Raises:
         ImportError: Without the extra ``study``.
     """
-    from .. import __version__  # noqa: PLC0415 - the package imports this module
-
     setting = cases.setter.setting
     found: Entries = {}
     for one in () if cases.points is None else cases.points.dimensions:
@@ -73,9 +72,11 @@ def dataset_of(cases: Cases, variables: Entries, coordinates: Entries | None = N
         starts = cases.starts[: cases.shape[-1]]
         for number, (name, coordinate) in enumerate(zip(names_of(cases), cases.system.coordinates, strict=True)):
             found[f"initial_{name}"] = variable(START, starts[:, number], f"initial {coordinate.name}", coordinate.unit)
-    t1 = float(np.max(np.asarray(cases.cycle.duration)))
-    about = {
-        name: value for name, value in provenance(cases.system, setting.law, setting.method, t1).items() if name != "t1"
-    }
-    source = {"source": f"stickslip_jax {__version__}", "stickslip_jax_version": __version__}
-    return labeled_dataset(variables, {**found, **(coordinates or {})}, {**source, **about})
+    about = {**source(), **provenance(cases.system, setting.law, setting.method)}
+    return labeled_dataset(apart(variables, found), {**found, **(coordinates or {})}, about)
+
+
+def apart(variables: Entries, parameters: Iterable[str]) -> Entries:
+    """`variables`, with an underscore after the name of each that is called as a parameter is: "period_"."""
+    taken = set(parameters)
+    return {f"{name}_" if name in taken else name: entry for name, entry in variables.items()}

@@ -7,10 +7,10 @@ import numpy as np
 
 from .. import _checks
 from .._dynamics.common.method import Exact
-from .._dynamics.common.validation import Arguments
 from .._excitation.excitation import BaseMotion
 from .._simulation.call import simulate
 from .._systems.system import System
+from ._cycle import slowest_time
 
 _SPAN = 50  # time scales, in which a motion is looked at; again from its end, so many times
 _MOST_SPANS = 20
@@ -46,9 +46,7 @@ def guessed_period(system: System, base: BaseMotion, start: Any, method: Exact) 
             "Argument period must be given under jax.jit, vmap and grad, where nothing changes with time: a guess of "
             "the orbit's period, s."
         )
-    scales = system.time_scales(Arguments(system, base, method, 1.0).checked_step()[0], method.solver).values()
-    known = [float(scale.time) for scale in scales if scale.time is not None and np.isfinite(float(scale.time))]
-    span, y0 = _SPAN * max(known, default=1.0), tuple(map(float, start))
+    span, y0 = _SPAN * slowest_time(system, base), tuple(map(float, start))
     times = np.linspace(0, span, _SEEN)
     for _ in range(_MOST_SPANS):
         one = simulate(system, base, t1=span, y0=y0, method=method)

@@ -14,7 +14,7 @@ from .._methods import WithMethods
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.system import System, checked_system
-from .._types import Array, FloatArray, FloatScalar, InitialState, Scalar
+from .._types import Array, BoolScalar, FloatArray, FloatScalar, InitialState, Scalar
 from ._cases import check_repeats
 from ._cycle import Cycle, as_arrays, steps_in
 from ._modes import Mode, modes_of
@@ -22,9 +22,10 @@ from ._newton import root_of
 from ._orbit_parts import guessed_period, multipliers_of, without_trivial
 from ._period import checked_period, drive_period
 
-_TOLERANCE = {8: 1e-10, 4: 1e-4}
+TOLERANCE = {8: 1e-10, 4: 1e-4}
 _ITERATIONS = 30
 _LEAST_SCALE = 1e-3  # of the largest number of the state: that of one which is zero
+_STILL = 1e3  # tolerances: what its rates move an equilibrium in a period
 _STEPS = 2  # times as many as one period of the guess needs: the period of a free orbit may become longer
 
 
@@ -36,7 +37,8 @@ class PeriodicOrbit(WithMethods):
         period: s.
         monodromy: The derivative of the state after one period by that at its begin, (coordinates, coordinates); its
             eigenvalues are the `multipliers`. A stick takes one from its rank.
-        converged: Whether the state comes back to within the tolerance. If not, the numbers are the last of the search.
+        converged: Whether the state comes back to within the tolerance, and moves in between: an equilibrium is no
+            orbit. If not, the numbers are the last of the search.
         residuals: How far the state was from coming back, before each iteration and after the last, relative; NaN where
             there was no further iteration.
         system: The argument of `periodic_orbit`.
@@ -97,8 +99,8 @@ def periodic_orbit(
     """The periodic orbit near a state, stable or not: Newton's method on the return map.
 
     The derivative of the map is exact, through every stick and slip, so that convergence is quadratic until a stick or
-    slip appears or vanishes. A pure function: under ``jit``, ``vmap`` and ``grad`` (the orbit's derivatives are those
-    of the implicit function).
+    slip appears or vanishes. What is found may repeat itself within the period. A pure function: under ``jit``,
+    ``vmap`` and ``grad`` (the orbit's derivatives are those of the implicit function).
 
     Args:
         system: As in `simulate`, with any number of contacts.
@@ -140,7 +142,7 @@ def periodic_orbit(
     duration = drive_period(system, motion, checked_period(period))
     driven = duration is not None
     if tolerance is None:
-        tolerance = _TOLERANCE[np.dtype(dtype).itemsize]
+        tolerance = TOLERANCE[np.dtype(dtype).itemsize]
     _checks.positive("tolerance", tolerance)
     if duration is None:
         duration = period if period is not None else guessed_period(system, base, start, method)
@@ -154,17 +156,19 @@ def periodic_orbit(
     guess = jnp.stack([jnp.asarray(value, dtype) for value in start])
     realized = motion.realized_until(duration) if driven else motion
     cycle = Cycle(as_arrays(system, dtype), as_arrays(realized, dtype), jnp.asarray(duration, dtype), method)
-    state, duration, matrix, residuals = _search(cycle, guess, jnp.asarray(tolerance, dtype), iterations, driven)
+    state, duration, matrix, residuals, moves = _search(cycle, guess, jnp.asarray(tolerance, dtype), iterations, driven)
     matrix = _monodromy(cycle, state, duration, matrix)
-    converged = jnp.nanmin(residuals) <= tolerance
+    converged = (jnp.nanmin(residuals) <= tolerance) & moves
     return PeriodicOrbit(state, duration, matrix, converged, residuals, system, base, method, driven)
 
 
 @eqx.filter_jit
 def _search(
     cycle: Cycle, guess: FloatArray, tolerance: FloatScalar, iterations: int, driven: bool
-) -> tuple[FloatArray, FloatScalar, FloatArray, FloatArray]:
-    """The state, the period and the monodromy matrix of the orbit near `guess`, and the residuals."""
+) -> tuple[FloatArray, FloatScalar, FloatArray, FloatArray, BoolScalar]:
+    """The state, the period and the monodromy matrix of the orbit near `guess`, the residuals, and whether it moves: an
+    equilibrium comes back after any time, and everything after none.
+    """
     length = len(guess)
     if driven:
 
@@ -172,7 +176,8 @@ def _search(
             return cycle.change(y)
 
         state, found = root_of(change_of, _size, guess, tolerance, iterations)
-        return state, jnp.asarray(cycle.duration), found.matrix + jnp.eye(length, dtype=guess.dtype), found.residuals
+        matrix = found.matrix + jnp.eye(length, dtype=guess.dtype)
+        return state, jnp.asarray(cycle.duration), matrix, found.residuals, jnp.asarray(True)
     # Nothing drives it: the period is found too, and the state on the plane through `guess` across the motion there.
     unit, reference = lax.stop_gradient((jnp.asarray(cycle.duration), guess))
     ahead = lax.stop_gradient(cycle.rates(guess))
@@ -186,7 +191,8 @@ def _search(
 
     z, found = root_of(change, size, jnp.append(guess, jnp.ones_like(unit)), tolerance, iterations)
     matrix = found.matrix[:length, :length] + jnp.eye(length, dtype=guess.dtype)
-    return z[:length], z[length] * unit, matrix, found.residuals
+    moves = _size(z[:length], found.matrix[:length, length] * z[length]) > _STILL * tolerance
+    return z[:length], z[length] * unit, matrix, found.residuals, moves
 
 
 @eqx.filter_custom_jvp

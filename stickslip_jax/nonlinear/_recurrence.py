@@ -3,17 +3,18 @@
 import numpy as np
 
 
-def recurrence(states: np.ndarray, tolerance: float, periods: tuple[float | None, ...]) -> np.ndarray:
+def recurrence(
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
+) -> np.ndarray:
     """The smallest number of returns after which all `states` recur, (cases,); 0 where none is found.
 
     Of the states (cases, returns, coordinates), at least twice as many returns are needed as the number found. They
-    recur if each number comes back to within `tolerance` times the largest range that it has among the returns of any
-    case, or its largest size where that is larger. `periods`: of coordinates that turn.
+    recur if each number comes back to within `tolerance` times its largest size in the same motion, `sizes` (cases,
+    coordinates): other cases, which may be far larger, do not matter. `periods`: of coordinates that turn.
     """
-    known = np.nan_to_num(states)
-    scale = np.max(np.abs(known), axis=(0, 1)) if known.size else np.ones(states.shape[-1])
-    scale = np.array([1.0 if period else size for period, size in zip(periods, scale, strict=True)])
-    limit = tolerance * np.where(scale > 0, scale, 1.0)
+    turns = np.array([period is not None for period in periods])
+    scale = np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
+    limit = tolerance * np.where(scale > 0, scale, 1.0)[:, None]
     found = np.zeros(len(states), int)
     for number in range(1, states.shape[1] // 2 + 1):
         change = np.abs(states[:, number:] - states[:, :-number])

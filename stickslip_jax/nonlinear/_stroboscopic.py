@@ -97,7 +97,9 @@ def section_of(cases: Cases, seen: Seen, transient: int, tolerance: float) -> "x
             **states_of(cases, states, (CYCLE,), "at the end of the period"),
             **sticks_in(cases, seen),
             "recurrence": on_grid(
-                cases, recurrence(states, tolerance, periods), "number of periods after which the motion repeats itself"
+                cases,
+                recurrence(states, np.asarray(seen.sizes), tolerance, periods),
+                "number of periods after which the motion repeats itself",
             ),
             "period": on_grid(cases, cases.cycle.duration, "period", "s"),
             **outcome_of(cases, np.asarray(seen.status), np.asarray(seen.near_grazing_count)),
