@@ -8,6 +8,7 @@ from scipy.spatial import KDTree
 
 _COARSE = 0.03  # of the ranges of the state: how near the points of an irregular motion come to those of another
 _MOST_COARSE = 0.9  # of its points
+_LEAST = 1e-3  # of its size: the range of a number that is nearly the same in all motions
 _SPACING = 0.5  # of the tolerance, between neighbours on a curve
 _MOST_POINTS = 200_000  # of a curve
 
@@ -26,6 +27,7 @@ class Attractor(NamedTuple):
 
 def matched(
     states: np.ndarray,
+    sizes: np.ndarray,
     recurrences: np.ndarray,
     stuck: np.ndarray,
     points_of: Callable[[int], np.ndarray],
@@ -38,14 +40,15 @@ def matched(
     Cases whose states (cases, returns, coordinates) are not finite have label -1, and so has what is left after the
     `most` attractors. Cases that are `stuck` throughout are on one attractor. The others are compared with one of them
     at a time, by the `points_of` the attractor of that case: a case is on it if all its states are within `tolerance`
-    of one of these points, relative to the ranges of the state; if both are irregular (their recurrences are 0), if
+    of one of these points, relative to the ranges of the state, or to thousandths of its `sizes` (cases, coordinates)
+    if these are larger; if both are irregular (their recurrences are 0), if
     nine tenths of its states are within 3 percent.
     """
     finite = np.all(np.isfinite(states), axis=(1, 2))
     labels = np.full(len(states), -1)
     attractors: list[Attractor] = []
     turned = _turned(states, periods)
-    scale = _scale(turned[finite], periods)
+    scale = _scale(turned[finite], sizes[finite], periods)
     if np.any(finite & stuck):
         labels[finite & stuck] = 0
         attractors.append(Attractor(states[finite & stuck][:, -1], 1, True))
@@ -77,8 +80,9 @@ def _turned(states: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray
     return np.stack(columns, axis=-1)
 
 
-def _scale(turned: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
-    """The range of each column of states (cases, returns, columns); 1 for sines, cosines, and what does not change.
+def _scale(turned: np.ndarray, sizes: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
+    """The range of each column of states (cases, returns, columns), or a thousandth of its median size, `sizes` (cases,
+    coordinates), where that is larger: differences of round-off do not count; 1 for sines, cosines, and zeros.
 
     Without the twentieth of the states at either end, if anything is left: a few motions that run away do not count.
     """
@@ -86,8 +90,10 @@ def _scale(turned: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
     if not len(columns):
         return np.ones(columns.shape[1])
     inner, whole = np.ptp(np.percentile(columns, [5, 95], axis=0), axis=0), np.ptp(columns, axis=0)
-    ranges = np.where(inner > 0, inner, whole)
-    turns = np.repeat([period is not None for period in periods], [1 if period is None else 2 for period in periods])
+    number_of_columns = [1 if period is None else 2 for period in periods]
+    least = _LEAST * np.repeat(np.median(sizes, axis=0), number_of_columns)
+    ranges = np.where(inner > least, inner, np.maximum(whole, least))
+    turns = np.repeat([period is not None for period in periods], number_of_columns)
     return np.where((ranges > 0) & ~turns, ranges, 1)
 
 

@@ -104,7 +104,7 @@ def basins(
             return _curve(cases, states[case, 0], kept, tolerance)
         return states[case] if found[case] else _region(cases, case, states[case, -1])
 
-    labels, attractors = matched(states, found, stuck, points_of, periods, tolerance, most)
+    labels, attractors = matched(states, np.asarray(seen.sizes), found, stuck, points_of, periods, tolerance, most)
     none = int(np.sum((labels < 0) & (seen.status == int(Status.FINISHED))))
     warn_of_none(none, len(labels), most, stacklevel=3)
     return _labeled(cases, grid, labels, attractors, np.asarray(seen.status), level)

@@ -66,7 +66,7 @@ def bifurcation_diagram(
         seen = {"start": follow(cases, transient, kept, progress)}
     else:
         directions = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
-        seen = {one: follow_along(cases, transient, kept, descending=one == "down") for one in directions}
+        seen = {one: follow_along(cases, transient, kept, progress, descending=one == "down") for one in directions}
     for one in seen.values():
         warn_of_unfinished(one.status, stacklevel=3)
     found = [section_of(cases, one, transient, float(tolerance)) for one in seen.values()]

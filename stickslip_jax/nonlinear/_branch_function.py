@@ -17,9 +17,10 @@ from .._types import AnyArray, Array, FloatArray
 from .._uncertainty.numbers import Path, with_numbers
 from ._cycle import Cycle, as_arrays, steps_in, without_turns
 from ._modes import Mode, modes_between
+from ._own_time import changes_by_itself
 from ._period import drive_period, has_known_period
 
-_MOST_DOUBLINGS = 5
+_MOST_STEPS = 4  # times what the first orbit needs
 
 
 class Evaluated(NamedTuple):
@@ -53,14 +54,16 @@ class Equations:
         self._setting = as_arrays(setting, dtype)
         self.names = tuple(coordinate.name for coordinate in setting.system.coordinates)
         motion = motion_of(setting.law)
-        known = has_known_period(setting.system, motion)
+        self._by_itself = driven and changes_by_itself(setting.system, setting.law, setting.y0, duration)
+        known = has_known_period(setting.system, motion, self._by_itself)
         self._drive = None if known or not driven else duration
-        drive = drive_period(setting.system, motion, self._drive)
+        drive = drive_period(setting.system, motion, self._drive, self._by_itself)
         self._periods = 1 if drive is None or not driven else round(duration / float(drive))
         realized = motion.realized_until(duration)
         self.steps = steps_in(setting.system, realized, setting.method, duration, by_steps=True)
         if self.steps is None:
             self.steps = setting.method.max_steps
+        self._most = _MOST_STEPS * (self.steps or 0)
         self._capacity = None
         if driven and isinstance(motion, PiecewiseConstantLaw):
             self._capacity = motion.checked_capacity(duration) + 1
@@ -73,9 +76,7 @@ class Equations:
     def at(self, unknowns: np.ndarray, plane: Plane | None) -> Evaluated | None:
         """The equations at a point; None where the motion cannot be followed there."""
         found = self._evaluated(unknowns, plane)
-        for _ in range(_MOST_DOUBLINGS):
-            if int(found.status) != int(Status.OUT_OF_STEPS) or self.steps is None:
-                break
+        while int(found.status) == int(Status.OUT_OF_STEPS) and self.steps and self.steps < self._most:
             self.steps *= 2
             found = self._evaluated(unknowns, plane)
         if int(found.status) != int(Status.FINISHED):
@@ -90,7 +91,8 @@ class Equations:
     def _evaluated(self, unknowns: np.ndarray, plane: Plane | None) -> "_Raw":
         found = _evaluate(
             self._setting, jnp.asarray(unknowns, self._dtype), plane, path=self._path,
-            driven=self.driven, periods=self._periods, drive=self._drive, steps=self.steps, capacity=self._capacity,
+            driven=self.driven, by_itself=self._by_itself, periods=self._periods, drive=self._drive, steps=self.steps,
+            capacity=self._capacity,
         )  # fmt: skip
         return jax.tree.map(np.asarray, found)
 
@@ -120,8 +122,8 @@ class _Raw(NamedTuple):
 
 @eqx.filter_jit
 def _evaluate(
-    setting: Setting, unknowns: FloatArray, plane: Plane | None, *, path: Path, driven: bool, periods: int,
-    drive: float | None, steps: int | None, capacity: int | None,
+    setting: Setting, unknowns: FloatArray, plane: Plane | None, *, path: Path, driven: bool, by_itself: bool,
+    periods: int, drive: float | None, steps: int | None, capacity: int | None,
 ) -> _Raw:  # fmt: skip
     coordinates = len(setting.system.coordinates)
     dtype = unknowns.dtype
@@ -131,7 +133,7 @@ def _evaluate(
         changed = with_numbers(setting, (path,), [parameter])
         motion = motion_of(changed.law)
         if driven:
-            period = drive_period(changed.system, motion, drive)
+            period = drive_period(changed.system, motion, drive, by_itself)
             assert period is not None
             duration = periods * jnp.asarray(period, dtype)
         else:

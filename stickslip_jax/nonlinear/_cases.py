@@ -19,6 +19,7 @@ from .._systems.system import System
 from .._types import DType, Scalar
 from .._uncertainty.numbers import with_numbers
 from ._cycle import Cycle, as_arrays, slowest_time, steps_in
+from ._own_time import changes_by_itself
 from ._period import checked_period, drives, period_of, repetitions
 
 Over = Mapping[str, Any]
@@ -146,9 +147,11 @@ def _cycles(
     columns, of_all = setter.columns(rows)
     paths = tuple(columns)
     numbers = np.stack([columns[path] for path in paths], axis=1) if paths else np.zeros((len(rows), 0))
-    found = repetitions(of_all.system, motion_of(of_all.law))
+    given = setter.setting
+    by_itself = changes_by_itself(given.system, given.law, given.y0, period)
+    found = repetitions(of_all.system, motion_of(of_all.law), by_itself)
     if for_events and period is None and not drives(found):
-        period = slowest_time(setter.setting.system, setter.setting.law)
+        period = slowest_time(given.system, given.law)
     duration, driven = period_of(found, period)
     Arguments(setter.setting.system, setter.setting.law, method, float(np.max(duration))).check_length()
     durations = jnp.broadcast_to(jnp.asarray(duration, dtype), (len(rows),))

@@ -11,9 +11,9 @@ from .._dynamics.common.validation import working_dtype
 from .._simulation.labeled import provenance, source
 from .._sweep.setting import Setting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
-from ._labeled import apart
 from ._branch_function import Equations
 from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description
+from ._labeled import apart
 from ._modes import sequence, stick_count
 from ._orbits import TOLERANCE, PeriodicOrbit
 

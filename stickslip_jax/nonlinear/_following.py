@@ -21,6 +21,8 @@ from ._cycle import Cycle
 
 _LANES = 512  # cases of a block: their arrays stay in the cache
 _INSTANTS = (0.1, 0.35, 0.6, 0.85)  # of a period, at which the size of a motion is looked at
+_AT_REST = 1e-3  # of its size in the transient periods: a number that falls below is taken as zero
+_PARTS = 20  # in which values are followed one after another, so that progress can be shown
 _MOST_DOUBLINGS = 6  # of the number of steps in a period, before a case is given up
 
 
@@ -38,8 +40,8 @@ class Seen(NamedTuple):
     """What is seen of each case at the ends of the periods kept: states (cases, periods, coordinates), sticks (cases,
     periods) or (cases, periods, contacts), and of each case (cases,) the `Status` and how often round-off decided.
 
-    `sizes`: the largest size of each number of the state within the periods kept, at a few instants, (cases,
-    coordinates).
+    `sizes`: the largest size of each number of the state within the periods kept, at a few instants, or a thousandth of
+    that at the ends of the periods before, where that is larger, (cases, coordinates).
     """
 
     states: Array
@@ -81,50 +83,55 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
     """Cases over `transient` periods, and then over the `kept` ones."""
 
     def period(carry):
-        def one(cycle, y, age, status, close):
+        def one(cycle, y, age, status, close, size):
             after = cycle.after(y)
             sticks, age = sticks_of_period(after, age)
             status = jnp.where(status == int(Status.FINISHED), after.status, status)
+            size = jnp.fmax(size, jnp.abs(y))
             y = jnp.where(status == int(Status.FINISHED), jnp.stack(after.final_state), jnp.nan)
-            inside = after.evaluate(jnp.asarray(_INSTANTS, y.dtype) * cycle.duration)
-            sizes = jnp.max(jnp.abs(jnp.stack(inside)), axis=1)
-            return (y, age, status, close + after.near_grazing_count.astype(jnp.int32)), (sticks, sizes)
+            inside = jnp.stack(after.evaluate(jnp.asarray(_INSTANTS, y.dtype) * cycle.duration))
+            carry = (y, age, status, close + after.near_grazing_count.astype(jnp.int32), size)
+            return carry, (sticks, jnp.max(jnp.abs(inside), axis=1))
 
         return eqx.filter_vmap(one)(cycle, *carry)
 
     ages = start_age(cycle, starts.dtype)
     none = jnp.zeros(len(starts), jnp.int32)
-    begun = (starts, jnp.zeros((len(starts), *ages.shape), starts.dtype), none, none)
+    begun = (starts, jnp.zeros((len(starts), *ages.shape), starts.dtype), none, none, jnp.abs(starts))
     begun = lax.fori_loop(0, transient, lambda _, carry: period(carry)[0], begun)
 
     def keep(carry, _):
         carry, (sticks, sizes) = period(carry)
         return carry, (carry[0], sticks, sizes)
 
-    (_, _, status, close), (states, sticks, sizes) = lax.scan(keep, begun, length=kept)
+    (_, _, status, close, _), (states, sticks, sizes) = lax.scan(keep, begun, length=kept)
     states, sticks = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), (states, sticks))
-    return Seen(states, jnp.max(sizes, axis=0), sticks, status, close)
+    return Seen(states, jnp.fmax(jnp.max(sizes, axis=0), _AT_REST * begun[4]), sticks, status, close)
 
 
 _follow = eqx.filter_jit(_followed)
 
 
 @eqx.filter_jit
-def _follow_along(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> Seen:
-    """As `_followed`, of arrays (values, cases, ...), each value of a parameter from where the one before ended; from
-    `starts` (cases, coordinates) the first, and what was not followed to the end.
+def _follow_along(cycle: Cycle, begin: Array, starts: Array, transient: IntArray, *, kept: int) -> Seen:
+    """As `_followed`, of arrays (values, cases, ...), each value of a parameter from where the one before ended; the
+    first from `begin` (cases, coordinates), and what was not followed to the end from `starts`.
     """
     arrays, rest = eqx.partition(cycle, eqx.is_array)
 
     def one_value(y: Array, own: Cycle) -> tuple[Array, Seen]:
         seen = _followed(eqx.combine(own, rest), y, transient, kept=kept)
-        last = seen.states[:, -1]
-        return jnp.where(jnp.isfinite(last), last, starts), seen
+        return _next_start(seen.states[:, -1], starts), seen
 
-    return lax.scan(one_value, starts, arrays)[1]
+    return lax.scan(one_value, begin, arrays)[1]
 
 
-def follow_along(cases: Cases, transient: int, kept: int, *, descending: bool) -> Seen:
+def _next_start(last: Array, starts: Array) -> Array:
+    """The `last` states (cases, coordinates), and the `starts` of those that were not followed to the end."""
+    return jnp.where(jnp.all(jnp.isfinite(last), axis=1, keepdims=True), last, starts)
+
+
+def follow_along(cases: Cases, transient: int, kept: int, progress: bool | None, *, descending: bool) -> Seen:
     """As `follow`, each value of the first parameter from where the one before it ended, in the order of its values.
 
     `descending`: from the last value to the first.
@@ -132,15 +139,24 @@ def follow_along(cases: Cases, transient: int, kept: int, *, descending: bool) -
     values = cases.shape[0]
     order = np.arange(values)[::-1] if descending else np.arange(values)
     by_value = np.arange(cases.number).reshape(values, -1)[order]
+    size = -(-values // _PARTS)
+    # The last part repeats its last value, so that all are of one size, and compiled once.
+    parts = by_value[np.minimum(np.arange(-(-values // size) * size), values - 1)].reshape(-1, size, by_value.shape[1])
     starts = jnp.asarray(cases.starts[by_value[0]], cases.dtype)
+    begin, found = starts, []
+    with progress_bar(progress, cases.number) as bar:
+        for part in parts:
 
-    def run(cycle: Cycle) -> Seen:
-        own = jax.tree.map(lambda leaf: leaf[by_value] if eqx.is_array(leaf) else leaf, cycle)
-        return _follow_along(own, starts, jnp.asarray(transient, jnp.int32), kept=kept)
+            def run(cycle: Cycle, part: np.ndarray = part, begin: Array = begin) -> Seen:
+                own = jax.tree.map(lambda leaf: leaf[part] if eqx.is_array(leaf) else leaf, cycle)
+                return _follow_along(own, begin, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
-    found = _with_enough_steps(cases, run, lambda seen: seen.status)
+            found.append(_with_enough_steps(cases, run, lambda seen: seen.status))
+            begin = _next_start(jnp.asarray(found[-1].states[-1, :, -1]), starts)
+            bar.advance(min(part.size, cases.number - (len(found) - 1) * part.size))
+    whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:values], *found)
     back = np.argsort(order)
-    return jax.tree.map(lambda leaf: leaf[back].reshape(cases.number, *leaf.shape[2:]), found)
+    return jax.tree.map(lambda leaf: leaf[back].reshape(cases.number, *leaf.shape[2:]), whole)
 
 
 def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None) -> Seen:

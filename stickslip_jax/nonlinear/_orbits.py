@@ -20,6 +20,7 @@ from ._cycle import Cycle, as_arrays, steps_in
 from ._modes import Mode, modes_of
 from ._newton import root_of
 from ._orbit_parts import guessed_period, multipliers_of, without_trivial
+from ._own_time import changes_by_itself
 from ._period import checked_period, drive_period
 
 TOLERANCE = {8: 1e-10, 4: 1e-4}
@@ -139,7 +140,9 @@ def periodic_orbit(
     check_repeats(base)
     dtype = working_dtype()
     motion = motion_of(base)
-    duration = drive_period(system, motion, checked_period(period))
+    period = checked_period(period)
+    by_itself = changes_by_itself(system, base, start, period)
+    duration = drive_period(system, motion, period, by_itself)
     driven = duration is not None
     if tolerance is None:
         tolerance = TOLERANCE[np.dtype(dtype).itemsize]

@@ -15,12 +15,13 @@ _MOST_CYCLES = 1000  # of the slowest motion until all motions begin anew
 _EQUAL = 1e-9  # relative
 
 
-def repetitions(system: object, base: object) -> list[tuple[str, Any]]:
+def repetitions(system: object, base: object, by_itself: bool = False) -> list[tuple[str, Any]]:
     """The class name of each motion that drives the system, and its `Motion.repeats_after`: numbers (s), or arrays
-    (cases,) where numbers of the motion are.
+    (cases,) where numbers of the motion are. `by_itself`: the system changes with time in a way of its own.
     """
     found = [*_outermost(base), *_outermost(system)]
-    return [(type(motion).__name__, motion.repeats_after) for motion in found]
+    own: list[tuple[str, Any]] = [(type(system).__name__, None)] if by_itself else []
+    return [(type(motion).__name__, motion.repeats_after) for motion in found] + own
 
 
 def _outermost(tree: object) -> Iterator[Motion]:
@@ -34,7 +35,7 @@ def _outermost(tree: object) -> Iterator[Motion]:
 
 def drives(periods: list[tuple[str, Any]]) -> bool:
     """Whether anything of what `repetitions` found changes with time."""
-    return any(period is None for _, period in periods) or _common(periods) is not None
+    return any(period is None for _, period in periods) or common_period(periods) is not None
 
 
 def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any, bool]:
@@ -45,7 +46,7 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
     """
     unknown = [name for name, period in periods if period is None]
     if given is not None:
-        common = None if unknown else _common(periods)
+        common = None if unknown else common_period(periods)
         cycles = np.ones(()) if common is None else np.asarray(given / common)
         if common is not None and not np.all(np.abs(cycles - np.round(cycles)) <= _EQUAL * cycles):
             raise ValueError(
@@ -58,7 +59,7 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
             f"Argument period must be given (s), because none is known of the {unknown[0]} that drives the system; of "
             "a record, the duration after which it begins anew."
         )
-    common = _common(periods)
+    common = common_period(periods)
     if common is None:
         raise ValueError(
             "Argument period must be given (s), because nothing that changes with time drives the system; it is then "
@@ -67,7 +68,7 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
     return common, True
 
 
-def _common(periods: list[tuple[str, Any]]) -> np.ndarray | None:
+def common_period(periods: list[tuple[str, Any]]) -> np.ndarray | None:
     """The common period; None if nothing changes with time. Raises ValueError where there is none."""
     parts = [part for _, period in periods for part in (period if isinstance(period, tuple) else (period,))]
     columns = np.broadcast_arrays(*(np.asarray(part, float) for part in parts)) if parts else []
@@ -91,21 +92,21 @@ def _common(periods: list[tuple[str, Any]]) -> np.ndarray | None:
     )
 
 
-def has_known_period(system: object, base: object) -> bool:
+def has_known_period(system: object, base: object, by_itself: bool) -> bool:
     """Whether what drives the system has a period that is known without being given."""
     try:
-        period_of(repetitions(system, base), None)
+        period_of(repetitions(system, base, by_itself), None)
     except ValueError:
         return False
     return True
 
 
-def drive_period(system: object, base: object, given: Scalar | None) -> Scalar | None:
+def drive_period(system: object, base: object, given: Scalar | None, by_itself: bool) -> Scalar | None:
     """The period (s) of what drives the system, differentiable; None if nothing changes with time.
 
     Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
     """
-    found = repetitions(system, base)
+    found = repetitions(system, base, by_itself)
     parts = [part for _, period in found for part in (period if isinstance(period, tuple) else (period,))]
     if any(part is None for part in parts):
         return given if given is not None else period_of(found, None)[0]
@@ -122,7 +123,7 @@ def drive_period(system: object, base: object, given: Scalar | None) -> Scalar |
         raise ValueError(
             "Argument period must be given (s) under jax.jit, because several motions drive the system."
         ) from None
-    common = _common([("", value) for value in values])
+    common = common_period([("", value) for value in values])
     cycles = np.unique(np.round(common / values[0]))
     if len(cycles) > 1:
         raise ValueError("Argument period must be given (s): the motions that drive these systems have no common one.")

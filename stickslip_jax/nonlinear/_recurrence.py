@@ -2,6 +2,8 @@
 
 import numpy as np
 
+_ROUND_OFF = 100  # times the spacing of numbers of the size of the largest number of the state
+
 
 def recurrence(
     states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
@@ -10,11 +12,13 @@ def recurrence(
 
     Of the states (cases, returns, coordinates), at least twice as many returns are needed as the number found. They
     recur if each number comes back to within `tolerance` times its largest size in the same motion, `sizes` (cases,
-    coordinates): other cases, which may be far larger, do not matter. `periods`: of coordinates that turn.
+    coordinates), or to round-off: other cases, which may be far larger, do not matter. `periods`: of coordinates that
+    turn.
     """
     turns = np.array([period is not None for period in periods])
     scale = np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
-    limit = tolerance * np.where(scale > 0, scale, 1.0)[:, None]
+    smallest = _ROUND_OFF * np.finfo(states.dtype).eps * np.max(scale, axis=1, keepdims=True)
+    limit = np.fmax(tolerance * scale, smallest)[:, None]
     found = np.zeros(len(states), int)
     for number in range(1, states.shape[1] // 2 + 1):
         change = np.abs(states[:, number:] - states[:, :-number])

@@ -1,28 +1,20 @@
 """Basins of attraction: published labels, several attractors, and what belongs to none."""
 
-import importlib.util
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.scripts import loaded
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
 from stickslip_jax.nonlinear._attractors import dense, matched
 
-DOCS = Path(__file__).parents[2] / "docs"
-
 
 @pytest.fixture(scope="module")
 def case():
     """The belt oscillator of bSTAB and pyBasin, its starts and its published labels."""
-    spec = importlib.util.spec_from_file_location("validation_basin", DOCS / "validation_basin.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("docs/validation_basin.py")
 
 
 def test_published_labels_in_one_call(case):
@@ -56,12 +48,45 @@ def test_grid_of_starts_and_stuck_motions():
     assert 0.8 < float(found.share_low[0]) < 1
 
 
+def sizes_of(states):
+    return np.max(np.abs(states), axis=1)
+
+
+class Tipping(ss.SwitchedSystem):
+    """Two equilibria at which a mass comes to rest; from far away it leaves for ever."""
+
+    @property
+    def state_names(self):
+        return ("position in m", "velocity in m/s")
+
+    def rates(self, t, y, base, friction):
+        return y[1], 0.5 * y[0] - 0.5 * y[0] ** 3 + y[0] ** 5 / 1e3 - 0.3 * y[1] - 0.01 * friction
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+    @property
+    def shortest_time(self):
+        return 6.0
+
+
+def test_motions_that_run_away_do_not_join_the_others():
+    y0 = [*[(0.2 * i, 0.3) for i in range(-5, 6)], (40.0, 0.0)]
+    settings = {"transient": 30, "kept": 10, "period": 6.0, "progress": False}
+    alone = nonlinear.basins(Tipping(), ss.Constant(5.0), y0=y0[:-1], **settings)
+    with pytest.warns(RuntimeWarning, match="1 of 12 cases were not followed to the end"):
+        both = nonlinear.basins(Tipping(), ss.Constant(5.0), y0=y0, **settings)
+    assert alone.sizes["attractor"] == 2
+    np.testing.assert_array_equal(both.basin[:-1], alone.basin)
+    assert int(both.basin[-1]) == 0
+
+
 def test_two_orbits_of_a_driven_mass():
     # Without a stick on a fast belt, a spring with two natural periods of the drive: states differ by a whole turn.
     states = np.stack([np.tile([[0.0, 1.0]], (8, 1)), np.tile([[1.0, 0.0]], (8, 1)), np.tile([[0.0, 1.0]], (8, 1))])
     states[2] += 1e-5
     labels, attractors = matched(
-        states, np.ones(3, int), np.zeros(3, bool), lambda case: states[case], (None, None), 1e-3, 10
+        states, sizes_of(states), np.ones(3, int), np.zeros(3, bool), lambda case: states[case], (None, None), 1e-3, 10
     )
     np.testing.assert_array_equal(labels, [0, 1, 0])
     assert len(attractors) == 2
@@ -69,7 +94,9 @@ def test_two_orbits_of_a_driven_mass():
 
 def test_angles_are_near_across_their_end():
     states = np.tile(np.array([6.2829, 0.0004, 3.0])[:, None, None], (1, 8, 1))
-    labels, _ = matched(states, np.ones(3, int), np.zeros(3, bool), lambda i: states[i], (2 * np.pi,), 1e-3, 10)
+    labels, _ = matched(
+        states, sizes_of(states), np.ones(3, int), np.zeros(3, bool), lambda i: states[i], (2 * np.pi,), 1e-3, 10
+    )
     np.testing.assert_array_equal(labels, [0, 0, 1])
 
 
@@ -77,8 +104,7 @@ def test_irregular_motions_share_a_region():
     rng = np.random.default_rng(0)
     states = rng.uniform(0, 1, (20, 1000, 2))
     states[10:, :, 0] += 2
-    labels, attractors = matched(
-        states, np.zeros(20, int), np.zeros(20, bool), lambda i: states[i], (None, None), 1e-3, 10
+    labels, attractors = matched(states, sizes_of(states), np.zeros(20, int), np.zeros(20, bool), lambda i: states[i], (None, None), 1e-3, 10
     )  # fmt: skip
     np.testing.assert_array_equal(labels[:10], labels[0])
     np.testing.assert_array_equal(labels[10:], labels[10])
@@ -88,10 +114,14 @@ def test_irregular_motions_share_a_region():
 def test_motions_that_ended_early_belong_to_none():
     states = np.zeros((3, 4, 2))
     states[1, 2:] = np.nan
-    labels, _ = matched(states, np.ones(3, int), np.zeros(3, bool), lambda i: states[i], (None, None), 1e-3, 10)
+    labels, _ = matched(
+        states, sizes_of(states), np.ones(3, int), np.zeros(3, bool), lambda i: states[i], (None, None), 1e-3, 10
+    )
     np.testing.assert_array_equal(labels, [0, -1, 0])
     apart = np.arange(5.0)[:, None, None] * np.ones((5, 4, 2))
-    labels, attractors = matched(apart, np.ones(5, int), np.zeros(5, bool), lambda i: apart[i], (None, None), 1e-3, 3)
+    labels, attractors = matched(
+        apart, sizes_of(apart), np.ones(5, int), np.zeros(5, bool), lambda i: apart[i], (None, None), 1e-3, 3
+    )
     assert len(attractors) == 3
     assert np.sum(labels == -1) == 2
 

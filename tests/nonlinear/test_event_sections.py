@@ -1,5 +1,7 @@
 """States at events: against the sticks of long simulations."""
 
+import math
+
 import jax
 import numpy as np
 import pytest
@@ -82,6 +84,33 @@ def test_contacts_are_told_apart():
         own = one.of_contact(number).sticks
         times = np.asarray(own.start)[np.asarray(own.mask)]
         np.testing.assert_allclose(section.time, times[times > 0][1:4], atol=1e-9)
+
+
+@pytest.mark.parametrize("direction", [1, 0])
+def test_many_passages_in_one_period(direction):
+    # A fast mass on a slow base passes a value more often in a period than there are slots at first.
+    system = ss.MassSpring(1.0, 400.0, 1.0, ss.Coulomb(0.0))
+    crossing = nonlinear.Crossing("position", 0.1, direction)
+    section = nonlinear.event_section(
+        system, ss.Harmonic(0.0, 0.5), crossing, y0=(1.0, 0.0), transient=0, kept=60, progress=False
+    )
+    turn = math.acos(0.1)
+    down, up = turn + 2 * np.pi * np.arange(60), 2 * np.pi * np.arange(1, 61) - turn
+    expected = up if direction else np.sort(np.concatenate([up, down]))[:60]
+    np.testing.assert_allclose(section.time, expected / 20, atol=1e-10)
+
+
+def test_an_angle_passes_its_value_in_each_turn():
+    section = nonlinear.event_section(
+        ss.MotorCart(mu=0.5), ss.SourceVoltage(), nonlinear.Crossing("angle", 1.0), transient=1, kept=6, progress=False
+    )
+    period = ss.MotorCart(mu=0.5).coordinates[0].period
+    np.testing.assert_allclose(np.mod(section.angle, period), 1.0, atol=1e-10)
+    one = ss.simulate(ss.MotorCart(mu=0.5), ss.SourceVoltage(), t1=float(section.time[-1]) + 1)
+    times = np.linspace(0, float(section.time[-1]) + 0.5, 200_001)
+    turns = np.floor((np.asarray(one.evaluate(times)[0]) - 1.0) / period)
+    passed = times[1:][np.diff(turns) > 0][1:7]
+    np.testing.assert_allclose(section.time, passed, atol=2 * times[1])
 
 
 def test_events_that_are_missing_are_told():

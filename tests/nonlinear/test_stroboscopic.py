@@ -9,6 +9,8 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
+from stickslip_jax.nonlinear._cases import cases_of
+from stickslip_jax.nonlinear._following import follow
 from stickslip_jax.nonlinear._recurrence import recurrence
 
 HARMONIC = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
@@ -98,12 +100,22 @@ def test_start_as_a_parameter_is_followed():
 def test_recurrence_is_the_smallest_period():
     numbers = np.arange(12)
     states = np.stack([0.3 + 0 * numbers, numbers % 3.0, numbers % 4.0, numbers**2.0])[..., None]
-    np.testing.assert_array_equal(recurrence(states, 1e-6, (None,)), [1, 3, 4, 0])
+    none = np.zeros((4, 1))
+    np.testing.assert_array_equal(recurrence(states, none, 1e-6, (None,)), [1, 3, 4, 0])
     states[2, 5] = np.nan
-    np.testing.assert_array_equal(recurrence(states, 1e-6, (None,)), [1, 3, 0, 0])
+    np.testing.assert_array_equal(recurrence(states, none, 1e-6, (None,)), [1, 3, 0, 0])
     turning = np.array([6.283, 0.0005, 6.2827, 0.0002])[None, :, None]
-    np.testing.assert_array_equal(recurrence(turning, 1e-2, (2 * np.pi,)), [1])
-    np.testing.assert_array_equal(recurrence(turning, 1e-6, (None,)), [0])
+    np.testing.assert_array_equal(recurrence(turning, none[:1], 1e-2, (2 * np.pi,)), [1])
+    np.testing.assert_array_equal(recurrence(turning, none[:1], 1e-6, (None,)), [0])
+
+
+def test_recurrence_is_judged_by_the_size_of_each_motion_alone():
+    # One that runs away does not make all others look as if they recurred; what is small once a period may be large in
+    # between.
+    doubling = 1e-3 * np.array([1.0, 2.0] * 4)
+    states = np.stack([doubling, 1e6 * 2.0 ** np.arange(8)])[..., None]
+    np.testing.assert_array_equal(recurrence(states, np.zeros((2, 1)), 1e-2, (None,)), [2, 0])
+    np.testing.assert_array_equal(recurrence(states[:1], np.array([[1.0]]), 1e-2, (None,)), [1])
 
 
 def test_subharmonic_motion_is_found():
@@ -112,6 +124,37 @@ def test_subharmonic_motion_is_found():
     base = ss.Harmonic(0.0, 3.0)
     section = nonlinear.stroboscopic_section(system, base, y0=(1.0, 0.0), transient=0, kept=12, progress=False)
     assert int(section.recurrence) == 3
+
+
+def test_sizes_within_the_periods():
+    # Seen once a period the displacement is 0; between, it is the amplitude.
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0))
+    cases = cases_of(system, ss.Harmonic(0.0, 2.0), (0.0, 1.0), None, None, ss.Exact())
+    seen = follow(cases, 0, 2, progress=False)
+    instants = np.array([0.1, 0.35, 0.6, 0.85]) * np.pi
+    expected = [np.max(np.abs(0.5 * np.sin(2 * instants))), np.max(np.abs(np.cos(2 * instants)))]
+    np.testing.assert_allclose(seen.sizes, [expected], rtol=1e-12)
+
+
+def test_motion_that_has_come_to_rest_repeats_itself():
+    # Its velocity falls for ever, until it is round-off: compared with itself, it would never come back.
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5), damping=0.3)
+    for transient in (20, 60):
+        section = nonlinear.stroboscopic_section(
+            system, ss.Constant(5.0), y0=(1.0, 0.0), transient=transient, kept=10, period=7.0, progress=False
+        )
+        assert int(section.recurrence) == 1
+        np.testing.assert_allclose(section.position, 0.5, rtol=1e-8)
+
+
+def test_parameter_named_as_a_variable_is():
+    values = [5.0, 5.6]
+    section = nonlinear.stroboscopic_section(
+        CASES["square wave"][0], ss.SquareWave(1.0, 5.6), over={"period": values}, transient=3, kept=2, progress=False
+    )
+    np.testing.assert_array_equal(section.period, values)
+    np.testing.assert_array_equal(section.period_, values)
+    assert section.position.dims == ("period", "cycle")
 
 
 def test_cases_that_do_not_end_are_told():

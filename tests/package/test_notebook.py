@@ -1,6 +1,5 @@
 """The notebooks run from top to bottom, draw their figures, and print the numbers that their text names."""
 
-import importlib.util
 import os
 import re
 from pathlib import Path
@@ -8,10 +7,10 @@ from pathlib import Path
 import jupytext
 import nbformat
 import pytest
+from support.scripts import loaded
 
 pytestmark = pytest.mark.documents
 FOLDER = Path(__file__).parents[2] / "notebooks"
-TOOL = Path(__file__).parents[2] / "tools" / "notebooks.py"
 FIGURES = {
     "quickstart": 7,
     "conference_paper": 4,
@@ -166,12 +165,7 @@ PRINTED = {
 
 
 def tool():
-    spec = importlib.util.spec_from_file_location("notebooks_tool", TOOL)
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("tools/notebooks.py")
 
 
 @pytest.fixture(scope="module", params=FIGURES)

@@ -1,7 +1,6 @@
 """The pages of the site: code fits into its column, formulas and notebooks are shown as they should be."""
 
 import ast
-import importlib.util
 import inspect
 import re
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import jupytext
 import nbformat
 import pytest
+from support.scripts import loaded
 
 import stickslip_jax as ss
 
@@ -21,12 +21,7 @@ no list of other pages beside them, and hold the 120 that the formatter allows."
 
 
 def extension(name):
-    spec = importlib.util.spec_from_file_location(f"site_{name}", ROOT / "docs" / "extensions" / f"{name}.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(f"docs/extensions/{name}.py")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

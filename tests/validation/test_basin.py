@@ -1,7 +1,6 @@
 """Which starts come to rest on a belt: labels published by pyBasin and bSTAB, and the boundary by scipy."""
 
 import contextlib
-import importlib.util
 import io
 import math
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from support.scripts import loaded
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -46,12 +46,7 @@ FIRST = 200  # of pyBasin's starts, from all over the box
 @pytest.fixture(scope="module")
 def basin():
     """The script that prints what ``docs/validation.md`` says."""
-    spec = importlib.util.spec_from_file_location("validation_basin", DOCS / "validation_basin.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("docs/validation_basin.py")
 
 
 def slip(t, y, speed):

@@ -1,17 +1,15 @@
 """Rigid blocks that slide on a shaken ground: closed forms, and the functions that compare recorded earthquakes."""
 
-import importlib.util
 import math
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from support.scripts import loaded
 
 import stickslip_jax as ss
 
-DOCS = Path(__file__).parents[2] / "docs"
 LARGEST, DURATION, SHARES = 6.0, 0.3, (0.1, 0.4, 0.9)  # of the rectangular pulse; yields as shares of the largest
 LIMIT = 1 / math.sqrt(1 + math.pi**2 / 4)  # 0.5370
 
@@ -19,12 +17,7 @@ LIMIT = 1 / math.sqrt(1 + math.pi**2 / 4)  # 0.5370
 @pytest.fixture(scope="module")
 def blocks():
     """The script that prints what ``docs/validation.md`` says."""
-    spec = importlib.util.spec_from_file_location("validation_blocks", DOCS / "validation_blocks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("docs/validation_blocks.py")
 
 
 def earthquakes():

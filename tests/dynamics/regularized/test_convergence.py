@@ -1,15 +1,12 @@
 """Regularised dynamics approach the exact ones in the orders that ``docs/regularized_table.md`` derives."""
 
-import importlib.util
-from pathlib import Path
-
 import diffrax
 import numpy as np
 import pytest
+from support.scripts import loaded
 
 import stickslip_jax as ss
 
-SOURCE = Path(__file__).parents[3] / "docs" / "regularized_study.py"
 SHAPES = ("linear", "tanh", "rational", "arctan")
 SYSTEMS = ("square wave", "Poisson switching", "Leine", "moving base", "motor and cart")
 # Measured orders lie below theory where the large errors of the fit are bounded by the motion itself (Leine's orbit:
@@ -20,12 +17,7 @@ BELOW, HIGHEST = 0.13, 1.03
 @pytest.fixture(scope="module")
 def study():
     """The study itself, a script: what it draws is what is tested here."""
-    spec = importlib.util.spec_from_file_location(SOURCE.stem, SOURCE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("docs/regularized_study.py")
 
 
 @pytest.mark.parametrize("shape", ["linear", "tanh"])
