@@ -230,7 +230,8 @@ def entries(name: str, value: Any, meaning: tuple[str, ...]) -> tuple[Any, ...]:
     """The parts of ``value``, one for each part of ``meaning``. Raises ValueError for anything else."""
     listed = isinstance(value, (tuple, list))
     is_array = not listed and dimensions(value) == 1 and (is_traced(value) or _array_of(value) is not None)
-    found = list(value) if listed or is_array else []
+    # Entries of a data set, such as the last of a section, are arrays of xarray without dimensions.
+    found = [one.to_numpy() if hasattr(one, "to_numpy") else one for one in value] if listed or is_array else []
     if len(found) != len(meaning):
         count = _COUNTS.get(len(meaning), len(meaning))
         raise refused(name, f"be {count} numbers ({', '.join(meaning)})", value)

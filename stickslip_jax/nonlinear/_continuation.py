@@ -38,8 +38,9 @@ class OrbitBranch(NamedTuple):
     - `points`: a data set with the dimension "point": the parameter, the numbers of the state where the orbit begins
       (of one that nothing drives, in the middle of its longest slip), ``period`` (s), ``multiplier_real`` and
       ``multiplier_imag`` with the further dimension "multiplier", ``is_stable``, ``stick_count`` and ``stick_fraction``
-      of one period (mean over the contacts), and ``modes``, the signs of the relative velocities in turn.
-    - `events`: what happens on the way, in order (`BranchEvent`).
+      of one period (mean over the contacts), and ``modes``, the signs of the relative velocities in turn. One that is
+      called as the parameter is has an underscore after its name.
+    - `events`: what happens on the way, in order (`BranchEvent`); where a multiplier is 1 they are known less exactly.
     - `ending`: why the branch ends, in words.
     """
 
@@ -140,19 +141,17 @@ class _Branch:
         while len(self.points) < most:
             last = self.points[-1]
             found = self._corrected(last.unknowns / self._scale + length * last.tangent, last.tangent, last.tangent)
-            is_next = found is not None and self._is_next(last, found, length)
-            if is_next and not min(self._range) <= found.unknowns[-1] <= max(self._range):
+            if found is not None and self._is_next(last, found, length):
+                if min(self._range) <= found.unknowns[-1] <= max(self._range):
+                    self.points.append(self._rebased(self._noted(last, found)))
+                    length = min(length * (2 if found.iterations <= _FEW else 1), _LONGEST * self._step)
+                    continue
                 if self._land(last, found):
                     return
-                is_next = False
-            if found is None or not is_next:
-                length /= 2
-                if length < _SHORTEST * self._step:
-                    self._end(f"no orbit was found beyond: {description(last.found.modes)}")
-                    return
-                continue
-            self.points.append(self._rebased(self._noted(last, found)))
-            length = min(length * (2 if found.iterations <= _FEW else 1), _LONGEST * self._step)
+            length /= 2
+            if length < _SHORTEST * self._step:
+                self._end(f"no orbit was found beyond: {description(last.found.modes)}")
+                return
         self.ending = f"{most} points were found; ask for more with the argument most"
 
     def _end(self, why: str) -> None:

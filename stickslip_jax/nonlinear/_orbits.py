@@ -135,8 +135,7 @@ def periodic_orbit(
         raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
     system = checked_system(system)
     check_fixed(system=system, base=base)
-    # Entries of a data set, such as the last of a section, are arrays of xarray without dimensions.
-    start = state_of(system, [one.to_numpy() if hasattr(one, "to_numpy") else one for one in y0])
+    start = state_of(system, y0)
     check_repeats(base)
     dtype = working_dtype()
     motion = motion_of(base)

@@ -9,7 +9,7 @@ from .._excitation.excitation import BaseMotion, motion_of
 from .._systems.switched_system import SwitchedSystem
 from .._systems.system import System
 from .._systems.users_forcing import UsersBase
-from .._types import Scalar
+from .._types import InitialState, Scalar
 from ._cycle import slowest_time
 from ._period import common_period, repetitions
 
@@ -17,7 +17,7 @@ _PARTS = np.array([0.0, 0.013, 0.171, 0.31, 0.4737, 0.618, 0.757, 0.893])  # of 
 _FAR = np.array([1.0, 7.31, 93.7])
 
 
-def changes_by_itself(system: System, base: BaseMotion, y0: tuple[Scalar, ...], given: Scalar | None) -> bool:
+def changes_by_itself(system: System, base: BaseMotion, y0: InitialState, given: Scalar | None) -> bool:
     """Whether rates, relative velocities or normal forces of a user's system change with time otherwise than its base
     and the motions in its fields do: looked at near `y0` at a few instants.
 
@@ -35,7 +35,7 @@ def changes_by_itself(system: System, base: BaseMotion, y0: tuple[Scalar, ...], 
         changes = not _are_equal(system, y0, times, np.zeros_like(times))
     else:
         changes = not _are_equal(system, y0, float(common) * _PARTS, float(common) * (1 + _PARTS))
-    if changes and given is not None and not _are_equal(system, y0, given * _PARTS, given * (1 + _PARTS)):
+    if changes and given is not None and not _are_equal(system, y0, float(given) * _PARTS, float(given) * (1 + _PARTS)):
         raise ValueError(
             f"Argument period must be a time after which the rates of {type(system).__name__} begin anew, but they "
             f"differ from those {_checks.show(given)} s later."
@@ -43,7 +43,7 @@ def changes_by_itself(system: System, base: BaseMotion, y0: tuple[Scalar, ...], 
     return changes
 
 
-def _are_equal(system: SwitchedSystem, y0: tuple[Scalar, ...], times: np.ndarray, others: np.ndarray) -> bool:
+def _are_equal(system: SwitchedSystem, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
     """Whether what the system's methods return is the same at `times` and at `others` (s)."""
     start, zero = np.asarray(y0, float), jnp.zeros(())
     state = tuple(jnp.asarray(start + (0.3 + 0.1 * np.arange(len(start))) * (1 + np.abs(start))))

@@ -58,7 +58,8 @@ def stroboscopic_section(
         sticks that began in it, and ``longest_stick``, that ended in it or goes on (s, from its beginning), of each
         contact of a list. Of each case ``recurrence``, the number of periods after which the motion repeats itself, at
         most half of those kept (0: none is found), ``status`` and ``near_grazing_count``. Angles are between 0 and
-        their period. Warns (RuntimeWarning) of cases that were not followed to the end; they hold NaN from there on.
+        their period. A variable that is called as a parameter is has an underscore after its name. Warns
+        (RuntimeWarning) of cases that were not followed to the end; they hold NaN from there on.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.

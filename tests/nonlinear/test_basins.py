@@ -104,8 +104,9 @@ def test_irregular_motions_share_a_region():
     rng = np.random.default_rng(0)
     states = rng.uniform(0, 1, (20, 1000, 2))
     states[10:, :, 0] += 2
-    labels, attractors = matched(states, sizes_of(states), np.zeros(20, int), np.zeros(20, bool), lambda i: states[i], (None, None), 1e-3, 10
-    )  # fmt: skip
+    labels, attractors = matched(
+        states, sizes_of(states), np.zeros(20, int), np.zeros(20, bool), lambda i: states[i], (None, None), 1e-3, 10
+    )
     np.testing.assert_array_equal(labels[:10], labels[0])
     np.testing.assert_array_equal(labels[10:], labels[10])
     assert len(attractors) == 2

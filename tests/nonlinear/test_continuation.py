@@ -109,6 +109,46 @@ def test_stops_of_den_hartog(b):
     assert int(branch.points.stick_count[-1]) == 2
 
 
+@pytest.mark.parametrize("step", [0.2, 0.05, 0.02])
+def test_events_do_not_depend_on_the_step(step):
+    # At 0.18115 the slip between two stops vanishes in both half periods at once, where a multiplier is 1: the orbit is
+    # known to 1e-8 only there, and with it the event to some 1e-6. A long step goes over the first two events at once.
+    system = ss.MassSpring(1.0, 1.0, 0.1, ss.Coulomb(1.0), force=ss.Harmonic(1.0, 0.4))
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))
+    branch = nonlinear.continue_orbit(orbit, "normal_force", until=0.5, step=step)
+    first, *others = branch.events
+    assert first.kind == "stick appears"
+    assert first.parameter == pytest.approx(_stops_from(0.4), abs=1e-8)
+    np.testing.assert_allclose([event.parameter for event in others], 0.181153, atol=4e-6)
+    assert others[-1].text.endswith("becomes - 0 + 0")
+
+
+def test_a_long_step_to_the_end_is_shortened():
+    system = ss.MassSpring(1.0, 1.0, 0.5, ss.Coulomb(1.0), force=ss.Harmonic(1.0, 0.8))
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.8, 1.2))
+    branch = nonlinear.continue_orbit(orbit, "normal_force", until=0.82, step=0.4)
+    assert branch.ending == "normal_force reached 0.82"
+    (event,) = branch.events
+    assert event.parameter == pytest.approx(_stops_from(0.8), abs=1e-8)
+
+
+@pytest.mark.parametrize(("parameter", "until"), [("mu", 1.5), ("period", 4.5)])
+def test_orbits_on_a_square_wave(parameter, until):
+    system, law = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9), damping=0.1), ss.SquareWave(1.0, 5.6)
+    section = nonlinear.stroboscopic_section(system, law, transient=300, kept=2, progress=False)
+    orbit = nonlinear.periodic_orbit(system, law, y0=(section.position[-1], section.velocity[-1]))
+    branch = nonlinear.continue_orbit(orbit, parameter, until=until)
+    assert branch.ending == f"{parameter} reached {until:g}"
+    if parameter == "mu":
+        end = system.__class__(1.0, 4.0, 1.0, ss.Coulomb(until), damping=0.1), law
+    else:
+        end = system, ss.SquareWave(1.0, until)
+        np.testing.assert_allclose(branch.points.period_, branch.points.period, rtol=1e-12)
+    last = branch.points.isel(point=-1)
+    seen = nonlinear.stroboscopic_section(*end, y0=(last.position, last.velocity), transient=0, kept=1, progress=False)
+    np.testing.assert_allclose([seen.position[0], seen.velocity[0]], [last.position, last.velocity], atol=1e-9)
+
+
 def test_flip_and_fold_of_a_spring_without_friction_are_none():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), damping=0.2, force=ss.Harmonic(1.0, 0.7))
     orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))

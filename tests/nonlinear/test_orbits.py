@@ -186,6 +186,62 @@ def test_search_that_fails_is_told():
         nonlinear.periodic_orbit(system, ss.Constant(1.0), y0=(0.1, 0.2))  # it comes to rest
 
 
+@pytest.mark.parametrize("period", [0.02, 3.0, 25.0])
+def test_a_bad_guess_of_the_period_gives_the_orbit_or_none(period):
+    found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2), period=period)
+    turns = float(found.period) / 12.001031294829
+    assert not bool(found.converged) or (turns > 0.5 and abs(turns - round(turns)) < 1e-9)
+
+
+@pytest.mark.parametrize("period", [2.0, 6.3, None])
+def test_an_equilibrium_is_no_orbit(period):
+    # It comes back after any time, the unstable steady slip of the belt too.
+    level = 1 / (1 + 3 * 0.2)
+    given = {"y0": (level, 0.0)} | ({} if period is None else {"period": period})
+    if period is None:
+        with pytest.raises(ValueError, match="period"):
+            nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), **given)
+        return
+    found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), **given)
+    assert float(found.residuals[0]) < 1e-12  # it does come back
+    assert not bool(found.converged)
+
+
+def test_an_orbit_that_takes_too_many_steps_is_not_taken_for_one():
+    found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2), period=12.0, method=ss.Exact(max_steps=20))
+    assert not bool(found.converged)
+
+
+def test_mirrored_orbits():
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.2, mu_static=0.4, stribeck_speed=0.5), damping=0.05)
+    orbit = nonlinear.periodic_orbit(system, ss.Harmonic(0.8, 1.3), y0=(0.3, 0.1))
+    mirrored = nonlinear.periodic_orbit(system, ss.Harmonic(-0.8, 1.3), y0=(-0.3, -0.1))
+    assert bool(orbit.converged)
+    np.testing.assert_allclose(mirrored.state, -orbit.state, atol=1e-12)
+    np.testing.assert_allclose(mirrored.monodromy, orbit.monodromy, atol=1e-12)
+
+
+def test_overdamped_orbit_without_friction():
+    # m x'' + c x' + k x = cos(w t): state and multipliers in closed form.
+    m, c, k, w = 1.0, 5.0, 1.0, 0.7
+    system = ss.MassSpring(m, k, 1.0, ss.Coulomb(0.0), damping=c, force=ss.Harmonic(1.0, w))
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(0.0, 0.0))
+    answer = 1 / (k - m * w * w + 1j * c * w)
+    np.testing.assert_allclose(orbit.state, [answer.real, (1j * w * answer).real], rtol=1e-12)
+    roots = np.roots([m, c, k])
+    np.testing.assert_allclose(np.sort(orbit.multipliers.real), np.sort(np.exp(roots * 2 * np.pi / w)), atol=1e-13)
+
+
+def test_subclass_of_a_base_must_tell_its_period():
+    class Louder(ss.Harmonic):
+        def value(self, t):
+            return 2 * super().value(t)
+
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.2))
+    with pytest.raises(ValueError, match=r"Argument period must be given .* Louder"):
+        nonlinear.periodic_orbit(system, Louder(1.0, 0.7), y0=(0.0, 0.0))
+
+
 BAD = {
     "random": ({"base": ss.PoissonSwitching(1.0, 1.0)}, "Argument base must repeat itself"),
     "half a period": ({"period": 1.0}, "Argument period must be a whole number of periods"),
