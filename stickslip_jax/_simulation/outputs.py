@@ -58,7 +58,7 @@ class Output:
     @property
     def code_sum(self) -> str:
         """A check sum of what the function does: of its code, and of the numbers and words that it holds."""
-        return hashlib.sha256("\n".join(_code_of(self.function)).encode()).hexdigest()[:16]
+        return hashlib.sha256("\n".join(code_of(self.function)).encode()).hexdigest()[:16]
 
     def number(self, one: Simulation, dtype: DType) -> FloatArray:
         """The number of one trajectory. Raises ValueError for a function that does not return one."""
@@ -85,7 +85,7 @@ class Output:
         return jnp.asarray(found, dtype)
 
 
-def _code_of(function: Any) -> Iterator[str]:
+def code_of(function: Any) -> Iterator[str]:
     """The code of a function in words, those of functions in it too; of another object its class."""
     function = getattr(function, "__wrapped__", function)
     code = function if isinstance(function, types.CodeType) else getattr(function, "__code__", None)
@@ -96,7 +96,7 @@ def _code_of(function: Any) -> Iterator[str]:
     held = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
     for value in (*code.co_consts, *held, *(getattr(function, "__defaults__", None) or ())):
         if isinstance(value, types.CodeType) or hasattr(value, "__code__"):
-            yield from _code_of(value)
+            yield from code_of(value)
         else:
             yield repr(value) if isinstance(value, (int, float, str, tuple, type(None))) else type(value).__qualname__
 

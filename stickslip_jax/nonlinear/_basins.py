@@ -21,6 +21,7 @@ from ._cases import Cases, cases_of
 from ._following import follow
 from ._labeled import START, dataset_of, names_of
 from ._recurrence import recurrence
+from ._stored import Folder, kept_in
 from ._stroboscopic import RECURS, checked_numbers
 from ._warnings import warn_of_none, warn_of_unfinished
 
@@ -49,6 +50,7 @@ def basins(
     level: float = _LEVEL,
     method: Exact = EXACT,
     progress: bool | None = None,
+    folder: Folder | None = None,
 ) -> "xarray.Dataset":
     """Which starts end on which attractor, and the share of each basin.
 
@@ -71,6 +73,7 @@ def basins(
         level: Of the confidence intervals of the shares.
         method: `Exact`.
         progress: As in `simulate_ensemble`.
+        folder: As in `stroboscopic_section`.
 
     Returns:
         ``basin``: the number of the attractor that each start ends on, from 1, the largest basin first, 0 if none was
@@ -82,6 +85,7 @@ def basins(
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
     transient, kept = checked_numbers(transient, kept)
@@ -90,7 +94,8 @@ def basins(
     _checks.bounded("level", level, above=0, below=1)
     grid, starts = _starts(system, y0)
     cases = cases_of(system, base, starts, None, period, method)
-    seen = follow(cases, transient, kept, progress)
+    with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
+        seen = follow(cases, transient, kept, progress, stored)
     warn_of_unfinished(seen.status, stacklevel=3)
     states = np.asarray(seen.states)
     periods = tuple(coordinate.period for coordinate in cases.system.coordinates)

@@ -9,6 +9,7 @@ from .._systems.system import System
 from .._types import Scalar
 from ._cases import Over, cases_of
 from ._following import follow, follow_along
+from ._stored import Folder, kept_in
 from ._stroboscopic import RECURS, checked_numbers, section_of
 from ._warnings import warn_of_unfinished
 
@@ -32,6 +33,7 @@ def bifurcation_diagram(
     tolerance: float = RECURS,
     method: Exact = EXACT,
     progress: bool | None = None,
+    folder: Folder | None = None,
 ) -> "xarray.Dataset":
     """States once a period over the values of parameters, from the same starts or following the attractor.
 
@@ -49,6 +51,7 @@ def bifurcation_diagram(
         tolerance: As in `stroboscopic_section`.
         method: `Exact`.
         progress: As in `simulate_ensemble`.
+        folder: As in `stroboscopic_section`.
 
     Returns:
         As `stroboscopic_section`. Warns likewise; where an attractor is followed, a motion that was not followed to the
@@ -56,17 +59,23 @@ def bifurcation_diagram(
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
     transient, kept = checked_numbers(transient, kept)
     _checks.positive("tolerance", tolerance)
     _checks.chosen("follow_attractor", follow_attractor, get_args(Follow))
     cases = cases_of(system, base, y0, over, period, method)
-    if follow_attractor == "start":
-        seen = {"start": follow(cases, transient, kept, progress)}
-    else:
-        directions = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
-        seen = {one: follow_along(cases, transient, kept, progress, descending=one == "down") for one in directions}
+    what = {"function": "bifurcation_diagram", "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        if follow_attractor == "start":
+            seen = {"start": follow(cases, transient, kept, progress, stored)}
+        else:
+            directions = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
+            seen = {
+                one: follow_along(cases, transient, kept, progress, stored, descending=one == "down")
+                for one in directions
+            }
     for one in seen.values():
         warn_of_unfinished(one.status, stacklevel=3)
     found = [section_of(cases, one, transient, float(tolerance)) for one in seen.values()]

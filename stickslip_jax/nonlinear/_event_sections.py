@@ -24,6 +24,7 @@ from ._cases import Cases, Over, cases_of
 from ._cycle import Cycle
 from ._following import in_blocks
 from ._labeled import dataset_of, on_grid, outcome_of, states_of
+from ._stored import Folder, kept_in
 from ._warnings import warn_of_missing, warn_of_unfinished
 
 if TYPE_CHECKING:
@@ -82,6 +83,9 @@ class _Found(NamedTuple):
     most_passages: Array
 
 
+_FOUND = _Found(_Buffer(0, 0, 0), 0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
+
+
 def event_section(
     system: System,
     base: BaseMotion,
@@ -95,6 +99,7 @@ def event_section(
     period: Scalar | None = None,
     method: Exact = EXACT,
     progress: bool | None = None,
+    folder: Folder | None = None,
 ) -> "xarray.Dataset":
     """States at events of one kind, after a transient: for many starts and parameters at once.
 
@@ -111,16 +116,18 @@ def event_section(
         period: As in `stroboscopic_section`; where nothing drives the system, none is needed.
         method: `Exact`.
         progress: As in `simulate_ensemble`.
+        folder: As in `stroboscopic_section`.
 
     Returns:
         ``time`` (s) and the numbers of the state at each event, with dimensions of the parameters, "start" if there are
         several, and "event", its number; NaN for events that were not found within twenty periods for each that is
-        asked for. Of each case ``event_count``, how many were found, with those before the first kept, ``status`` and
+        asked for. Of each case ``event_count``, how many of these and of those before were found, ``status`` and
         ``near_grazing_count``. Warns (RuntimeWarning) of cases with too few events, and of those not followed to the
         end. A coordinate that passes the value and comes back within one time step is missed.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
     transient = _checks.whole_number("transient", transient, minimum=0)
@@ -137,11 +144,15 @@ def event_section(
                 return found
             slots = 2 * needed
 
-    found = in_blocks(cases, run, lambda found: found.status, progress)
+    what = {"function": "event_section", "of": str(of), "contact": contact, "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        found = in_blocks(cases, run, _FOUND, progress, stored)
     warn_of_unfinished(found.status, stacklevel=3)
     missing = (found.buffer.number < transient + kept) & (found.status == int(Status.FINISHED))
     warn_of_missing(int(np.sum(missing)), len(missing), most, stacklevel=3)
-    return _labeled(cases, found, transient)
+    # A case goes on while others of its block do: what it then finds does not count.
+    number = np.minimum(found.buffer.number, transient + kept)
+    return _labeled(cases, found._replace(buffer=found.buffer._replace(number=number)), transient)
 
 
 class _Event(NamedTuple):

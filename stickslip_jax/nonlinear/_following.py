@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -18,8 +18,10 @@ from .._status import Ending, Status
 from .._types import AnyArray, Array, FloatArray, IntArray
 from ._cases import Cases
 from ._cycle import Cycle
+from ._stored import Kept
 
 _LANES = 512  # cases of a block: their arrays stay in the cache
+_STORED_BLOCKS = 8  # at least, if there are as many cases
 _INSTANTS = (0.1, 0.35, 0.6, 0.85)  # of a period, at which the size of a motion is looked at
 _AT_REST = 1e-3  # of its size in the transient periods: a number that falls below is taken as zero
 _PARTS = 20  # in which values are followed one after another, so that progress can be shown
@@ -49,6 +51,20 @@ class Seen(NamedTuple):
     sticks: SticksOfPeriod
     status: Array
     near_grazing_count: Array
+
+
+SEEN = Seen(0, 0, SticksOfPeriod(0, 0, 0), 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
+
+
+@runtime_checkable
+class Followed(Protocol):
+    """Results of cases with their `Status`."""
+
+    @property
+    def status(self) -> Array: ...
+
+
+Found = TypeVar("Found", bound=Followed)
 
 
 def start_age(cycle: Cycle, dtype) -> FloatArray:
@@ -131,7 +147,9 @@ def _next_start(last: Array, starts: Array) -> Array:
     return jnp.where(jnp.all(jnp.isfinite(last), axis=1, keepdims=True), last, starts)
 
 
-def follow_along(cases: Cases, transient: int, kept: int, progress: bool | None, *, descending: bool) -> Seen:
+def follow_along(
+    cases: Cases, transient: int, kept: int, progress: bool | None, stored: Kept, *, descending: bool
+) -> Seen:
     """As `follow`, each value of the first parameter from where the one before it ended, in the order of its values.
 
     `descending`: from the last value to the first.
@@ -145,13 +163,14 @@ def follow_along(cases: Cases, transient: int, kept: int, progress: bool | None,
     starts = jnp.asarray(cases.starts[by_value[0]], cases.dtype)
     begin, found = starts, []
     with progress_bar(progress, cases.number) as bar:
-        for part in parts:
+        for number, part in enumerate(parts):
 
             def run(cycle: Cycle, part: np.ndarray = part, begin: Array = begin) -> Seen:
                 own = jax.tree.map(lambda leaf: leaf[part] if eqx.is_array(leaf) else leaf, cycle)
                 return _follow_along(own, begin, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
-            found.append(_with_enough_steps(cases, run, lambda seen: seen.status))
+            name = f"{'down' if descending else 'up'}-{number:04}"
+            found.append(stored.block(name, SEEN, lambda run=run: _with_enough_steps(cases, run)))
             begin = _next_start(jnp.asarray(found[-1].states[-1, :, -1]), starts)
             bar.advance(min(part.size, cases.number - (len(found) - 1) * part.size))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:values], *found)
@@ -159,37 +178,39 @@ def follow_along(cases: Cases, transient: int, kept: int, progress: bool | None,
     return jax.tree.map(lambda leaf: leaf[back].reshape(cases.number, *leaf.shape[2:]), whole)
 
 
-def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None) -> Seen:
+def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None) -> Seen:
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
 
     def run(cycle: Cycle, starts: Array) -> Seen:
         return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
-    return in_blocks(cases, run, lambda seen: seen.status, progress)
+    return in_blocks(cases, run, SEEN, progress, Kept() if stored is None else stored)
 
 
 def in_blocks(
-    cases: Cases, run: Callable[[Cycle, Array], Any], status_of: Callable[[Any], Array], progress: bool | None
-) -> Any:
+    cases: Cases, run: Callable[[Cycle, Array], Found], like: Found, progress: bool | None, stored: Kept
+) -> Found:
     """`run` over all cases, in blocks over threads; its results joined, arrays of NumPy with a first axis (cases,).
 
-    A block in which steps ran out, as `status_of` its results says, is followed again with twice as many.
+    A block in which steps ran out, as the ``status`` of its results says, is followed again with twice as many. Blocks
+    that are `stored` are taken from there; `like`: the tree of the results.
     """
     threads = cores()
-    size = min(_LANES, -(-cases.number // threads))
+    # Blocks that are stored are the same on every machine.
+    size = min(_LANES, -(-cases.number // (_STORED_BLOCKS if stored.is_used else threads)))
     blocks = -(-cases.number // size)
     # The last block repeats its last case, so that all are of one size, and compiled once.
     numbers = np.minimum(np.arange(blocks * size), cases.number - 1).reshape(blocks, size)
 
-    def one(block: int) -> Any:
+    def one(block: int) -> Found:
         which = numbers[block]
         starts = jnp.asarray(cases.starts[which], cases.dtype)
 
-        def run_block(cycle: Cycle) -> Any:
+        def run_block(cycle: Cycle) -> Found:
             own = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, cycle)
             return run(own, starts)
 
-        return _with_enough_steps(cases, run_block, status_of)
+        return stored.block(f"block-{block:06}", like, lambda: _with_enough_steps(cases, run_block))
 
     with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(threads) as pool:
         found = []
@@ -199,13 +220,13 @@ def in_blocks(
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: cases.number], *found)
 
 
-def _with_enough_steps(cases: Cases, run: Callable[[Cycle], Any], status_of: Callable[[Any], AnyArray]) -> Any:
+def _with_enough_steps(cases: Cases, run: Callable[[Cycle], Found]) -> Found:
     """What `run` returns, as arrays of NumPy; run again with twice the steps while these run out, unless their number
     was given.
     """
     found = jax.tree.map(np.asarray, run(cases.cycle))
     for doublings in range(1, _MOST_DOUBLINGS + 1 if cases.may_take_more else 0):
-        if not np.any(status_of(found) == int(Status.OUT_OF_STEPS)):
+        if not np.any(found.status == int(Status.OUT_OF_STEPS)):
             break
         found = jax.tree.map(np.asarray, run(cases.with_steps(2**doublings).cycle))
     return found

@@ -21,6 +21,7 @@ from ._cases import Cases, Over, cases_of
 from ._cycle import Cycle
 from ._following import in_blocks
 from ._labeled import CYCLE, START, dataset_of, dimensions_of, on_grid, outcome_of
+from ._stored import Folder, kept_in
 from ._warnings import warn_of_unfinished
 
 if TYPE_CHECKING:
@@ -40,6 +41,9 @@ class Stretched(NamedTuple):
     means: Array
     status: Array
     near_grazing_count: Array
+
+
+_STRETCHED = Stretched(0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
 
 
 class _Carry(NamedTuple):
@@ -62,6 +66,7 @@ def lyapunov_exponents(
     period: Scalar | None = None,
     method: Exact = EXACT,
     progress: bool | None = None,
+    folder: Folder | None = None,
 ) -> "xarray.Dataset":
     """The Lyapunov exponents of motions, from many starts and over parameters at once.
 
@@ -81,6 +86,7 @@ def lyapunov_exponents(
             orthogonal again.
         method: `Exact`.
         progress: As in `simulate_ensemble`.
+        folder: As in `stroboscopic_section`.
 
     Returns:
         ``lyapunov_exponent`` (1/s) with the dimensions of the parameters, "start" if there are several, and "exponent",
@@ -91,6 +97,7 @@ def lyapunov_exponents(
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
     transient = _checks.whole_number("transient", transient, minimum=0)
@@ -105,7 +112,9 @@ def lyapunov_exponents(
         counts = (jnp.asarray(n, jnp.int32) for n in (max(transient - _ALIGNED, 0), min(transient, _ALIGNED), every))
         return _stretch(cycle, starts, *counts, checkpoints=checkpoints, number=number)
 
-    found = in_blocks(cases, run, lambda stretched: stretched.status, progress)
+    what = {"function": "lyapunov_exponents", "exponents": number, "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        found = in_blocks(cases, run, _STRETCHED, progress, stored)
     warn_of_unfinished(found.status, stacklevel=3)
     return _labeled(cases, found, transient + every * np.arange(1, checkpoints + 1))
 

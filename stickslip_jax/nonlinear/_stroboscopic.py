@@ -14,6 +14,7 @@ from ._cases import Cases, Over, cases_of
 from ._following import Seen, follow
 from ._labeled import CYCLE, dataset_of, on_grid, outcome_of, states_of
 from ._recurrence import recurrence
+from ._stored import Folder, kept_in
 from ._warnings import warn_of_unfinished
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ def stroboscopic_section(
     tolerance: float = RECURS,
     method: Exact = EXACT,
     progress: bool | None = None,
+    folder: Folder | None = None,
 ) -> "xarray.Dataset":
     """States once a period of what drives the system, after a transient: for many starts and parameters at once.
 
@@ -51,6 +53,8 @@ def stroboscopic_section(
         tolerance: Relative, within which a state counts as the same for the variable ``recurrence``.
         method: `Exact`.
         progress: As in `simulate_ensemble`.
+        folder: Where what is done is kept, block after block; the same call goes on from there after an interrupt, or
+            takes all from there, quickly. Without it nothing is kept.
 
     Returns:
         The numbers of the state at the end of each period kept, with dimensions of the parameters, "start" if there are
@@ -63,6 +67,7 @@ def stroboscopic_section(
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
 
     >>> system = ss.MassSpring(
@@ -76,7 +81,9 @@ def stroboscopic_section(
     transient, kept = checked_numbers(transient, kept)
     _checks.positive("tolerance", tolerance)
     cases = cases_of(system, base, y0, over, period, method)
-    seen = follow(cases, transient, kept, progress)
+    what = {"function": "stroboscopic_section", "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        seen = follow(cases, transient, kept, progress, stored)
     warn_of_unfinished(seen.status, stacklevel=3)
     return section_of(cases, seen, transient, float(tolerance))
 
