@@ -23,7 +23,7 @@ from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
-from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
+from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, InitialState, Number, Scalar, Solver, State
 from .friction import Coulomb, FrictionLaw
 from .general_contacts import GeneralContactsModel
 from .one_contact import OneContactModel
@@ -32,6 +32,7 @@ from .system import SHORTEST_TIME, SOLVED, Coordinate, TimeScale, shortest_perio
 from .user_contacts_checks import check_contacts
 from .user_system_checks import check_fields, check_ground, check_motion
 from .users_forcing import GeneralForcing, UsersBase, records_in
+from .users_time import differs_between
 from .with_contacts import WithContacts
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
@@ -227,6 +228,9 @@ class SwitchedSystem(WithContacts):
 
     def check_state(self, y0: tuple[Number, ...]) -> None:
         (check_motion if self.contacts is None else check_contacts)(self, y0)
+
+    def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
+        return differs_between(self, y0, times, others)
 
     def check_excitation(self, excitation: Excitation) -> None:
         super().check_excitation(excitation)

@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple, TypeVar, cast
 
 import jax.numpy as jnp
+import numpy as np
 
 from .. import _checks
 from .._claims import keeps
@@ -14,7 +15,7 @@ from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
-from .._types import AnyArray, Array, ExplicitSolver, FloatArray, Number, Scalar, Solver
+from .._types import AnyArray, Array, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
 from .one_contact import OneContactModel
 from .switched_model import SwitchedModel
 
@@ -222,6 +223,10 @@ class System(Checked):
 
     def check_state(self, y0: tuple[Number, ...]) -> None:
         """Check the equations of motion in the initial state `y0`. Raises ValueError for what does not fit."""
+
+    def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
+        """Whether its equations change with time by themselves: they are others at `times` than at `others` (s)."""
+        return False
 
     def check_excitation(self, excitation: Excitation) -> None:
         """Check that `excitation` suits the system. Raises ValueError otherwise."""

@@ -60,6 +60,11 @@ class Point:
         return float(stuck / self.found.duration)
 
     @property
+    def order(self) -> tuple[object, ...]:
+        """The sequence of modes, and that with which the period begins: where it changes, the branch has a corner."""
+        return sequence(self.found.modes), self.found.modes[0].signs
+
+    @property
     def sequence_text(self) -> str:
         """The sequence of modes: "-0" is a slip with negative relative velocity and a stick."""
         return " ".join("".join(_SIGNS[sign] for sign in signs) for signs in sequence(self.found.modes))

@@ -14,7 +14,7 @@ from .._uncertainty.numbers import number_at
 from ._branch_function import Equations
 from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description
 from ._labeled import apart
-from ._modes import sequence, stick_count
+from ._modes import stick_count
 from ._orbits import TOLERANCE, PeriodicOrbit
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ _MIDDLES = (0.5, 0.4, 0.6, 0.25, 0.75)  # of what is left of it
 _MOST_CHANGES = 20  # of the sequence of modes between two points
 _FARTHEST = 1.0  # change in one iteration, scaled
 _LEAST_COSINE = 0.5  # between the tangents of neighbours
+_CORNER = 1e-3  # step, relative to the first, over which the tangent may turn more: at a corner
 _LOOKS = (2.0, 10.0, 50.0, 250.0, 1250.0)  # steps, by which the way from a corner is found
 
 
@@ -177,7 +178,8 @@ class _Branch:
     def _is_next(self, last: Point, found: Point, length: float) -> bool:
         """Whether `found` is the next point of the same branch, and not one of another that is near."""
         moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
-        return bool(moved <= 4 * length and abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE)
+        goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self._step
+        return bool(moved <= 4 * length and goes_on)
 
     def _corrected(self, guess: np.ndarray, along: np.ndarray, before: np.ndarray) -> Point | None:
         """The point of the branch in the plane through `guess` (scaled) across `along`; None where Newton's method
@@ -257,9 +259,9 @@ class _Branch:
             corner, text = self._located(last, found, change.is_before)
             self._add(change_of_modes(last, corner) or change, corner, text)
             last = corner
-        if len(self.events) > number:
+        if len(self.events) > number or begun.order != found.order:
             found = self._away(found, float(np.linalg.norm(self._way(begun, found))))
-            if begun.tangent[-1] * found.tangent[-1] < 0:
+            if len(self.events) > number and begun.tangent[-1] * found.tangent[-1] < 0:
                 event = self.events[-1]
                 self.events[-1] = event._replace(text=f"{event.text}; the branch turns round there")
             last = last if np.dot(last.tangent, found.tangent) > 0 else last.turned()
@@ -272,14 +274,13 @@ class _Branch:
         return (found.unknowns - last.unknowns) / self._scale
 
     def _away(self, found: Point, length: float) -> Point:
-        """`found` with the tangent that leads away from where the sequence of modes became what it is there."""
-        order = sequence(found.found.modes)
+        """`found` with the tangent that leads away from where the order of modes became what it is there."""
         for factor in _LOOKS:
             there = []
             for point in (found, found.turned()):
                 guess = found.unknowns / self._scale + factor * length * point.tangent
                 ahead = self._corrected(guess, point.tangent, point.tangent)
-                if ahead is not None and sequence(ahead.found.modes) == order:
+                if ahead is not None and ahead.order == found.order:
                     there.append(point)
             if len(there) == 1:
                 return there[0]

@@ -1,10 +1,11 @@
 """Orbits followed along a parameter: what happens on the way, against closed forms and other programs' results."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
@@ -109,6 +110,54 @@ def test_stops_of_den_hartog(b):
     assert int(branch.points.stick_count[-1]) == 2
 
 
+def _second_stop(b: float) -> float:
+    """The friction over force amplitude at which Den Hartog's motion with one stop in each half period gets another.
+
+    It leaves ``x0`` where ``cos(theta) - x0 = -F`` and stops at ``-x0``, in closed form as he has it. Another slip the
+    same way begins there if the force, at its largest, overcomes friction: ``-1 + x0 = -F``.
+    """
+
+    def ends(unknown):
+        duration, friction = unknown
+        gain, start = 1 / (1 - b * b), 1 - friction
+        angle = math.acos(min(max(1 - 2 * friction, -1), 1))
+        cosine, sine = start - friction - gain * math.cos(angle), gain * b * math.sin(angle)
+        forced = gain * math.cos(angle + b * duration), -gain * b * math.sin(angle + b * duration)
+        position = friction + forced[0] + cosine * math.cos(duration) + sine * math.sin(duration)
+        return [position + start, forced[1] - cosine * math.sin(duration) + sine * math.cos(duration)]
+
+    guesses = itertools.product((5.2, 5.5, 5.8, 6.1), (0.1, 0.2, 0.3, 0.4))
+    found = [fsolve(ends, guess, xtol=1e-14, full_output=True) for guess in guesses]
+    (friction,) = {
+        round(friction, 10)
+        for (duration, friction), about, _, _ in found
+        if np.max(np.abs(about["fvec"])) < 1e-13 and 4 < duration < 7 and friction > 0.01
+    }
+    return friction
+
+
+@pytest.mark.parametrize("b", [0.2, 0.25, 0.3])
+def test_second_stop_of_den_hartog(b):
+    # At 0.2 the branch then has a corner where a stick comes to the instant at which the period begins, and goes on.
+    system = ss.MassSpring(1.0, 1.0, 0.9, ss.Coulomb(1.0), force=ss.Harmonic(1.0, b))
+    section = nonlinear.stroboscopic_section(system, ss.Constant(0.0), transient=50, kept=1, progress=False)
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(section.position[-1], section.velocity[-1]))
+    branch = nonlinear.continue_orbit(orbit, "normal_force", until=0.05)
+    first = branch.events[0]
+    assert first.kind == "stick appears"
+    assert first.parameter == pytest.approx(_second_stop(b), abs=1e-9)
+    assert set(branch.points.stick_count.values[: first.point + 1]) == {2}
+    assert int(branch.points.stick_count[first.point + 1]) == 4
+    assert branch.ending == "normal_force reached 0.05"
+
+
+def _stop_at_the_turn(b: float) -> float:
+    """The friction over force amplitude at which Den Hartog's stop has moved from the midst of the half period to the
+    turn: each slip, from stop to turn, then lasts 2 pi, and the force at the turn is that which friction just holds.
+    """
+    return b * b / (1 - b * b) * math.sin(math.pi * b)
+
+
 @pytest.mark.parametrize("step", [0.2, 0.05, 0.02])
 def test_events_do_not_depend_on_the_step(step):
     # At 0.18115 the slip between two stops vanishes in both half periods at once, where a multiplier is 1: the orbit is
@@ -119,7 +168,7 @@ def test_events_do_not_depend_on_the_step(step):
     first, *others = branch.events
     assert first.kind == "stick appears"
     assert first.parameter == pytest.approx(_stops_from(0.4), abs=1e-8)
-    np.testing.assert_allclose([event.parameter for event in others], 0.181153, atol=4e-6)
+    np.testing.assert_allclose([event.parameter for event in others], _stop_at_the_turn(0.4), atol=4e-6)
     assert others[-1].text.endswith("becomes - 0 + 0")
 
 
