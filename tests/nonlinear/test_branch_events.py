@@ -25,6 +25,7 @@ def _same_when_simulated(branch, system, base, rtol=1e-8):
         assert change == pytest.approx(0, abs=rtol)
 
 
+@pytest.mark.slow
 def test_flip_where_the_period_doubles():
     def forced(frequency):
         force = ss.Harmonic(amplitude=0.6, angular_frequency=frequency)
@@ -84,6 +85,7 @@ class Hardening(ss.SwitchedSystem):
         return 3.0
 
 
+@pytest.mark.slow
 def test_fold_where_the_amplitude_jumps():
     system = Hardening()
     orbit = nonlinear.periodic_orbit(system, ss.Harmonic(1.0, 1.0), y0=(0.6, 0.0))
@@ -125,16 +127,3 @@ def test_branch_of_several_contacts():
     branch = nonlinear.continue_orbit(orbit, "angular_frequency", until=0.6)
     assert branch.ending == "angular_frequency reached 0.6"
     _same_when_simulated(branch, system, ss.Harmonic(1.0, 0.6))
-
-
-@pytest.mark.slow
-def test_branch_of_a_motor():
-    system, voltage = ss.MotorCart(mu=0.5), ss.SourceVoltage()
-    section = nonlinear.stroboscopic_section(system, voltage, transient=400, kept=40, progress=False)
-    period = int(section.recurrence)
-    assert period > 0
-    state = [float(section[coordinate.name.replace(" ", "_")][-1]) for coordinate in system.coordinates]
-    orbit = nonlinear.periodic_orbit(system, voltage, y0=state, periods=period)
-    assert bool(orbit.converged)
-    branch = nonlinear.continue_orbit(orbit, "mu", until=0.52)
-    assert branch.ending == "mu reached 0.52"
