@@ -136,6 +136,7 @@ def test_whole_numbers_beyond_what_can_be_held(name):
         refuses(lambda value=value: ensemble(**{name: value}), name, value)
 
 
+@pytest.mark.slow
 def test_as_many_orders_as_are_allowed():
     few, many = (ensemble(orders=orders, t1=30.0).statistics for orders in (3, 1000))
     assert many.orders == 1000

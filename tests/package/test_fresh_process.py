@@ -93,19 +93,25 @@ ss.simulate(system, law.sample(jax.random.key(0), t1=10.0), t1=10.0, y0=(0.0, 1.
 ss.simulate(system, ss.Harmonic(amplitude=1.0, angular_frequency=1.0), t1=5.0, y0=(0.0, 1.0))
 ss.simulate_ensemble(system, law, keep="totals", **options)
 print(loaded())
-str(ss.simulate_ensemble(system, law, **options))
-ss.sensitivity(ss.stick_fraction, system, law, wrt="mu", **options)
+{more}
 print([name for name in loaded() if name != "numba"])
 print(dict(os.environ) == before, dict(jax.config.values) == settings, "XLA_FLAGS" in os.environ)
 """
+STATISTICS = """
+str(ss.simulate_ensemble(system, law, **options))
+ss.sensitivity(ss.stick_fraction, system, law, wrt="mu", **options)
+"""
 
 
-def test_closed_forms_need_no_solver_and_set_no_option_of_the_process():
+@pytest.mark.parametrize(
+    "more", ["", pytest.param(STATISTICS, marks=pytest.mark.slow)], ids=["simulations", "statistics"]
+)
+def test_closed_forms_need_no_solver_and_set_no_option_of_the_process(more):
     """Nor anything else that is heavy, but for Numba, which counts the sticks of full statistics.
 
     Options: nothing of the environment, nothing of JAX's configuration.
     """
-    assert python(LOADED + CLOSED_FORMS).splitlines() == ["[]", "[]", "True True False"]
+    assert python(LOADED + CLOSED_FORMS.replace("{more}", more)).splitlines() == ["[]", "[]", "True True False"]
 
 
 # What a module makes when it is imported inside a compiled function must not belong to the function's trace.
@@ -135,6 +141,7 @@ print(loaded())
 SOLVERS = ["diffrax", "optimistix", "lineax"]
 
 
+@pytest.mark.slow
 def test_a_solver_may_be_loaded_inside_a_compiled_function():
     """Values and derivatives are those of a process that has imported diffrax before anything else."""
     late, early = (
