@@ -17,6 +17,7 @@ def case():
     return loaded("docs/validation_basin.py")
 
 
+@pytest.mark.slow
 def test_published_labels_in_one_call(case):
     y0 = case.starts(4000)
     found = nonlinear.basins(
@@ -70,6 +71,7 @@ class Tipping(ss.SwitchedSystem):
         return 6.0
 
 
+@pytest.mark.slow
 def test_motions_that_run_away_do_not_join_the_others():
     y0 = [*[(0.2 * i, 0.3) for i in range(-5, 6)], (40.0, 0.0)]
     settings = {"transient": 30, "kept": 10, "period": 6.0, "progress": False}
@@ -137,6 +139,7 @@ def test_starts_on_no_attractor_are_told():
     assert np.sum(found.basin == 0) == 3
 
 
+@pytest.mark.slow
 def test_irregular_motions_are_known_by_their_region():
     # Chaos (test_lyapunov.py): two starts, one attractor.
     system = ss.MassSpring(

@@ -49,6 +49,7 @@ def test_flip_where_the_period_doubles():
     np.testing.assert_array_equal(diagram.recurrence, [2, 4])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [0.02, 0.01])
 def test_torus_where_the_damping_becomes_negative(amplitude):
     # Under a small force the mass slips on a fast belt; friction falls with the speed by 3 / (1 + 3 v)^2: where that is

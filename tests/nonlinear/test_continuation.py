@@ -96,7 +96,7 @@ def test_first_stop_of_den_hartog_in_closed_form():
     assert _stops_from(b) == pytest.approx(gain * b * b / math.sqrt(1 + b**4 * lag * lag), abs=1e-9)
 
 
-@pytest.mark.parametrize("b", [0.8, 0.4])
+@pytest.mark.parametrize("b", [0.8, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_stops_of_den_hartog(b):
     system = ss.MassSpring(1.0, 1.0, 0.1, ss.Coulomb(1.0), force=ss.Harmonic(1.0, b))
     orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))
@@ -136,6 +136,7 @@ def _second_stop(b: float) -> float:
     return friction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("b", [0.2, 0.25, 0.3])
 def test_second_stop_of_den_hartog(b):
     # At 0.2 the branch then has a corner where a stick comes to the instant at which the period begins, and goes on.
@@ -158,7 +159,7 @@ def _stop_at_the_turn(b: float) -> float:
     return b * b / (1 - b * b) * math.sin(math.pi * b)
 
 
-@pytest.mark.parametrize("step", [0.2, 0.05, 0.02])
+@pytest.mark.parametrize("step", [0.2, *(pytest.param(step, marks=pytest.mark.slow) for step in (0.05, 0.02))])
 def test_events_do_not_depend_on_the_step(step):
     # At 0.18115 the slip between two stops vanishes in both half periods at once, where a multiplier is 1: the orbit is
     # known to 1e-8 only there, and with it the event to some 1e-6. A long step goes over the first two events at once.
@@ -181,7 +182,7 @@ def test_a_long_step_to_the_end_is_shortened():
     assert event.parameter == pytest.approx(_stops_from(0.8), abs=1e-8)
 
 
-@pytest.mark.parametrize(("parameter", "until"), [("mu", 1.5), ("period", 4.5)])
+@pytest.mark.parametrize(("parameter", "until"), [pytest.param("mu", 1.5, marks=pytest.mark.slow), ("period", 4.5)])
 def test_orbits_on_a_square_wave(parameter, until):
     system, law = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9), damping=0.1), ss.SquareWave(1.0, 5.6)
     section = nonlinear.stroboscopic_section(system, law, transient=300, kept=2, progress=False)

@@ -65,6 +65,7 @@ def test_directions_that_a_stick_takes_away():
     assert float(kept[1]) == pytest.approx(math.log(1e-20))
 
 
+@pytest.mark.slow
 def test_sum_is_the_change_of_areas():
     # A base so fast that the mass never reaches its velocity: no stick, and friction 0.4 / (1 + 4 - velocity).
     system = ss.MassSpring(

@@ -89,6 +89,7 @@ def _unstable_cycle() -> tuple[float, float]:
     return right, once_round(right)[1]
 
 
+@pytest.mark.slow
 def test_unstable_orbit_is_found():
     right, period = _unstable_cycle()
     orbit = nonlinear.periodic_orbit(BELT, ss.Constant(1.5), y0=(right + 0.02, -0.1), period=6.3)
@@ -212,6 +213,7 @@ def test_an_orbit_that_takes_too_many_steps_is_not_taken_for_one():
     assert not bool(found.converged)
 
 
+@pytest.mark.slow
 def test_mirrored_orbits():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.2, mu_static=0.4, stribeck_speed=0.5), damping=0.05)
     orbit = nonlinear.periodic_orbit(system, ss.Harmonic(0.8, 1.3), y0=(0.3, 0.1))

@@ -91,6 +91,7 @@ def test_a_wrong_period_is_told(system):
         CALLS["section"](system, STILL, period=1.0)
 
 
+@pytest.mark.slow
 def test_its_orbit_is_that_of_the_same_system_with_a_force():
     known = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3), damping=0.1, force=ss.Harmonic(1.0, 0.7))
     own = nonlinear.periodic_orbit(Shaken(), STILL, y0=(1.0, 0.0), period=PERIOD)
@@ -106,10 +107,14 @@ def test_twice_the_period_of_both_drives():
     assert float(section.period) == PERIOD
 
 
-def test_what_does_not_change_is_as_before():
-    assert not nonlinear.periodic_orbit(Still(), ss.Constant(0.0), y0=(1.0, 0.0), period=6.3).is_driven
+def test_what_does_not_change_has_no_period():
     with pytest.raises(ValueError, match="nothing that changes with time"):
         CALLS["section"](Still(), STILL)
+
+
+@pytest.mark.slow
+def test_what_does_not_change_is_as_before():
+    assert not nonlinear.periodic_orbit(Still(), ss.Constant(0.0), y0=(1.0, 0.0), period=6.3).is_driven
     jax.eval_shape(lambda mu: CALLS["orbit"](Still(mu), ss.Harmonic(1.0, 0.7)).state, 0.3)
 
 
