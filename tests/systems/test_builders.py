@@ -21,6 +21,7 @@ def test_frequencies_of_a_row():
     np.testing.assert_array_equal(damped.damping, [0.1, 0.1])
 
 
+@pytest.mark.slow
 def test_a_row_has_derivatives():
     def end(between):
         row = ss.block_row(3, mass=1.0, between=between, to_ground=0.5, normal_force=1.0, friction=DRY)

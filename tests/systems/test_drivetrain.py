@@ -210,6 +210,7 @@ def test_frequency_of_table_and_bit():
     np.testing.assert_allclose(np.sum(string.damping), 425.0 + 50.0, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_steady_drilling_has_the_twist_that_carries_the_torque():
     """Below each shaft, drag and rock take what it transmits."""
     torque = 12_000.0
@@ -313,6 +314,7 @@ def test_limit_cycle_under_a_table_of_given_speed():
     assert float(one.of_contact(1).stick_time) == t1
 
 
+@pytest.mark.slow
 def test_steady_drilling_loses_its_stability_below_the_critical_table_speed():
     """``weight bit_radius (mu_static - mu) gamma exp(-gamma speed)`` exceeds the damping of the bit there."""
     damping = 60.0 + 50.0
@@ -334,6 +336,7 @@ def test_steady_drilling_loses_its_stability_below_the_critical_table_speed():
     assert sticks_below > 2
 
 
+@pytest.mark.slow
 def test_a_drive_that_is_too_weak_lets_the_table_slip():
     torque = 1.05 * (425.0 * SPEED + 50.0 * SPEED + rock_torque(SPEED, WEIGHT))
     y0 = (0.0, 0.0, SPEED, 0.0)

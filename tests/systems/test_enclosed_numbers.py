@@ -52,9 +52,17 @@ def by_regularised(high):
     return ss.simulate(system, BASE, t1=5.0, method=method).stick_time
 
 
-@pytest.mark.parametrize("function", [by_lambda, by_class, by_regularised])
-@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd])
-def test_refused(function, derivative):
+OTHERS = [(jax.jacfwd, by_lambda), (jax.grad, by_class), (jax.jacfwd, by_regularised)]
+
+
+@pytest.mark.parametrize(
+    ("derivative", "function"),
+    [
+        *((jax.grad, by_lambda), (jax.jacfwd, by_class), (jax.grad, by_regularised)),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in OTHERS),
+    ],
+)
+def test_refused(derivative, function):
     with pytest.raises(ValueError, match=MESSAGE):
         derivative(function)(0.5)
 

@@ -43,7 +43,7 @@ def followed(coefficients):
     return one.sticks, one.status, one.stick_time
 
 
-@pytest.mark.parametrize("size", [2, 3, 9, 100])
+@pytest.mark.parametrize("size", [*(pytest.param(size, marks=pytest.mark.slow) for size in (2, 3, 100)), 9])
 def test_the_curve(size):
     draw = np.random.default_rng(size)
     speeds = np.concatenate([[0.0], np.cumsum(draw.uniform(0.01, 1.0, size - 1))])
@@ -75,6 +75,7 @@ def test_motions_against_the_reference():
         )
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_coefficients_against_the_reference():
     slopes = jax.grad(lambda c: followed(c)[2])(jnp.asarray(COEFFICIENTS))
     for point in (1, 3):
@@ -83,6 +84,7 @@ def test_derivatives_by_the_coefficients_against_the_reference():
         assert float(slopes[point]) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_several_tables_side_by_side():
     tables = jnp.asarray(np.stack([COEFFICIENTS, 0.9 * COEFFICIENTS]))
     both = jax.vmap(followed)(tables)

@@ -264,6 +264,7 @@ def test_derivatives_of_event_times_against_the_reference():
         np.testing.assert_allclose(reverse[index], forward[index], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_batches_equal_single_runs():
     angles = jnp.linspace(0.1, 6.0, 7)
     batch = jax.vmap(lambda angle: first(0.5, angle, 1.0, 1.88e-4))(angles)

@@ -47,7 +47,7 @@ def test_ensembles_of_both_exact_engines_agree():
     assert mean(ss.mean_stick_count(one)) > 3
 
 
-@pytest.mark.parametrize("step", [None, 1e-3])
+@pytest.mark.parametrize("step", [pytest.param(None, marks=pytest.mark.slow), 1e-3])
 def test_smoothed_friction_comes_near(step):
     exact = ss.simulate_ensemble(BLOCK, LAW, samples=64, **RUN)
     smooth = ss.simulate_ensemble(BLOCK, LAW, samples=64, method=ss.Regularized(1e-5, step=step), **RUN)
@@ -55,18 +55,18 @@ def test_smoothed_friction_comes_near(step):
     assert mean(ss.stick_fraction(smooth)) == pytest.approx(mean(ss.stick_fraction(exact)), rel=5e-3)
 
 
-def test_some_samples_without_a_spring():
+@pytest.mark.parametrize("method", [ss.Exact(), pytest.param(ss.Exact(step=0.2), marks=pytest.mark.slow)])
+def test_some_samples_without_a_spring(method):
     """An array with zeros, and each sample as alone."""
     springs = np.array([0.0, 1.0, 0.0, 4.0])
     system = ss.MassSpring(1.0, springs, 1.0, ss.Coulomb(0.5))
-    for method in (ss.Exact(), ss.Exact(step=0.2)):
-        many = ss.simulate_ensemble(system, LAW, samples=4, method=method, **RUN)
-        times = []
-        for i in range(4):
-            own, base, y0 = many.realization(i)
-            assert float(own.stiffness) == springs[i]
-            times.append(float(ss.simulate(own, base, t1=20.0, y0=y0, method=method).stick_time))
-        assert mean(ss.stick_fraction(many)) == pytest.approx(np.mean(times) / 20.0, rel=1e-10)
+    many = ss.simulate_ensemble(system, LAW, samples=4, method=method, **RUN)
+    times = []
+    for i in range(4):
+        own, base, y0 = many.realization(i)
+        assert float(own.stiffness) == springs[i]
+        times.append(float(ss.simulate(own, base, t1=20.0, y0=y0, method=method).stick_time))
+    assert mean(ss.stick_fraction(many)) == pytest.approx(np.mean(times) / 20.0, rel=1e-10)
 
 
 def test_a_start_on_the_base_is_a_stick_from_the_first_instant():
@@ -88,6 +88,7 @@ def test_steps_of_a_traced_stiffness_that_is_zero():
     assert float(slope) == pytest.approx(float((ahead - value) / 1e-6), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_derivative_of_a_mean_by_friction():
     """The corrected derivative against a difference with the same base motions."""
     with warnings.catch_warnings():
@@ -111,7 +112,9 @@ def test_harmonic_forces_push_a_free_mass():
     assert float(one.final_state[0]) == pytest.approx(exact, rel=1e-12)
 
 
-@pytest.mark.parametrize("base", ["steps", "tone", "ground"])
+@pytest.mark.parametrize(
+    "base", ["steps", *(pytest.param(base, marks=pytest.mark.slow) for base in ("tone", "ground"))]
+)
 def test_figures(base):
     """Without warnings; there is no stick band to draw."""
     motions = {

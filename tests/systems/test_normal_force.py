@@ -46,7 +46,8 @@ def test_a_lifted_mass_swings_freely():
     assert np.all(np.asarray(one.sticks.end)[np.asarray(one.sticks.mask)] <= 2.0)
 
 
-@pytest.mark.parametrize("damping", [None, pytest.param(0.1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [None, 0.1])
 def test_one_that_does_not_vary_is_the_number(damping):
     steady = ss.ForceSteps([0.0, 5.0], [1.3, 1.3])
     number, function = (

@@ -115,6 +115,7 @@ def test_lists_are_as_good_as_tuples():
     assert (type(system.contacts), type(system.force)) == (tuple, tuple)
 
 
+@pytest.mark.slow
 def test_a_structure_with_one_contact_has_a_list_of_them():
     """Its sticks are those of its contact number 0."""
     one = ss.simulate(pair(contacts=[contact(1.0, 0.0)]), ss.Constant(0.0), t1=10.0, y0=(1.0, 0.0, 0.0, 0.0))
@@ -138,7 +139,12 @@ def test_the_fastest_motion():
 
 @pytest.mark.parametrize(
     ("stiffness", "damping", "rates"),
-    [([-4.0], None, (2.0, -2.0)), ([0.0], [-3.0], (3.0, 0.0)), ([-4.0], [-3.0], (4.0, -1.0)), ([-4.0], [3.0], (1, -4))],
+    [
+        ([-4.0], None, (2.0, -2.0)),
+        pytest.param([0.0], [-3.0], (3.0, 0.0), marks=pytest.mark.slow),
+        pytest.param([-4.0], [-3.0], (4.0, -1.0), marks=pytest.mark.slow),
+        pytest.param([-4.0], [3.0], (1, -4), marks=pytest.mark.slow),
+    ],
 )
 def test_a_motion_that_grows(stiffness, damping, rates):
     """Negative springs and dampers: against the two exponentials, by their largest size, over 20 s."""

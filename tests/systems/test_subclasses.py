@@ -120,7 +120,10 @@ class Ratchet(ss.FrictionLaw):
         return ss.Coulomb(jnp.where(velocity < 0, self.backward, self.forward))
 
 
-@pytest.mark.parametrize(("method", "error"), [(ss.Exact(), 1e-7), (ss.Regularized(1e-4, step=1e-3), 1e-2)])
+@pytest.mark.parametrize(
+    ("method", "error"),
+    [(ss.Exact(), 1e-7), pytest.param(ss.Regularized(1e-4, step=1e-3), 1e-2, marks=pytest.mark.slow)],
+)
 def test_friction_that_depends_on_the_direction(method, error):
     """Free vibration: each half of a period takes ``2 mu n / k`` of the amplitude, until friction holds the spring."""
     system = ss.MassSpring(1.0, 4.0, 1.0, Ratchet(forward=0.3, backward=1.0))

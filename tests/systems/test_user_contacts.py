@@ -52,9 +52,13 @@ def listed(one):
     return [column[mask] for column in columns]
 
 
-def test_three_blocks_on_the_floor():
+@pytest.fixture(scope="module")
+def one():
+    return ss.simulate(Blocks(), ss.Constant(0.0), t1=12.0, y0=START)
+
+
+def test_three_blocks_on_the_floor(one):
     """Against an event-by-event integration at a relative tolerance of 1e-12."""
-    one = ss.simulate(Blocks(), ss.Constant(0.0), t1=12.0, y0=START)
     contact, start, end = listed(one)
     np.testing.assert_array_equal(contact, [0, 2, 1, 0, 2])
     expected = [4.63544896516, 4.96043120202, 6.78298795467, 7.34343581525, 8.37062952656]
@@ -66,6 +70,7 @@ def test_three_blocks_on_the_floor():
     assert one.of_contact(1).totals.sticks == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weakening", [0.0, 0.8])
 def test_as_a_linear_structure(weakening):
     """States, sticks and derivatives, on a moving base: static friction above kinetic, or friction that weakens."""
@@ -168,7 +173,7 @@ def pad_by_events(load, slope, mu, static, belt, start, t1):
     return np.array(sticks), y
 
 
-@pytest.mark.parametrize("start", [(-4.0, 0.0), (3.0, -1.5)])
+@pytest.mark.parametrize("start", [(-4.0, 0.0), pytest.param((3.0, -1.5), marks=pytest.mark.slow)])
 def test_a_pad_that_lifts_off(start):
     one = ss.simulate(Pad(), ss.Constant(0.3), t1=20.0, y0=start)
     expected, state = pad_by_events(1.0, 0.6, 0.6, 1.6, 0.3, start, 20.0)
@@ -179,6 +184,7 @@ def test_a_pad_that_lifts_off(start):
     assert 1.0 + 0.6 * float(one.minimum("position")) < 0  # it does lift off
 
 
+@pytest.mark.slow
 def test_derivative_of_a_pad_that_lifts_off():
     def end(slope):
         method = ss.Exact(max_steps=2048)
@@ -214,6 +220,7 @@ class Clamp(ss.SwitchedSystem):
         return 2 * math.pi
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", [0.0, math.pi])
 def test_what_rests_sticks_while_it_is_clamped(phase):
     """No force is needed: a stick begins and ends with the normal force, which depends on the state, or on time."""
@@ -282,6 +289,7 @@ def test_what_is_refused(make, message):
         ss.simulate(make(), ss.Constant(0.1), t1=1.0, y0=START)
 
 
+@pytest.mark.slow
 def test_motion_that_ceases_to_be_unique_is_told():
     """Friction that drives itself more and more: the matrix of its effects is no longer positive definite after 1 s."""
     one = ss.simulate(
@@ -292,9 +300,9 @@ def test_motion_that_ceases_to_be_unique_is_told():
     assert 1 <= float(one.time_reached) < 1 + Blocks().shortest_time / 48  # a step
 
 
-def test_what_is_not_there_for_several_contacts_is_told():
+def test_what_is_not_there_for_several_contacts_is_told(one):
     with pytest.raises(ValueError, match="must have one contact"):
-        ss.simulate(Blocks(), ss.Constant(0.1), t1=1.0, y0=START).energies(0.5)
+        one.energies(0.5)
     with pytest.raises(ValueError, match="must say whose sticks are counted"):
         ss.simulate_ensemble(
             Blocks(), ss.PoissonSwitching(1.0, 1.0), t1=1.0, y0=START, samples=2, key=jax.random.key(1)

@@ -104,6 +104,12 @@ def test_two_contacts(kind):
 
 @pytest.mark.parametrize("kind", [Blocks, Smoothed, Bent])
 def test_one_contact(kind):
+    check_motion(kind(), (0.0, 0.1, 0.2, 0.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [Blocks, Smoothed, Bent])
+def test_one_contact_is_followed(kind):
     assert int(run(kind(), method=ss.Exact(step=0.02)).status) == ss.Status.FINISHED
 
 

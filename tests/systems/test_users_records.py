@@ -140,6 +140,7 @@ def right(mu, values):
     return told(lambda mu, force: built_in(force, mu=mu), mu, values)
 
 
+@SLOW
 def test_derivatives():
     found, expected = (jax.jacrev(function)(0.8, PULL) for function in (own, right))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
@@ -208,7 +209,7 @@ def test_a_belt():
     assert_same_motion(run(Belt(*NUMBERS, speed), ss.Constant(0.0)), run(built_in(), speed))
 
 
-@pytest.mark.parametrize("by", [pytest.param("record", marks=SLOW), "system", pytest.param("duration", marks=SLOW)])
+@pytest.mark.parametrize("by", [pytest.param("record", marks=SLOW), pytest.param("system", marks=SLOW), "duration"])
 def test_the_number_of_steps_follows_from_the_length_of_a_record(by):
     """Under jit too, where its times, the spring or the duration are not known."""
 
