@@ -124,6 +124,7 @@ def test_soft_springs_in_reverse_mode(method):
     check(cases(0.0), method, jax.jacrev)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.1, 1e4])
 def test_soft_springs_with_damping(damping):
     check(cases(damping), STEPPED, jax.jacfwd)
@@ -136,7 +137,9 @@ def test_the_softest_spring_of_all():
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-14), values, without)
 
 
-@pytest.mark.parametrize("method", [ss.Exact(), STEPPED], ids=["intervals", "steps"])
+@pytest.mark.parametrize(
+    "method", [ss.Exact(), pytest.param(STEPPED, marks=pytest.mark.slow)], ids=["intervals", "steps"]
+)
 def test_single_precision(method):
     chosen = [case for case in cases(0.0) if case.stiffness in (0.0, 1e-12, 1e-3)]
     values, _, (mask, _, status) = found(chosen, method, None, np.float32)

@@ -38,7 +38,7 @@ SLOPES = {
     "slope_of",
     [
         # Of these two the derivative is one compilation; of the others it is several.
-        slope_of if name in ("grad under jit", "forward") else pytest.param(slope_of, marks=pytest.mark.slow)
+        slope_of if name == "grad under jit" else pytest.param(slope_of, marks=pytest.mark.slow)
         for name, slope_of in SLOPES.items()
     ],
     ids=SLOPES,

@@ -89,7 +89,8 @@ def outcome(what, follow, base, numbers):
     return [jnp.nan_to_num(leaf) for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_are_those_of_the_scan(mode):
     base = bases(6)
 
@@ -126,6 +127,7 @@ def test_gradient_of_a_mean_over_lanes_outside_of_vmap():
     assert float(got[1]) == pytest.approx(float(difference), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_base_itself():
     base = jax.tree.map(lambda leaf: leaf[0], bases(1))
 

@@ -174,7 +174,8 @@ def test_ensembles_look_at_the_start():
     assert near(0.3, 1.0) == near(1.0, 0.3) == near(1 + 1e-9, 1.0) == 0
 
 
-@pytest.mark.parametrize("argument", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("argument", [0, 1])
 def test_the_count_does_not_disturb_derivatives(argument):
     durations, velocities = jnp.asarray([0.7, 0.9, 2.0]), jnp.asarray([1.0, -1.0, 1.0])
 

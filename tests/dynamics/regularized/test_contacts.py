@@ -135,7 +135,7 @@ def test_three_blocks_converge_to_the_exact_events(how):
         np.testing.assert_allclose(coarse / fine, 2.0, rtol=0.1)
 
 
-@pytest.mark.parametrize("shape", ["linear", "tanh"])
+@pytest.mark.parametrize("shape", ["linear", pytest.param("tanh", marks=pytest.mark.slow)])
 def test_fixed_steps_follow_the_equations(shape):
     """Coupled contacts, one of which opens, against scipy; a second-order method gains 4 by half the step."""
     reference = radau_of_stack(shape)
@@ -150,7 +150,8 @@ def test_fixed_steps_follow_the_equations(shape):
     assert errors[1] < errors[0] / 6
 
 
-@pytest.mark.parametrize("shape", ["linear", pytest.param("tanh", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["linear", "tanh"])
 def test_adaptive_steps_follow_the_equations(shape):
     method = ss.Regularized(WIDTH, shape, rtol=1e-9)
     one = ss.simulate(stack(), FLOOR, t1=T1, y0=START, method=method)
@@ -167,6 +168,7 @@ def test_equations_of_ones_own(how, error):
     np.testing.assert_allclose(jnp.stack(one.final_state), radau_of_own("linear"), atol=error)
 
 
+@pytest.mark.slow
 def test_sticks_are_those_of_the_exact_engine():
     """Which contact sticks when, all at once too, where a contact opens; the times differ by the width over F."""
     exact = ss.simulate(stack(), FLOOR, t1=10.0, y0=START)
@@ -220,20 +222,21 @@ def test_one_contact_of_a_list_is_the_mass_alone(shape):
     assert float(one.method.threshold) == pytest.approx(float(other.method.threshold[0]), rel=1e-12)
 
 
-def test_derivatives_are_those_of_differences():
-    """By a friction coefficient and an entry of the mass matrix, in both modes, of the end and of a stick's start."""
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+def test_derivatives_are_those_of_differences(mode):
+    """By a friction coefficient and an entry of the mass matrix, of the end and of a stick's start."""
     method = ss.Regularized(WIDTH, step=5e-3, max_steps=2048, threshold=WIDTH, minimum_duration=0.05)
 
-    @jax.jit
     def results(values):
         mass = jnp.asarray(MASS).at[0, 1].set(values[1]).at[1, 0].set(values[1])
         one = ss.simulate(stack((values[0], *MU[1:]), mass), FLOOR, t1=T1, y0=START, method=method)
-        return jnp.array([one.final_state[0], one.of_contact(0).sticks.start[0]])
+        found = jnp.array([one.final_state[0], one.of_contact(0).sticks.start[0]])
+        return found, found
 
+    both = jax.jit(mode(results, has_aux=True))  # compiled once: a function and its derivatives
     at, change = jnp.array([0.2, 0.2]), 1e-5
-    columns = [(results(at + change * e) - results(at - change * e)) / (2 * change) for e in jnp.eye(2)]
-    np.testing.assert_allclose(jax.jacfwd(results)(at), jnp.stack(columns, axis=1), rtol=2e-5, atol=1e-7)
-    np.testing.assert_allclose(jax.grad(lambda v: results(v)[0])(at), [c[0] for c in columns], rtol=2e-5, atol=1e-7)
+    columns = [(both(at + change * e)[1] - both(at - change * e)[1]) / (2 * change) for e in jnp.eye(2)]
+    np.testing.assert_allclose(both(at)[0], jnp.stack(columns, axis=1), rtol=2e-5, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -246,6 +249,7 @@ def test_derivatives_of_adaptive_steps():
     assert float(jax.grad(end)(0.2)) == pytest.approx(float(difference), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_samples_are_single_runs(tmp_path):
     """Each sample of an ensemble with uncertain friction is its single run, each contact and all at once; and it comes
     back from a file.
@@ -336,6 +340,7 @@ def test_what_needs_a_step_or_a_number_is_told():
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_single_precision():
     exact = ss.simulate(chain(), ss.Constant(0.0), t1=12.0, y0=CHAIN_START)
     with jax.enable_x64(False):

@@ -118,6 +118,7 @@ def test_a_motor_that_starts_fast(speed, current):
     np.testing.assert_allclose(found / largest, expected / largest, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_do_not_see_how_long_steps_are():
     """Against differences of Radau, where steps are shortened."""
     base = ss.Constant(0.3)

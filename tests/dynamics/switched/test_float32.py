@@ -60,7 +60,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param("a user's system", marks=pytest.mark.slow), "motor and cart"])
 def test_a_slip_of_round_off_ends(name):
     simulate, drawn, chosen = CASES[name]
 

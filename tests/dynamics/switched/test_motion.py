@@ -118,6 +118,7 @@ def test_jit_vmap_and_float32():
     np.testing.assert_allclose(single, watched(point), atol=2e-4)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_where_nothing_sticks():
     """Of the final velocity, by every parameter."""
     slopes = REVERSE(as_arrays(POINT | {"mu": 0.01, "mu_static": 0.01, "p": 50.0}))

@@ -51,7 +51,7 @@ def demanded(kind: str, case: Case) -> dict[str, Any]:
     "kind",
     [
         # `test_accuracy_at_the_default_step` follows a weakening law too.
-        pytest.param(kind, marks=pytest.mark.slow) if kind == "weakening" else kind
+        pytest.param(kind, marks=pytest.mark.slow) if kind in ("weakening", "record", "ground") else kind
         for kind in KINDS
         if kind not in RARE
     ],
