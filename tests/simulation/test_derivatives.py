@@ -216,6 +216,7 @@ def test_infinite_durations_give_finite_derivatives(mode, speed):
         assert float(derivatives[2, 2]) == pytest.approx(float(constant_base(values)[3]), 1e-9)
 
 
+@pytest.mark.slow
 def test_stick_time_gradient_is_that_of_the_events():
     """Gradient of one number, the way users take it, equals the sum of the events' derivatives."""
     setup = random_set_up(0.3, 0.5, (1.0, -1.0), 40, seed=21).merged()

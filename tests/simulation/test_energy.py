@@ -3,6 +3,7 @@
 import math
 from typing import Annotated
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +23,9 @@ def free(mu, method=ss.Exact()):  # noqa: B008 - nothing in it changes
     return ss.simulate(system, ss.Constant(0.0), t1=20.0, y0=(3.0, 0.0), method=method)
 
 
-@pytest.mark.parametrize("method", [ss.Exact(), ss.Exact(step=0.1)], ids=["intervals", "steps"])
+@pytest.mark.parametrize(
+    "method", [ss.Exact(), pytest.param(ss.Exact(step=0.1), marks=pytest.mark.slow)], ids=["intervals", "steps"]
+)
 def test_free_vibration(method):
     """Friction takes ``mu n`` times the length of the way; in between it points against the velocity."""
     one = free(0.4, method)
@@ -88,7 +91,8 @@ CASES = {
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=[pytest.mark.slow] if case == "overdamped" else []) for case in CASES]
+    "case",
+    [case if case in ("random belt", "all at once") else pytest.param(case, marks=pytest.mark.slow) for case in CASES],
 )
 def test_balance_closes_to_round_off(case):
     """What the integrals of the powers say, and what the states say."""
@@ -171,9 +175,17 @@ def test_transformations():
     def taken(mu):
         return free(mu, ss.Exact(max_steps=2048, step=0.1)).energies(jnp.asarray(20.0)).dissipated["friction"]
 
-    many = jax.jit(jax.vmap(taken))(jnp.array([0.38, 0.4]))
+    many, slopes = jax.jit(jax.vmap(jax.value_and_grad(taken)))(jnp.array([0.38, 0.4]))
     assert_allclose(many, [4.5 - (3 - 8 * mu) ** 2 / 2 for mu in (0.38, 0.4)], rtol=1e-13)
-    assert_allclose([jax.grad(taken)(0.4), jax.jvp(taken, (0.4,), (1.0,))[1]], 8 * (3 - 8 * 0.4), rtol=1e-10)
+    assert_allclose(slopes, [8 * (3 - 8 * mu) for mu in (0.38, 0.4)], rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_forward_derivatives():
+    def taken(mu):
+        return free(mu, ss.Exact(max_steps=2048, step=0.1)).energies(jnp.asarray(20.0)).dissipated["friction"]
+
+    assert_allclose(jax.jvp(taken, (0.4,), (1.0,))[1], 8 * (3 - 8 * 0.4), rtol=1e-10)
     slope = jax.grad(lambda mu: free(mu).friction_force(jnp.asarray(15.0)))(0.4)
     assert slope == pytest.approx(-8, rel=1e-12)  # k x where it rests
 
@@ -191,12 +203,13 @@ class Own(ss.SwitchedSystem):
 
 
 def test_what_is_not_known_is_refused():
-    own = ss.simulate(Own(0.4), ss.Constant(0.0), t1=5.0, y0=(3.0, 0.0))
+    one = free(0.4)  # its system is not asked for anything else
+    own = eqx.tree_at(lambda one: one.system, one, Own(0.4))
     for call in (own.friction_force, own.energies):
         with pytest.raises(ValueError, match=r"needs a MassSpring or a MotorCart, but .*Own"):
             call(1.0)
     with pytest.raises(ValueError, match=r"energies needs a simulation with method=Exact\(\), but .*Regularized"):
-        free(0.4, ss.Regularized(1e-2)).energies(1.0)
+        eqx.tree_at(lambda one: one.method, one, ss.Regularized(1e-2)).energies(1.0)
     printed = ss.simulate(ss.MotorCart(equation="printed"), ss.SourceVoltage(), t1=0.1)
     with pytest.raises(ValueError, match='energies needs a MotorCart with equation="physical"'):
         printed.energies(0.05)

@@ -62,7 +62,12 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+SLOWER = ("fast base", "in steps", "static friction")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOWER else name for name in CASES]
+)
 def test_nothing_on_a_fine_grid_exceeds_it(name):
     """A grid misses at most ``max |x''| dt^2 / 8`` of a smooth maximum, ``max |x'''| dt^2 / 8`` of one of the velocity;
     the corners of the velocity, at events and jumps of the load, it misses by ``max |x''| dt / 2``.
@@ -80,6 +85,7 @@ def test_nothing_on_a_fine_grid_exceeds_it(name):
             assert on_grid - 1e-12 <= float(found) <= on_grid + missed, (coordinate, sign)
 
 
+@pytest.mark.slow
 def test_against_an_independent_integration():
     """Slip only, forced and damped: scipy locates the zeros of the velocity."""
     system = ss.MassSpring(1.0, 4.0, 0.1, ss.Coulomb(0.1), damping=0.2, force=ss.Harmonic(3.0, 1.7))
@@ -105,9 +111,17 @@ def test_against_an_independent_integration():
     assert float(one.minimum()) == pytest.approx(min(tops), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["closed form", "damped", "static friction"])
-@pytest.mark.parametrize("coordinate", ["position", "velocity"])
-def test_derivatives_are_slopes(name, coordinate):
+OTHERS = [(coordinate, name) for coordinate in ("position", "velocity") for name in ("closed form", "static friction")]
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "name"),
+    [
+        ("velocity", "damped"),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in [("position", "damped"), *OTHERS]),
+    ],
+)
+def test_derivatives_are_slopes(coordinate, name):
     system, law, method = CASES[name]
     base = law.sample(jax.random.key(3), t1=T1) if hasattr(law, "sample") else law
 
@@ -137,6 +151,7 @@ def test_bad_coordinates():
             at_rest().maximum(wrong)
 
 
+@pytest.mark.slow
 def test_motor_and_cart():
     cart = ss.simulate(ss.MotorCart(mu=0.5), ss.SourceVoltage(), t1=0.5)
     times = np.linspace(0.0, 0.5, 1001)

@@ -134,6 +134,7 @@ def by_scipy(x0: float, mu: float) -> float:
     return float(y[0])
 
 
+@pytest.mark.slow
 def test_second_derivatives_on_a_harmonic_base():
     """Forward over reverse, through crossings, against integrations by SciPy."""
 

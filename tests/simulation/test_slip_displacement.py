@@ -91,7 +91,8 @@ def test_a_motor_turns_by_the_difference_of_its_angles():
     np.testing.assert_allclose(got, angle - np.concatenate([[0.3], left_at[:-1]]), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("method", [ss.Exact(), pytest.param(STEPS, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [ss.Exact(), STEPS])
 def test_derivatives_are_those_of_the_ends(method):
     """D displacement = d position - d (end of the stick before): the mass goes with a base that does not change."""
     base = LAW.sample(jax.random.key(3), T1)

@@ -58,7 +58,10 @@ SIMULATIONS = {
 }
 
 
-@pytest.mark.parametrize("name", SIMULATIONS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name in ("no unit", "motor") else name for name in SIMULATIONS],
+)
 def test_a_table_holds_every_stick(name, tmp_path):
     simulate, unit = SIMULATIONS[name]
     one = simulate()
@@ -88,7 +91,7 @@ def test_the_columns_are_those_of_an_ensemble(tmp_path):
     assert ss.stick_fraction(back).value == pytest.approx(table["duration_s"].sum() / T1, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["closed form", "motor", "own system"])
+@pytest.mark.parametrize("name", ["closed form", pytest.param("motor", marks=pytest.mark.slow), "own system"])
 def test_labeled_arrays(name, tmp_path):
     one, unit = SIMULATIONS[name][0](), SIMULATIONS[name][1].removeprefix("_")
     file = tmp_path / "one.nc"

@@ -17,7 +17,9 @@ def end(mu, base, method, whole=int):
     return ss.simulate(system, base, t1=6, y0=(0, 1), method=method).final_state[0]
 
 
-@pytest.mark.parametrize("engine", STEPS)
+@pytest.mark.parametrize(
+    "engine", [pytest.param(name, marks=pytest.mark.slow) if name != "closed form" else name for name in STEPS]
+)
 def test_derivative_beside_whole_numbers(engine):
     base, method = STEPS[engine]
     h = 1e-6
@@ -25,6 +27,7 @@ def test_derivative_beside_whole_numbers(engine):
     assert float(jax.grad(end)(0.5, base, method)) == pytest.approx(float(expected), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_cart_beside_whole_numbers():
     def end(mu, y0=(1, 0, 0), t1=1):
         return ss.simulate(ss.MotorCart(mu=mu), ss.SourceVoltage(), t1=t1, y0=y0).final_state[0]
